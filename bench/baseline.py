@@ -27,7 +27,9 @@ class Baseline:
         self.tables = np.ascontiguousarray(whole[:, : self.plan.period[0], :cols], np.float32)
         assert tables.shape[1:] == (rows, cols)  # quarters
         self.mix = self.plan.mix.astype(np.float32)
-        self.before = [(length - n) // 2 for length, n in zip(self.plan.period, scene.shape, strict=True)]
+        self.before = [
+            (length - n) // 2 for length, n in zip(self.plan.period, scene.shape, strict=True)
+        ]
         self.cfa, self.sensor = sensor.cfa_indices, sensor
         y, x = (np.arange(n) - (n - 1) / 2 for n in scene.shape)
         falloff = 1 / (1 + self.plan.slope**2 * (y[:, None] ** 2 + x**2)) ** 2
@@ -45,9 +47,13 @@ class Baseline:
     def mean(self, cube, seconds: float) -> np.ndarray:
         """Mean electrons (rows, cols) float32 of a cube (L, rows, cols) float32."""
         rows, cols = cube.shape[1:]
-        pads = [(before, length - n - before) for before, length, n in zip(
-            self.before, self.plan.period, (rows, cols), strict=True)]
-        sums = np.zeros((len(self.mix), self.plan.period[0], self.plan.period[1] // 2 + 1), np.complex64)
+        pads = [
+            (before, length - n - before)
+            for before, length, n in zip(self.before, self.plan.period, (rows, cols), strict=True)
+        ]
+        sums = np.zeros(
+            (len(self.mix), self.plan.period[0], self.plan.period[1] // 2 + 1), np.complex64
+        )
         for band, table, weights in zip(cube, self.tables, self.mix.T, strict=True):
             spectrum = self.forward(np.pad(band, pads, mode="edge"))
             spectrum *= table
@@ -65,8 +71,12 @@ class Baseline:
     def raw(self, cube, seconds: float) -> np.ndarray:
         """Digital numbers (rows, cols) uint16 of a cube."""
         sensor = self.sensor
-        electrons = np.minimum(self.random.poisson(self.mean(cube, seconds)), sensor.full_well).astype(np.float32)
-        electrons += np.float32(sensor.read_sigma) * self.random.standard_normal(electrons.shape, np.float32)
+        electrons = np.minimum(
+            self.random.poisson(self.mean(cube, seconds)), sensor.full_well
+        ).astype(np.float32)
+        electrons += np.float32(sensor.read_sigma) * self.random.standard_normal(
+            electrons.shape, np.float32
+        )
         values = electrons * np.float32(sensor.gain_dn_per_electron) + np.float32(sensor.dark_level)
         return np.rint(np.clip(values, 0, sensor.white_level)).astype(np.uint16)
 
@@ -81,12 +91,22 @@ def bilinear(raw, scale: float) -> np.ndarray:
     rows, cols = raw.shape
     p = np.pad(raw.astype(np.float32), 1, mode="reflect")
     p *= np.float32(scale)
-    here, cross = p[1:-1, 1:-1], (p[:-2, 1:-1] + p[2:, 1:-1] + p[1:-1, :-2] + p[1:-1, 2:]) * np.float32(0.25)
+    here, cross = (
+        p[1:-1, 1:-1],
+        (p[:-2, 1:-1] + p[2:, 1:-1] + p[1:-1, :-2] + p[1:-1, 2:]) * np.float32(0.25),
+    )
     diagonal = (p[:-2, :-2] + p[:-2, 2:] + p[2:, :-2] + p[2:, 2:]) * np.float32(0.25)
-    across, along = (p[1:-1, :-2] + p[1:-1, 2:]) * np.float32(0.5), (p[:-2, 1:-1] + p[2:, 1:-1]) * np.float32(0.5)
+    across, along = (
+        (p[1:-1, :-2] + p[1:-1, 2:]) * np.float32(0.5),
+        (p[:-2, 1:-1] + p[2:, 1:-1]) * np.float32(0.5),
+    )
     out = np.empty((3, rows, cols), np.float32)
-    for (dy, dx), planes in {(0, 0): (here, cross, diagonal), (0, 1): (across, here, along),
-                             (1, 0): (along, here, across), (1, 1): (diagonal, cross, here)}.items():
+    for (dy, dx), planes in {
+        (0, 0): (here, cross, diagonal),
+        (0, 1): (across, here, along),
+        (1, 0): (along, here, across),
+        (1, 1): (diagonal, cross, here),
+    }.items():
         for target, source in zip(out, planes, strict=True):
             target[dy::2, dx::2] = source[dy::2, dx::2]
     return out
@@ -95,7 +115,9 @@ def bilinear(raw, scale: float) -> np.ndarray:
 def convolve(plane, kernel) -> np.ndarray:
     """A plane (rows, cols) by an odd kernel, what lies outside as at the edge: SciPy's overlap-add."""
     rows, cols = (n // 2 for n in kernel.shape)
-    return oaconvolve(np.pad(plane, ((rows, rows), (cols, cols)), mode="edge"), kernel, mode="valid")
+    return oaconvolve(
+        np.pad(plane, ((rows, rows), (cols, cols)), mode="edge"), kernel, mode="valid"
+    )
 
 
 def overlap_add(plane, blur, dtype=np.float32) -> np.ndarray:
@@ -112,7 +134,8 @@ def overlap_add(plane, blur, dtype=np.float32) -> np.ndarray:
             a, b = i - term // 2, j - term % 2
             if 0 <= a < grid[0] - 1 and 0 <= b < grid[1] - 1:
                 cell = np.s_[edges[0][a] : edges[0][a + 1], edges[1][b] : edges[1][b + 1]]
-                window[cell[0].start - y0 : cell[0].stop - y0, cell[1].start - x0 : cell[1].stop - x0] = (
-                    weights[term][cell] * plane[cell])
+                window[
+                    cell[0].start - y0 : cell[0].stop - y0, cell[1].start - x0 : cell[1].stop - x0
+                ] = weights[term][cell] * plane[cell]
         out[y0 : y1 + 2 * half, x0 : x1 + 2 * half] += fftconvolve(window, kernels[number, 0])
     return out[half:-half, half:-half]

@@ -27,7 +27,9 @@ from gpusim.optics.weights import product_weights
 
 LIGHTS = ("D65", "A", "FL11", "FL2")
 PATCHES = reflectances("colorchecker")
-CEILING = 0.95  # of saturation: where a neighbour is clipped, interpolated values are a little lower
+CEILING = (
+    0.95  # of saturation: where a neighbour is clipped, interpolated values are a little lower
+)
 
 
 def differences(qe, light, matrix):
@@ -35,32 +37,54 @@ def differences(qe, light, matrix):
     import colour
 
     weights = product_weights(PATCHES.wavelengths, qe, photons_from_energy(illuminant(light)))
-    shown = DISPLAYS["srgb"].xyz_from_rgb @ matrix @ weights @ PATCHES.values.T / weights.sum(1).max()
+    shown = (
+        DISPLAYS["srgb"].xyz_from_rgb @ matrix @ weights @ PATCHES.values.T / weights.sum(1).max()
+    )
     wanted = xyz(PATCHES, illuminant("D65")) / xyz(illuminant("D65"))[1]
     white = np.array([0.3127, 0.3290])
-    return colour.delta_E(colour.XYZ_to_Lab(shown.T, white), colour.XYZ_to_Lab(wanted, white), method="CIE 2000")
+    return colour.delta_E(
+        colour.XYZ_to_Lab(shown.T, white), colour.XYZ_to_Lab(wanted, white), method="CIE 2000"
+    )
 
 
 def matrices(tables, qe):
     """Each method, trained on objects and on Munsell chips."""
     for training in ("objects", "munsell"):
-        tables.table(f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS)
+        tables.table(
+            f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS
+        )
         for method in METHODS:
-            errors = [differences(qe, light, color_matrix(qe, light, training, method=method).matrix)
-                      for light in LIGHTS]
+            errors = [
+                differences(qe, light, color_matrix(qe, light, training, method=method).matrix)
+                for light in LIGHTS
+            ]
             tables.row(method, *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
-        balanced = transform_set(qe, training, ["D65"])  # F D: balance the channels, then the matrix for daylight
-        errors = [differences(qe, light, balanced.at(color_matrix(qe, light, training).white).matrix)
-                  for light in LIGHTS]
-        tables.row("stored D65 alone (F D)", *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
+        balanced = transform_set(
+            qe, training, ["D65"]
+        )  # F D: balance the channels, then the matrix for daylight
+        errors = [
+            differences(qe, light, balanced.at(color_matrix(qe, light, training).white).matrix)
+            for light in LIGHTS
+        ]
+        tables.row(
+            "stored D65 alone (F D)",
+            *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors),
+        )
 
 
 def right_and_wrong(tables, qe):
     """Figure 12 of Farrell & Wandell: each light's transform in each light."""
-    tables.table("Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS)
+    tables.table(
+        "Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS
+    )
     for light in LIGHTS:
-        tables.row(light, *(f"{differences(qe, light, color_matrix(qe, taken, 'objects').matrix).mean():.2f}"
-                     for taken in LIGHTS))
+        tables.row(
+            light,
+            *(
+                f"{differences(qe, light, color_matrix(qe, taken, 'objects').matrix).mean():.2f}"
+                for taken in LIGHTS
+            ),
+        )
 
 
 def estimates(tables, camera, device, photos):
@@ -70,22 +94,37 @@ def estimates(tables, camera, device, photos):
     sensor = camera.sensor
     transforms = transform_set(sensor.qe, camera.processor.training, channels=sensor.channels)
     simulator = Simulator(camera, device=device)
-    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
-    scenes = {"colorchecker": lambda light: chart("colorchecker", light=light),
-              "dead leaves, objects": lambda light: chart("deadleaves", light=light, surfaces="objects"),
-              "dead leaves, nature": lambda light: chart("deadleaves", light=light, surfaces="nature")}
+    saturation = (
+        sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    )
+    scenes = {
+        "colorchecker": lambda light: chart("colorchecker", light=light),
+        "dead leaves, objects": lambda light: chart("deadleaves", light=light, surfaces="objects"),
+        "dead leaves, nature": lambda light: chart("deadleaves", light=light, surfaces="nature"),
+    }
     scenes |= {path: lambda light, path=path: open_scene(path, light=light) for path in photos}
     for light in (*LIGHTS, "daylight-8000K"):
         own = color_matrix(sensor.qe, light, camera.processor.training)
-        best, daylight = (differences(sensor.qe, light, transform.matrix).mean()
-                          for transform in (own, transforms.at(transforms.target_white)))
-        tables.table(f"{light}: angular error [degree], mean CIEDE2000 (given light {best:.2f}, as if D65 "
-                     f"{daylight:.2f})", "scene", *ESTIMATES)
+        best, daylight = (
+            differences(sensor.qe, light, transform.matrix).mean()
+            for transform in (own, transforms.at(transforms.target_white))
+        )
+        tables.table(
+            f"{light}: angular error [degree], mean CIEDE2000 (given light {best:.2f}, as if D65 "
+            f"{daylight:.2f})",
+            "scene",
+            *ESTIMATES,
+        )
         over_photos: list = []
         for name, scene in scenes.items():
             frame = simulator(scene(light))
-            values = bilinear(frame.raw, phase="".join(sensor.cfa), black_level=sensor.dark_level,
-                              scale=1 / (sensor.white_level - sensor.dark_level), device=simulator.device)
+            values = bilinear(
+                frame.raw,
+                phase="".join(sensor.cfa),
+                black_level=sensor.dark_level,
+                scale=1 / (sensor.white_level - sensor.dark_level),
+                device=simulator.device,
+            )
             small = thumbnail(np.asarray(values), CEILING * saturation, device=simulator.device)
             errors = []
             for method in ESTIMATES:
@@ -98,15 +137,24 @@ def estimates(tables, camera, device, photos):
             else:
                 tables.row(name, *(f"{angle:.1f}, {shown:.1f}" for angle, shown in errors))
         if photos:
-            tables.row(f"{len(photos)} photographs, mean", *(f"{a:.1f}, {s:.1f}" for a, s in np.mean(over_photos, 0)))
+            tables.row(
+                f"{len(photos)} photographs, mean",
+                *(f"{a:.1f}, {s:.1f}" for a, s in np.mean(over_photos, 0)),
+            )
 
 
 def main():
     """Print the tables, and write them where asked."""
     made = parser(__doc__)
     made.add_argument("--camera", default="phone")
-    made.add_argument("--scenes", action="store_true", help="simulate scenes for the estimates of the light as well")
-    made.add_argument("--photo", nargs="*", default=[], help="photographs to be lit and taken as well")
+    made.add_argument(
+        "--scenes",
+        action="store_true",
+        help="simulate scenes for the estimates of the light as well",
+    )
+    made.add_argument(
+        "--photo", nargs="*", default=[], help="photographs to be lit and taken as well"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "color")
     camera, tables = open_camera(arguments.camera), Tables()

@@ -23,7 +23,19 @@ import baseline
 import numpy as np
 from baseline import Baseline
 from frames import SECONDS, cube
-from results import add_size, cores, count, finish, parser, peer_rows, ready, rms, rounds, show, start
+from results import (
+    add_size,
+    cores,
+    count,
+    finish,
+    parser,
+    peer_rows,
+    ready,
+    rms,
+    rounds,
+    show,
+    start,
+)
 
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
@@ -33,8 +45,14 @@ from gpusim.io.frame.dng import write_dng
 from gpusim.kernels.stage import public_function
 from gpusim.pipeline.simulator import Simulator
 
-PACKAGES = {"cv2": "opencv-python-headless", "colour_demosaicing": "colour-demosaicing", "rawpy": "rawpy",
-            "torch": "torch", "ducc0": "ducc0", "halide": "halide"}
+PACKAGES = {
+    "cv2": "opencv-python-headless",
+    "colour_demosaicing": "colour-demosaicing",
+    "rawpy": "rawpy",
+    "torch": "torch",
+    "ducc0": "ducc0",
+    "halide": "halide",
+}
 BORDER = 10  # [pixel] that methods treat in other ways
 ERROR_SIZE = (480, 270)  # of the mosaic that errors are measured on
 WHITE = 65535  # of the mosaic
@@ -50,7 +68,9 @@ class Subject:
         """A form. make(): a function that does the task and waits, and the text of its error."""
         name = f"{self.name}: {name}"
         if package is not None and find_spec(package) is None:
-            self.missing.append({"name": name, "failed": f"not installed: pip install {PACKAGES[package]}"})
+            self.missing.append(
+                {"name": name, "failed": f"not installed: pip install {PACKAGES[package]}"}
+            )
         else:
             self.forms[name], self.errors[name] = make()
 
@@ -58,7 +78,10 @@ class Subject:
         """Time all in turns."""
         base = f"{self.name}: {self.base}"
         times = rounds(self.forms, repeat)
-        return peer_rows(times, {name: base for name in times if name != base}, self.errors) + self.missing
+        return (
+            peer_rows(times, {name: base for name in times if name != base}, self.errors)
+            + self.missing
+        )
 
 
 class WithDucc(Baseline):
@@ -74,8 +97,15 @@ class WithDucc(Baseline):
         """See Baseline."""
         import ducc0
 
-        return ducc0.fft.c2r(spectra, axes=(1, 2), lastsize=self.plan.period[1], forward=False, inorm=2,
-                             nthreads=cores(), allow_overwriting_input=True)
+        return ducc0.fft.c2r(
+            spectra,
+            axes=(1, 2),
+            lastsize=self.plan.period[1],
+            forward=False,
+            inorm=2,
+            nthreads=cores(),
+            allow_overwriting_input=True,
+        )
 
 
 class WithTorch(Baseline):
@@ -87,8 +117,10 @@ class WithTorch(Baseline):
         super().__init__(simulator, scene)
         torch.set_num_threads(cores())
         self.place = place
-        self.there = {name: torch.from_numpy(np.ascontiguousarray(getattr(self, name))).to(place)
-                      for name in ("tables", "mix", "falloff")}
+        self.there = {
+            name: torch.from_numpy(np.ascontiguousarray(getattr(self, name))).to(place)
+            for name in ("tables", "mix", "falloff")
+        }
 
     def mean(self, cube, seconds):
         """Mean electrons of a cube, a tensor, as a tensor."""
@@ -98,7 +130,9 @@ class WithTorch(Baseline):
         (top, left), (high, wide) = self.before, self.plan.period
         pads = (left, wide - cols - left, top, high - rows - top)
         tables, mix = self.there["tables"], self.there["mix"]
-        sums = torch.zeros((len(mix), high, wide // 2 + 1), dtype=torch.complex64, device=self.place)
+        sums = torch.zeros(
+            (len(mix), high, wide // 2 + 1), dtype=torch.complex64, device=self.place
+        )
         for band, table, weights in zip(cube, tables, mix.T, strict=True):
             padded = torch.nn.functional.pad(band[None, None], pads, mode="replicate")[0, 0]
             sums += weights[:, None, None] * (torch.fft.rfft2(padded) * table)
@@ -118,13 +152,17 @@ def frame(device, size, tolerance) -> Subject:
     picture, camera = chart("deadleaves", size=size), open_camera("phone")
     values = cube(picture)
     cubes = [values, values * np.float32(1.01)]
-    scenes = [Scene(Cube(picture.wavelengths, part), picture.illuminant, picture.border) for part in cubes]
+    scenes = [
+        Scene(Cube(picture.wavelengths, part), picture.illuminant, picture.border) for part in cubes
+    ]
     truth = Simulator(camera, device="numpy").expose(scenes[0], SECONDS).mean
     exact, subject = Simulator(camera, device=device), Subject("frame", "SciPy")
 
     def ours(limit):
-        there = [Scene(Cube(picture.wavelengths, device.array(part)), picture.illuminant, picture.border)
-                 for part in cubes]
+        there = [
+            Scene(Cube(picture.wavelengths, device.array(part)), picture.illuminant, picture.border)
+            for part in cubes
+        ]
         program = Simulator(camera, device=device, tolerance=limit).program(there[0], SECONDS)
         given = cycle(there[::-1])
         error = f"rms {rms(device.numpy(program.output('mean')), truth):.1e}"
@@ -167,8 +205,12 @@ def demosaic(device, size, tolerance) -> Subject:
     raw, (small, truth) = _mosaic(size)[0], _mosaic(ERROR_SIZE)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / WHITE}
-    references = {name: np.moveaxis(public_function(f"processor.{name}")(small, **options, device="numpy"), 0, 2)
-                  for name in ("bilinear", "malvar")}
+    references = {
+        name: np.moveaxis(
+            public_function(f"processor.{name}")(small, **options, device="numpy"), 0, 2
+        )
+        for name in ("bilinear", "malvar")
+    }
 
     def judged(method, reference=None):
         """method(raw) gives a function without arguments that gives RGB (rows, cols, 3), 1 = white."""
@@ -187,6 +229,7 @@ def demosaic(device, size, tolerance) -> Subject:
                 return np.moveaxis(device.numpy(result), 0, 2) if mosaic is small else None
 
             return run
+
         return method
 
     def numpy(mosaic):
@@ -196,13 +239,29 @@ def demosaic(device, size, tolerance) -> Subject:
 
     subject.add("NumPy, bilinear", partial(judged, numpy, "bilinear"))
     for name in ("bilinear", "malvar", "adaptive", "best", "learned"):
-        subject.add(f"gpusim, {name}", partial(judged, ours(name), name if name in references else None))
+        subject.add(
+            f"gpusim, {name}", partial(judged, ours(name), name if name in references else None)
+        )
     for name, reference in (("", "bilinear"), ("_EA", None)):
-        subject.add(f"OpenCV, {'edge-aware' if name else 'bilinear'}", lambda name=name, reference=reference: judged(
-            partial(_opencv, f"COLOR_BayerBG2RGB{name}"), reference), "cv2")
-    for name, reference in (("bilinear", "bilinear"), ("Malvar2004", "malvar"), ("Menon2007", None)):
-        subject.add(f"colour-demosaicing, {name}", lambda name=name, reference=reference: judged(
-            partial(_colour, f"demosaicing_CFA_Bayer_{name}"), reference), "colour_demosaicing")
+        subject.add(
+            f"OpenCV, {'edge-aware' if name else 'bilinear'}",
+            lambda name=name, reference=reference: judged(
+                partial(_opencv, f"COLOR_BayerBG2RGB{name}"), reference
+            ),
+            "cv2",
+        )
+    for name, reference in (
+        ("bilinear", "bilinear"),
+        ("Malvar2004", "malvar"),
+        ("Menon2007", None),
+    ):
+        subject.add(
+            f"colour-demosaicing, {name}",
+            lambda name=name, reference=reference: judged(
+                partial(_colour, f"demosaicing_CFA_Bayer_{name}"), reference
+            ),
+            "colour_demosaicing",
+        )
     for name in ("LINEAR", "PPG", "AHD"):
         subject.add(f"LibRaw, {name}", lambda name=name: judged(partial(_libraw, name)), "rawpy")
     return subject
@@ -243,8 +302,15 @@ def _libraw(name, raw):
         write_dng(path, raw, ("RG", "GB"), 0, WHITE, {"D65": (np.eye(3), None)}, np.ones(3))
         picture = rawpy.imread(str(path))
         picture.unpack()
-    develop = partial(picture.postprocess, demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, name), output_bps=16,
-                      no_auto_bright=True, gamma=(1, 1), user_wb=[1, 1, 1, 1], output_color=rawpy.ColorSpace.raw)
+    develop = partial(
+        picture.postprocess,
+        demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, name),
+        output_bps=16,
+        no_auto_bright=True,
+        gamma=(1, 1),
+        user_wb=[1, 1, 1, 1],
+        output_color=rawpy.ColorSpace.raw,
+    )
     return _scaled(develop, raw)
 
 
@@ -268,12 +334,16 @@ def convolve(taps, device, size, tolerance) -> Subject:
     # near the highlight: that it takes part in, and what these take part in
     near = np.s_[rows // 2 - half : rows // 2 + half + 1, cols // 2 - half : cols // 2 + half + 1]
     around = np.s_[near[0].start : near[0].stop + 2 * half, near[1].start : near[1].stop + 2 * half]
-    truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][half:-half, half:-half]
+    truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][
+        half:-half, half:-half
+    ]
     there = device.array(plane[None])
 
     def judged(run):
         result = run()
-        result = np.asarray(device.numpy(result) if isinstance(result, device.array_type) else result)
+        result = np.asarray(
+            device.numpy(result) if isinstance(result, device.array_type) else result
+        )
         return run, f"local {np.abs(result.reshape(rows, cols)[near] / truth - 1).max():.1e}"
 
     def ours(precision):
@@ -281,6 +351,7 @@ def convolve(taps, device, size, tolerance) -> Subject:
             result = convolve(there, kernel[None], "edge", precision, device=device)
             device.sync()
             return result
+
         return judged(run)
 
     def opencv():
@@ -332,16 +403,27 @@ def _halide(padded, flipped):
     return run
 
 
-SUBJECTS = {"frame": frame, "demosaic": demosaic, "convolve-15": partial(convolve, 15),
-            "convolve-63": partial(convolve, 63)}
+SUBJECTS = {
+    "frame": frame,
+    "demosaic": demosaic,
+    "convolve-15": partial(convolve, 15),
+    "convolve-63": partial(convolve, 63),
+}
 
 
 def main():
     """Print the rows, and write them where asked."""
     made = parser(__doc__)
     add_size(made)
-    made.add_argument("--subject", choices=SUBJECTS, action="append", help="may be repeated (default: all)")
-    made.add_argument("--tolerance", type=float, default=4e-4, help="of the fused frame (default: 4e-4); 0: without it")
+    made.add_argument(
+        "--subject", choices=SUBJECTS, action="append", help="may be repeated (default: all)"
+    )
+    made.add_argument(
+        "--tolerance",
+        type=float,
+        default=4e-4,
+        help="of the fused frame (default: 4e-4); 0: without it",
+    )
     made.add_argument("--repeat", type=count, default=9)
     arguments = made.parse_args()
     device, old = ready(arguments, "compare")
@@ -350,8 +432,16 @@ def main():
         found = SUBJECTS[name](device, arguments.size, arguments.tolerance).rows(arguments.repeat)
         show(found)
         rows += found
-    finish(arguments, "compare", device, rows, old, size=arguments.size, tolerance=arguments.tolerance or None,
-           repeat=arguments.repeat)
+    finish(
+        arguments,
+        "compare",
+        device,
+        rows,
+        old,
+        size=arguments.size,
+        tolerance=arguments.tolerance or None,
+        repeat=arguments.repeat,
+    )
 
 
 if __name__ == "__main__":

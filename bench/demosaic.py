@@ -31,23 +31,34 @@ def quality(tables, device, sets):
     from test_demosaic import cpsnr, mosaic
 
     def ours(name):
-        options = {key: value for key, value in ENCODED.items() if key != "domain" or name not in LINEAR}
+        options = {
+            key: value for key, value in ENCODED.items() if key != "domain" or name not in LINEAR
+        }
         method = public_function(f"processor.{name}")
-        return lambda image: cpsnr(255 * np.moveaxis(method(mosaic(image), **options, device=device), 0, 2), image)
+        return lambda image: cpsnr(
+            255 * np.moveaxis(method(mosaic(image), **options, device=device), 0, 2), image
+        )
 
     methods = {name: ours(name) for name in MODES}
     if find_spec("colour_demosaicing"):
         from colour_demosaicing import demosaicing_CFA_Bayer_Menon2007
 
-        methods["Menon 2007"] = lambda image: cpsnr(demosaicing_CFA_Bayer_Menon2007(mosaic(image).astype(float)), image)
-    tables.table("CPSNR [dB], interpolated as encoded", "",
-                 *(f"{name} ({len(images)})" for name, images in sets.items()))
+        methods["Menon 2007"] = lambda image: cpsnr(
+            demosaicing_CFA_Bayer_Menon2007(mosaic(image).astype(float)), image
+        )
+    tables.table(
+        "CPSNR [dB], interpolated as encoded",
+        "",
+        *(f"{name} ({len(images)})" for name, images in sets.items()),
+    )
     for name, method in methods.items():
         found = [np.array([method(image) for image in images]) for images in sets.values()]
         tables.row(name, *(f"{values.mean():.2f}" for values in found))
         if name in ("best", "Menon 2007"):
             for half, first in (("chosen on", 0), ("held out", 1)):
-                tables.row(f"{name}, {half}", *(f"{values[first::2].mean():.2f}" for values in found))
+                tables.row(
+                    f"{name}, {half}", *(f"{values[first::2].mean():.2f}" for values in found)
+                )
 
 
 def seen(tables, device, sets):
@@ -56,26 +67,54 @@ def seen(tables, device, sets):
 
     methods = [public_function(f"processor.{name}") for name in SEEN]
     tables.table(f"CPSNR [dB] as a camera sees them, {' / '.join(SEEN)}", "", *sets)
-    for electrons, blur in ((None, 0.0), (None, 0.5), (None, 0.8), (None, 1.2), (None, 2.0),
-                            (5, 0.0), (20, 0.0), (100, 0.0), (1000, 0.0)):
+    for electrons, blur in (
+        (None, 0.0),
+        (None, 0.5),
+        (None, 0.8),
+        (None, 1.2),
+        (None, 2.0),
+        (5, 0.0),
+        (20, 0.0),
+        (100, 0.0),
+        (1000, 0.0),
+    ):
         shown = {"electrons": electrons, "blur": blur, "methods": methods}
-        cells = [np.mean([captured(image, seed=number, **shown) for number, image in enumerate(images)], axis=0)
-                 for images in sets.values()]
-        tables.row(f"{electrons} electrons" if electrons else f"no noise, blur of {blur} pixels",
-                   *(" / ".join(f"{value:.2f}" for value in cell) for cell in cells))
+        cells = [
+            np.mean(
+                [captured(image, seed=number, **shown) for number, image in enumerate(images)],
+                axis=0,
+            )
+            for images in sets.values()
+        ]
+        tables.row(
+            f"{electrons} electrons" if electrons else f"no noise, blur of {blur} pixels",
+            *(" / ".join(f"{value:.2f}" for value in cell) for cell in cells),
+        )
 
 
 def main():
     """Print both tables, and write them where asked."""
     made = parser(__doc__)
-    made.add_argument("--photographs", type=Path, required=True, metavar="DIR",
-                      help="folder with a sub-folder of PNG pictures per set")
+    made.add_argument(
+        "--photographs",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder with a sub-folder of PNG pictures per set",
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "demosaic")
     folder = arguments.photographs
-    found = [path for path in sorted(folder.iterdir()) if any(path.glob("*.png"))] if folder.is_dir() else []
+    found = (
+        [path for path in sorted(folder.iterdir()) if any(path.glob("*.png"))]
+        if folder.is_dir()
+        else []
+    )
     if not found:
-        raise BadFile(folder, "has no photographs: wanted a folder with a sub-folder of PNG pictures for each set")
+        raise BadFile(
+            folder,
+            "has no photographs: wanted a folder with a sub-folder of PNG pictures for each set",
+        )
     from test_demosaic import photographs
 
     sets, tables = {path.name: list(photographs(path)) for path in found}, Tables()

@@ -26,7 +26,9 @@ def comatic(places):
         r, angle = np.hypot(v, u), np.arctan2(v, u)
         along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
         core = np.exp(-(along**2 + across**2) / (2 * (1 + 2 * r) ** 2))
-        tail = r * np.exp(-((along - 6 * r) ** 2) / (2 * (1 + 6 * r) ** 2) - across**2 / (2 * (1 + 3 * r) ** 2))
+        tail = r * np.exp(
+            -((along - 6 * r) ** 2) / (2 * (1 + 6 * r) ** 2) - across**2 / (2 * (1 + 3 * r) ** 2)
+        )
         kernels.append((core + tail) / (core + tail).sum())
     return np.stack(kernels)[:, None]
 
@@ -49,18 +51,44 @@ def main():
     one = np.ones((1, 1), np.float32)
 
     def ours():
-        results = [field(plane[None], mix=one, border="zero", threshold=100.0, tables=tables, device=device, **inputs)
-                   for plane in planes]
+        results = [
+            field(
+                plane[None],
+                mix=one,
+                border="zero",
+                threshold=100.0,
+                tables=tables,
+                device=device,
+                **inputs,
+            )
+            for plane in planes
+        ]
         device.sync()
         return np.concatenate([device.numpy(result) for result in results])
 
-    forms = {"SciPy, overlap-add": lambda: np.stack([by_scipy(plane, blur) for plane in planes]), "gpusim": ours}
-    truth, errors = np.stack([by_scipy(plane.astype(np.float64), blur, np.float64) for plane in planes]), {}
+    forms = {
+        "SciPy, overlap-add": lambda: np.stack([by_scipy(plane, blur) for plane in planes]),
+        "gpusim": ours,
+    }
+    truth, errors = (
+        np.stack([by_scipy(plane.astype(np.float64), blur, np.float64) for plane in planes]),
+        {},
+    )
     for name, form in forms.items():
         local = np.abs(form() - truth) / truth
         errors[name] = f"local, 99.9 %: {np.quantile(local, 0.999):.1e}, largest {local.max():.1e}"
-    compared(arguments, "field", device, old, forms, {"gpusim": "SciPy, overlap-add"}, errors,
-             dict.fromkeys(forms, arguments.bands), size=SHAPE[::-1], bands=arguments.bands)
+    compared(
+        arguments,
+        "field",
+        device,
+        old,
+        forms,
+        {"gpusim": "SciPy, overlap-add"},
+        errors,
+        dict.fromkeys(forms, arguments.bands),
+        size=SHAPE[::-1],
+        bands=arguments.bands,
+    )
 
 
 if __name__ == "__main__":

@@ -49,24 +49,53 @@ GREY = 0.2  # reflectance of a card that fills a frame
 def camera(name, cfa, **processor):
     """A camera of the figure, with the processor's settings."""
     table = curve("mt9v024")
-    curves = dict(zip("RGBW", table.values * curve("ir-cut-phone").at(table.wavelengths), strict=True))
+    curves = dict(
+        zip("RGBW", table.values * curve("ir-cut-phone").at(table.wavelengths), strict=True)
+    )
     curves["N"] = NEUTRAL * curves["W"]
     letters = tuple(letter for letter in "RGBWN" if letter in "".join(cfa))
-    nodes = np.concatenate([[40, 399], table.wavelengths, [701, 7000]])  # no light is counted outside the table
-    qe = Spectrum(nodes, np.pad([curves[letter] for letter in letters], ((0, 0), (2, 2))), "MT9V024 x infrared cut")
+    nodes = np.concatenate(
+        [[40, 399], table.wavelengths, [701, 7000]]
+    )  # no light is counted outside the table
+    qe = Spectrum(
+        nodes,
+        np.pad([curves[letter] for letter in letters], ((0, 0), (2, 2))),
+        "MT9V024 x infrared cut",
+    )
     noise = Noise(read=6.7, dsnu=7.05, dark_current=0.05, prnu=2.2e-5)
-    sensor = Sensor(2.2e-6, qe, full_well=9000, bits=12, channels=letters, cfa=cfa, fill_factor=0.45, exposure_time=0.1,
-                    black_level=64, noise=noise)
+    sensor = Sensor(
+        2.2e-6,
+        qe,
+        full_well=9000,
+        bits=12,
+        channels=letters,
+        cfa=cfa,
+        fill_factor=0.45,
+        exposure_time=0.1,
+        black_level=64,
+        noise=noise,
+    )
     return Camera(name, Optics(4, 3e-3), sensor, Processor(scaling="normalised", **processor))
 
 
 def test_scene() -> Scene:
     """The scene, white at 100 cd m-2."""
     cols, rows = (FINE * n for n in SIZE)
-    base = chart("deadleaves", size=SIZE, samples_per_pixel=FINE, surfaces="colorchecker-sg", smallest=6, seed=1407)
+    base = chart(
+        "deadleaves",
+        size=SIZE,
+        samples_per_pixel=FINE,
+        surfaces="colorchecker-sg",
+        smallest=6,
+        seed=1407,
+    )
     checker = chart("colorchecker", size=(SIZE[0] // 2, SIZE[1] // 2), samples_per_pixel=FINE)
     balls = (("skin", 8), ("objects", 61), ("nature", 20), ("munsell", 12))
-    spectra = [reflectances("colorchecker-sg").at(WAVELENGTHS, None), checker.content.spectra, np.ones((1, 31))]
+    spectra = [
+        reflectances("colorchecker-sg").at(WAVELENGTHS, None),
+        checker.content.spectra,
+        np.ones((1, 31)),
+    ]
     spectra += [reflectances(name).at(WAVELENGTHS, None)[[number]] for name, number in balls]
     first = np.cumsum([0, *map(len, spectra)])
     ids, shading = base.content.ids.astype(np.uint16), base.content.shading.copy()
@@ -84,7 +113,9 @@ def test_scene() -> Scene:
         inside = dx**2 + dy**2 < 1
         height = np.sqrt(np.maximum(1 - dx**2 - dy**2, 0))
         ids[inside] = first[3] + number
-        shading[inside] = (0.06 + 0.94 * np.maximum(0.55 * dx - 0.5 * dy + 0.67 * height, 0))[inside]
+        shading[inside] = (0.06 + 0.94 * np.maximum(0.55 * dx - 0.5 * dy + 0.67 * height, 0))[
+            inside
+        ]
     page = np.s_[int(0.06 * rows) : int(0.42 * rows), int(0.58 * cols) : int(0.97 * cols)]
     ids[page], shading[page] = grey, 0.9 * (1 - 0.95 * _print(shading[page].shape))
     content = Materials(WAVELENGTHS, ids, shading.astype(np.float32), np.vstack(spectra))
@@ -113,10 +144,14 @@ def measures(shown, wanted):
     def lab(rgb):
         return colour.XYZ_to_Lab(rgb @ TO_XYZ.T, [0.3127, 0.3290])
 
-    shown, wanted = (np.clip(image[BORDER:-BORDER, BORDER:-BORDER], 0, 1) for image in (shown, wanted))
+    shown, wanted = (
+        np.clip(image[BORDER:-BORDER, BORDER:-BORDER], 0, 1) for image in (shown, wanted)
+    )
     codes = [colour.cctf_encoding(image, function="sRGB") for image in (shown, wanted)]
-    return (-10 * np.log10(np.mean((codes[0] - codes[1]) ** 2)),
-            float(colour.delta_E(lab(shown), lab(wanted), method="CIE 2000").mean()))
+    return (
+        -10 * np.log10(np.mean((codes[0] - codes[1]) ** 2)),
+        float(colour.delta_E(lab(shown), lab(wanted), method="CIE 2000").mean()),
+    )
 
 
 def grey_snr(simulator, white, seed):
@@ -129,37 +164,63 @@ def grey_snr(simulator, white, seed):
 def main():
     """Train, take the pictures, print the table, draw the figure."""
     made = parser(__doc__)
-    made.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png")
-    made.add_argument("--seed", type=int, default=3, help="of the frames' noise; the training has its own")
+    made.add_argument(
+        "--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png"
+    )
+    made.add_argument(
+        "--seed", type=int, default=3, help="of the frames' noise; the training has its own"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "figure14")
     check_output(arguments.out / "figure14.png")
     scene = test_scene()
     own = mean_luminance(scene)
-    print(f"mean reflectance {own / 100:.3f}: white at " + ", ".join(f"{100 * at / own:.4g}" for at in LUMINANCES)
-          + " cd/m2\n")
+    print(
+        f"mean reflectance {own / 100:.3f}: white at "
+        + ", ".join(f"{100 * at / own:.4g}" for at in LUMINANCES)
+        + " cd/m2\n"
+    )
     pictures, rows = {}, []
     for name, cfa in CAMERAS.items():
         table = train(camera(name, cfa), device=device)
-        for label, settings in (("learned", {"demosaic": "learned", "table": table}), ("interpolation, matrix", {})):
+        for label, settings in (
+            ("learned", {"demosaic": "learned", "table": table}),
+            ("interpolation, matrix", {}),
+        ):
             used = camera(name, cfa, **settings)
             simulator = Simulator(used, device=device)
             wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ used.display.rgb_from_xyz.T
             for mean in LUMINANCES:
                 light = dataclasses.replace(scene, illuminant=scene.illuminant.scaled(mean / own))
                 frame = simulator(light, seed=arguments.seed)
-                rows.append((mean, name, label, *measures(frame.linear, wanted),
-                             grey_snr(simulator, 100 * mean / own, arguments.seed)))
+                rows.append(
+                    (
+                        mean,
+                        name,
+                        label,
+                        *measures(frame.linear, wanted),
+                        grey_snr(simulator, 100 * mean / own, arguments.seed),
+                    )
+                )
                 if label == "learned":
                     pictures[mean, name] = frame.rgb
     tables = Tables()
     for mean in LUMINANCES:
-        tables.table(f"{mean:g} cd/m2", "mosaic and processor", "CPSNR [dB]", "mean CIEDE2000",
-                     "SNR of a grey card [dB]")
-        for at, name, label, cpsnr, difference, snr in sorted(rows, key=lambda row: row[2] != "learned"):
+        tables.table(
+            f"{mean:g} cd/m2",
+            "mosaic and processor",
+            "CPSNR [dB]",
+            "mean CIEDE2000",
+            "SNR of a grey card [dB]",
+        )
+        for at, name, label, cpsnr, difference, snr in sorted(
+            rows, key=lambda row: row[2] != "learned"
+        ):
             if at == mean:
                 tables.row(f"{name}, {label}", f"{cpsnr:.2f}", f"{difference:.2f}", f"{snr:.1f}")
-    finish(arguments, "figure14", device, tables.rows, old, seed=arguments.seed, columns=tables.columns)
+    finish(
+        arguments, "figure14", device, tables.rows, old, seed=arguments.seed, columns=tables.columns
+    )
     draw(pictures, arguments.out / "figure14.png")
 
 
@@ -174,7 +235,12 @@ def draw(pictures, path):
     for line, mean in enumerate(LUMINANCES):
         for column, name in enumerate(CAMERAS):
             place = column * (cols + edge), line * (rows + head)
-            draw.text((place[0] + 2, place[1] + 3), f"{name}, {mean:g} cd/m2", "black", ImageFont.load_default(13))
+            draw.text(
+                (place[0] + 2, place[1] + 3),
+                f"{name}, {mean:g} cd/m2",
+                "black",
+                ImageFont.load_default(13),
+            )
             sheet.paste(Image.fromarray(pictures[mean, name][SHOWN]), (place[0], place[1] + head))
     sheet.save(path, optimize=True)
 

@@ -35,14 +35,19 @@ WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 def camera_at(defocus):
     """The figure's camera without noise and converter, its sensor `defocus` [m] behind the focus."""
     camera = open_camera("figure8")
-    return replace(camera, sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
-                   optics=replace(camera.optics, defocus=defocus, relative_illumination="none"),
-                   processor=replace(camera.processor, scaling="normalised"))
+    return replace(
+        camera,
+        sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
+        optics=replace(camera.optics, defocus=defocus, relative_illumination="none"),
+        processor=replace(camera.processor, scaling="normalised"),
+    )
 
 
 def picture(defocus, device="auto"):
     """Frame of a slanted edge, contrast 4, in D65."""
-    scene = chart("slanted-edge", size=SIZE, samples_per_pixel=FINE, angle_deg=ANGLE, wavelengths=WAVELENGTHS)
+    scene = chart(
+        "slanted-edge", size=SIZE, samples_per_pixel=FINE, angle_deg=ANGLE, wavelengths=WAVELENGTHS
+    )
     return Simulator(camera_at(defocus), device=device)(scene)
 
 
@@ -86,7 +91,9 @@ def box(camera):
 
 def chapter_pixel(camera):
     """What ISETCam has in its place, as the docstring on top says."""
-    step = 2 * camera.optics.focal_length * np.tan(np.radians(2.5)) / 512 / camera.sensor.pixel_pitch  # [pixel]
+    step = (
+        2 * camera.optics.focal_length * np.tan(np.radians(2.5)) / 512 / camera.sensor.pixel_pitch
+    )  # [pixel]
     taps = np.ceil(1 / step)
     place = np.arange(taps) - (taps - 1) / 2
     weights = np.exp(-((4 * place / taps) ** 2) / 2)
@@ -109,8 +116,12 @@ def exact(defocus, weights, light, angle=TURN, pixel=None, fine=np.inf):
     f = np.linspace(0, 0.5, 251)
     x, y = f * np.cos(angle), f * np.sin(angle)
     spectral = camera.sensor.qe.at(WAVELENGTHS) * light.at(WAVELENGTHS)
-    lens = np.stack([defocused_otf(f / pitch, 1e-9 * wavelength, optics.f_number, defocus)
-                     for wavelength in WAVELENGTHS])
+    lens = np.stack(
+        [
+            defocused_otf(f / pitch, 1e-9 * wavelength, optics.f_number, defocus)
+            for wavelength in WAVELENGTHS
+        ]
+    )
     channels = (spectral / spectral.sum(1, keepdims=True)) @ lens * bilinear_transfer(x, y)
     channels = channels * (pixel or box)(camera)(x, y) * np.sinc(x / fine) * np.sinc(y / fine)
     return EdgeResponse(f, weights @ channels, np.array(angle), f / (pitch * 1e3))
@@ -127,12 +138,19 @@ def chapter(defocus):
     light = photons_from_energy(illuminant("D65"))
     light = replace(light, values=np.ones_like(light.values))
     found = along_rows(exact(defocus, LUMINANCE, light, STEEP, chapter_pixel))
-    return replace(found, response=found.response * np.sinc(found.frequencies / 4) * np.sinc(found.frequencies / 2))
+    return replace(
+        found,
+        response=found.response * np.sinc(found.frequencies / 4) * np.sinc(found.frequencies / 2),
+    )
 
 
 def shown_weights(frame):
     """Of the camera's R, G, B in the display's luminance, each normalised to a neutral step."""
-    weights = frame.camera.display.xyz_from_rgb[1] @ frame.rendering.display_from_camera * frame.rendering.neutral
+    weights = (
+        frame.camera.display.xyz_from_rgb[1]
+        @ frame.rendering.display_from_camera
+        * frame.rendering.neutral
+    )
     return weights / weights.sum()
 
 
@@ -146,20 +164,38 @@ def main():
     device, old = results.ready(arguments, "figure8")
     check_output(arguments.out)
     import matplotlib
+
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     light = photons_from_energy(illuminant("D65"))
     figure, axes = pyplot.subplots(2, 3, figsize=(11, 7), height_ratios=(1, 1.2))
-    rows = {name: [] for name in ("measured, luminance", "formula with the scene's samples", "formula, luminance",
-                                  "formula, red channel", "formula, green channel", "formula, slope 7/3, along rows",
-                                  "as the chapter's software")}
+    rows = {
+        name: []
+        for name in (
+            "measured, luminance",
+            "formula with the scene's samples",
+            "formula, luminance",
+            "formula, red channel",
+            "formula, green channel",
+            "formula, slope 7/3, along rows",
+            "as the chapter's software",
+        )
+    }
     for defocus, (above, below) in zip(DEFOCUS, axes.T, strict=True):
         frame = picture(defocus, device)
-        measured, weights = sfr(luminance(frame), frame.camera.sensor.pixel_pitch), shown_weights(frame)
-        curves = [measured, exact(defocus, weights, light, fine=FINE), exact(defocus, weights, light),
-                  *(exact(defocus, row, light) for row in np.eye(3)[:2]),
-                  along_rows(exact(defocus, weights, light, STEEP)), chapter(defocus)]
+        measured, weights = (
+            sfr(luminance(frame), frame.camera.sensor.pixel_pitch),
+            shown_weights(frame),
+        )
+        curves = [
+            measured,
+            exact(defocus, weights, light, fine=FINE),
+            exact(defocus, weights, light),
+            *(exact(defocus, row, light) for row in np.eye(3)[:2]),
+            along_rows(exact(defocus, weights, light, STEEP)),
+            chapter(defocus),
+        ]
         for name, curve in zip(rows, curves, strict=True):
             rows[name].append(mtf50(curve))
         middle = np.s_[SIZE[1] // 2 - 24 : SIZE[1] // 2 + 24, SIZE[0] // 2 - 24 : SIZE[0] // 2 + 24]
@@ -169,18 +205,27 @@ def main():
         below.plot(curves[1].per_mm, np.abs(curves[1].response), "k--", lw=1, label="formula")
         inside = measured.frequencies <= 0.5
         below.plot(measured.per_mm[inside], measured.response[inside], "k", label="measured")
-        for plane, color in zip(sfr(frame.linear, frame.camera.sensor.pixel_pitch).response, "rgb", strict=True):
+        for plane, color in zip(
+            sfr(frame.linear, frame.camera.sensor.pixel_pitch).response, "rgb", strict=True
+        ):
             below.plot(measured.per_mm[inside], plane[inside], color, lw=0.8, alpha=0.7)
         below.axhline(0.5, color="0.8", lw=0.8, zorder=0)
-        below.set(xlabel="cycles/mm on the sensor", ylim=(0, 1.05), xlim=(0, measured.per_mm[inside][-1]),
-                  title=f"50 % at {rows['measured, luminance'][-1]:.1f} cycles/mm")
+        below.set(
+            xlabel="cycles/mm on the sensor",
+            ylim=(0, 1.05),
+            xlim=(0, measured.per_mm[inside][-1]),
+            title=f"50 % at {rows['measured, luminance'][-1]:.1f} cycles/mm",
+        )
     axes[1, 0].set_ylabel("SFR")
     axes[1, 0].legend(frameon=False)
     figure.tight_layout()
     figure.savefig(arguments.out, dpi=100)
     tables = results.Tables()
-    tables.table("Cycles/mm on the sensor where the contrast is halved", "out of focus", *(
-        f"{1e6 * defocus:g} um" for defocus in DEFOCUS))
+    tables.table(
+        "Cycles/mm on the sensor where the contrast is halved",
+        "out of focus",
+        *(f"{1e6 * defocus:g} um" for defocus in DEFOCUS),
+    )
     for name, found in rows.items():
         tables.row(name, *(f"{value:.1f}" for value in found))
     results.finish(arguments, "figure8", device, tables.rows, old, columns=tables.columns)

@@ -11,7 +11,10 @@ from matplotlib.ticker import NullFormatter
 def draw(result: dict, path):
     """Write the figure of a result as PNG."""
     figure = {"stages": _stages, "scaling": _scaling}[result["bench"]](result)
-    figure.suptitle(f"{result['device']}: {result['machine']['device']}, {result['machine']['driver']}", fontsize=9)
+    figure.suptitle(
+        f"{result['device']}: {result['machine']['device']}, {result['machine']['driver']}",
+        fontsize=9,
+    )
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -23,8 +26,12 @@ def _stages(result):
     for row in rows:
         error = max(row["max_error"], 1e-9)  # bit-exact stages stand at the left edge
         _point(left, error, row["ms_p50"], row["name"])
-    left.set(xscale="log", yscale="log", xlabel="largest error over the peak, against float64",
-             ylabel="median time [ms]")
+    left.set(
+        xscale="log",
+        yscale="log",
+        xlabel="largest error over the peak, against float64",
+        ylabel="median time [ms]",
+    )
     counted = [row for row in rows if row["gflops"] is not None]
     for row in counted:
         _point(right, row["operations"] / row["bytes"], row["gflops"], row["name"])
@@ -32,10 +39,19 @@ def _stages(result):
     if copied and counted:
         dense = [row["operations"] / row["bytes"] for row in counted]
         x = np.geomspace(min(dense) / 2, 2 * max(*dense, fma / copied), 50)
-        right.plot(x, np.minimum(x * copied, fma), color="tab:gray",
-                   label=f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s")
+        right.plot(
+            x,
+            np.minimum(x * copied, fma),
+            color="tab:gray",
+            label=f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s",
+        )
         right.legend(fontsize=8)
-    right.set(xscale="log", yscale="log", xlabel="operations per byte read and written once", ylabel="GFLOP/s")
+    right.set(
+        xscale="log",
+        yscale="log",
+        xlabel="operations per byte read and written once",
+        ylabel="GFLOP/s",
+    )
     for axes in (left, right):
         axes.margins(x=0.15)
         axes.xaxis.set_minor_formatter(NullFormatter())
@@ -47,12 +63,29 @@ def _scaling(result):
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     rows = [row for row in result["rows"] if "failed" not in row]
     for axes, kept, x, label, scale in (
-            (left, [row for row in rows if row["bands"] == 31], "megapixels", "megapixels, 31 bands", "megapixels"),
-            (right, [row for row in rows if row["name"].startswith("1920x1080")], "bands", "bands, 1080p", None)):
+        (
+            left,
+            [row for row in rows if row["bands"] == 31],
+            "megapixels",
+            "megapixels, 31 bands",
+            "megapixels",
+        ),
+        (
+            right,
+            [row for row in rows if row["name"].startswith("1920x1080")],
+            "bands",
+            "bands, 1080p",
+            None,
+        ),
+    ):
         kept = sorted(kept, key=lambda row: row[x])
         over = np.array([row[scale] if scale else 1.0 for row in kept])
-        middle, low, high = (np.array([row[f"ms_{part}"] for row in kept]) / over for part in ("p50", "p25", "p75"))
-        axes.errorbar([row[x] for row in kept], middle, (middle - low, high - middle), fmt="o-", capsize=3)
+        middle, low, high = (
+            np.array([row[f"ms_{part}"] for row in kept]) / over for part in ("p50", "p25", "p75")
+        )
+        axes.errorbar(
+            [row[x] for row in kept], middle, (middle - low, high - middle), fmt="o-", capsize=3
+        )
         axes.set(xscale="log", xlabel=label, ylabel="ms a megapixel" if scale else "ms a frame")
         axes.set_xticks([row[x] for row in kept], [f"{row[x]:.3g}" for row in kept])
         axes.minorticks_off()

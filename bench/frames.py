@@ -65,8 +65,12 @@ class Loops:
         """A row of a stream of scenes from the host; the rate is that of their samples."""
         walls = []
         for loop in range(LOOPS + 1):
-            frames = simulator.stream((scenes[k % 3] for k in range(self.repeat + WARM)), output, seed=1,
-                                      exposure_time=SECONDS)
+            frames = simulator.stream(
+                (scenes[k % 3] for k in range(self.repeat + WARM)),
+                output,
+                seed=1,
+                exposure_time=SECONDS,
+            )
             for _ in range(WARM):
                 next(frames)
             self.device.sync()
@@ -83,7 +87,10 @@ class Loops:
         """Print and keep a row."""
         row = {"name": name, **quartiles(walls), "events_ms": events, "check": check}
         clock = " " * 16 if events is None else f"{events:9.3f} {row['ms_p50'] / events:6.2f}"
-        print(f"{name:34s} {row['ms_p50']:9.3f} {clock} {row['ms_p25']:9.3f} {row['ms_p75']:9.3f}  {check}", flush=True)
+        print(
+            f"{name:34s} {row['ms_p50']:9.3f} {clock} {row['ms_p25']:9.3f} {row['ms_p75']:9.3f}  {check}",
+            flush=True,
+        )
         self.rows.append(row)
 
 
@@ -104,7 +111,9 @@ class Peak:
         buffer, host = self._allocate(nbytes)
         if host is None:  # pyopencl's own class knows no weak references
             cl = self.device._cl
-            buffer = type("Buffer", (cl.Buffer,), {})(self.device.context, cl.mem_flags.READ_WRITE, nbytes)
+            buffer = type("Buffer", (cl.Buffer,), {})(
+                self.device.context, cl.mem_flags.READ_WRITE, nbytes
+            )
         self.now += nbytes
         self.most = max(self.most, self.now)
         weakref.finalize(buffer if host is None else host, self._returned, nbytes).atexit = False
@@ -123,8 +132,16 @@ class Peak:
         return None
 
 
-def one(device: str, size, bands: int, tolerance: float | None, camera: str, repeat: int, content: str = "cube",
-        threads: int | None = None) -> dict:
+def one(
+    device: str,
+    size,
+    bands: int,
+    tolerance: float | None,
+    camera: str,
+    repeat: int,
+    content: str = "cube",
+    threads: int | None = None,
+) -> dict:
     """Row of a loop in which every frame is of another resident scene, to raw: times, planning, memory.
 
     threads: cores that this process keeps to. bytes_predicted: the plan's. bytes_peak: of the device's arrays beside
@@ -139,37 +156,57 @@ def one(device: str, size, bands: int, tolerance: float | None, camera: str, rep
     scenes = [resident_scene(device, scene) for scene in _two(picture, content)]
     each = scenes[0].content.nbytes
     peak = Peak(device)
-    program = Simulator(open_camera(camera), device=device, tolerance=tolerance).program(scenes[0], SECONDS)
+    program = Simulator(open_camera(camera), device=device, tolerance=tolerance).program(
+        scenes[0], SECONDS
+    )
     begun = time.perf_counter()
     program.raw(seed=1)
     device.sync()
     first = 1e3 * (time.perf_counter() - begun)
     loops, begun, used = Loops(device, repeat), time.perf_counter(), time.process_time()
-    loops.measure(f"{size[0]}x{size[1]}, {bands} bands",
-                  lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, frame=k))
+    loops.measure(
+        f"{size[0]}x{size[1]}, {bands} bands",
+        lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, frame=k),
+    )
     busy = (time.process_time() - used) / (time.perf_counter() - begun)
     most, plan = peak.bytes, program.plan
     begun = time.perf_counter()
     Simulator(open_camera(camera), device=device, tolerance=tolerance).plan(scenes[0])
     planning = 1e3 * (time.perf_counter() - begun)
-    return {**loops.rows[0], "megapixels": size[0] * size[1] / 1e6, "bands": bands, "first_ms": first,
-            "planning_ms": planning, "bytes_predicted": plan.bytes_needed,
-            "bytes_peak": None if most is None else most + each, "rss": _rss(), "busy": busy,
-            "planes": None if plan.mix is None else plan.mix.shape[1]}
+    return {
+        **loops.rows[0],
+        "megapixels": size[0] * size[1] / 1e6,
+        "bands": bands,
+        "first_ms": first,
+        "planning_ms": planning,
+        "bytes_predicted": plan.bytes_needed,
+        "bytes_peak": None if most is None else most + each,
+        "rss": _rss(),
+        "busy": busy,
+        "planes": None if plan.mix is None else plan.mix.shape[1],
+    }
 
 
 def resident_scene(device, scene):
     """The scene with its samples on the device."""
-    return replace(scene, content=scene.content.with_samples(
-        lambda array: device.array(array, np.uint16 if array.dtype.kind in "iu" else np.float32)))
+    return replace(
+        scene,
+        content=scene.content.with_samples(
+            lambda array: device.array(array, np.uint16 if array.dtype.kind in "iu" else np.float32)
+        ),
+    )
 
 
 def _two(picture, content):
     """The chart, and the same a little brighter."""
     values = cube(picture) if content == "cube" else None
     for gain in np.float32((1, 1.01)):
-        yield replace(picture, content=Cube(picture.wavelengths, values * gain) if content == "cube" else
-                      replace(picture.content, shading=gain * picture.content.shading))
+        yield replace(
+            picture,
+            content=Cube(picture.wavelengths, values * gain)
+            if content == "cube"
+            else replace(picture.content, shading=gain * picture.content.shading),
+        )
 
 
 def _require_room(device, size, bands, content):
@@ -184,4 +221,6 @@ def _require_room(device, size, bands, content):
 
 def _rss():
     """Most memory that this process had at one time [byte]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )

@@ -39,18 +39,32 @@ def main():
     scene = replace(scene, content=Cube(scene.wavelengths, values))
     exact = Simulator(camera, device=device, reach=BORDER_REACH)
     forms = {"per band, SciPy": partial(Baseline(exact, scene).mean, values, SECONDS)}
-    forms |= {f"rank {rank}, folded": partial(_mean, *_of_rank(camera, device, scene, rank)) for rank in RANKS}
+    forms |= {
+        f"rank {rank}, folded": partial(_mean, *_of_rank(camera, device, scene, rank))
+        for rank in RANKS
+    }
     forms["every band, folded"] = partial(_mean, exact, exact.plan(scene))
     truth = Simulator(camera, device="numpy", reach=BORDER_REACH).expose(scene, SECONDS).mean
     errors = {name: f"rms {rms(form(), truth):.1e}" for name, form in forms.items()}
-    compared(arguments, "fusion", device, old, forms, dict.fromkeys(list(forms)[1:], "per band, SciPy"), errors,
-             size=arguments.size, bands=len(values))
+    compared(
+        arguments,
+        "fusion",
+        device,
+        old,
+        forms,
+        dict.fromkeys(list(forms)[1:], "per band, SciPy"),
+        errors,
+        size=arguments.size,
+        bands=len(values),
+    )
 
 
 def _of_rank(camera, device, scene, rank):
     """A simulator and its plan at the tolerance that makes the planner choose `rank`."""
     for limit in np.geomspace(1e-2, 1e-6, 60):
-        simulator = Simulator(camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH)
+        simulator = Simulator(
+            camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH
+        )
         plan = simulator.plan(scene)
         if plan.mix.shape[1] == rank and plan.transfers is not None:
             return simulator, plan

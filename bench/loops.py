@@ -36,16 +36,30 @@ class Scenes:
 
     def __init__(self, device, size):
         self.device, picture = device, chart("deadleaves", size=size)
-        self.materials = [replace(picture, content=replace(picture.content, shading=np.float32(1 + 0.01 * k)
-                                                           * picture.content.shading)) for k in range(3)]
+        self.materials = [
+            replace(
+                picture,
+                content=replace(
+                    picture.content, shading=np.float32(1 + 0.01 * k) * picture.content.shading
+                ),
+            )
+            for k in range(3)
+        ]
         bands = cube(picture)
-        self.cubes = [replace(picture, content=Cube(picture.wavelengths, bands * np.float32(1 + 0.01 * k)))
-                      for k in range(3)]
+        self.cubes = [
+            replace(picture, content=Cube(picture.wavelengths, bands * np.float32(1 + 0.01 * k)))
+            for k in range(3)
+        ]
         flat = bands[:, ::16, ::16].reshape(len(bands), -1).T.astype(np.float64)
         basis = np.linalg.svd(flat, full_matrices=False)[2][:6]
         planes = np.ascontiguousarray(np.tensordot(basis, bands, 1), np.float32)
-        self.bases = [replace(picture, content=Basis(picture.wavelengths, planes * np.float32(1 + 0.01 * k), basis))
-                      for k in range(3)]
+        self.bases = [
+            replace(
+                picture,
+                content=Basis(picture.wavelengths, planes * np.float32(1 + 0.01 * k), basis),
+            )
+            for k in range(3)
+        ]
 
     def resident(self, scenes):
         """The same with their samples on the device."""
@@ -53,8 +67,11 @@ class Scenes:
 
     def pinned(self, scenes):
         """The same with their samples in memory that the device copies from at full rate."""
+
         def there(array):
-            values = self.device.pinned(array.shape, np.uint16 if array.dtype.kind in "iu" else np.float32)
+            values = self.device.pinned(
+                array.shape, np.uint16 if array.dtype.kind in "iu" else np.float32
+            )
             values[...] = array
             return values
 
@@ -77,8 +94,12 @@ def changes(base):
     return {
         "frame number": lambda k: {},
         "tone curve": lambda k: {"camera": camera_with(base, "processor", tone=tones[k % 4])},
-        "colour matrix": lambda k: {"camera": camera_with(base, "processor", training=("objects", "munsell")[k % 2])},
-        "demosaicker": lambda k: {"camera": camera_with(base, "processor", demosaic=("adaptive", "malvar")[k % 2])},
+        "colour matrix": lambda k: {
+            "camera": camera_with(base, "processor", training=("objects", "munsell")[k % 2])
+        },
+        "demosaicker": lambda k: {
+            "camera": camera_with(base, "processor", demosaic=("adaptive", "malvar")[k % 2])
+        },
         "read noise": lambda k: {"camera": camera_with(base, "noise", read=2.0 + k % 5)},
         "gain": lambda k: {"gain": 1.0 + 0.1 * (k % 5)},
         "exposure time": lambda k: {"exposure_time": 0.01 + 0.001 * (k % 5)},
@@ -100,20 +121,35 @@ def main():
     base = camera_with(open_camera(arguments.camera), "processor", demosaic=arguments.demosaic)
     simulator = Simulator(base, device=device, tolerance=arguments.tolerance)
     loops, scenes = Loops(device, arguments.repeat), Scenes(device, arguments.size)
-    print(f"{'what changes':34s} {'wall ms':>9s} {'events ms':>9s} {'ratio':>6s} {'p25':>9s} {'p75':>9s}  check")
+    print(
+        f"{'what changes':34s} {'wall ms':>9s} {'events ms':>9s} {'ratio':>6s} {'p25':>9s} {'p75':>9s}  check"
+    )
     _scenes(loops, simulator, scenes, arguments.only)
     _transfers(loops, simulator, scenes, arguments.only)
     _changes(loops, simulator, base, scenes, arguments.only)
     if device.on_host and device.kind == "opencl" and arguments.only in "baseline":
         _baseline(loops, simulator, scenes)
-    finish(arguments, "loops", device, loops.rows, old, size=arguments.size,
-           bands=len(scenes.cubes[0].wavelengths), tolerance=arguments.tolerance, camera=base.name,
-           demosaic=arguments.demosaic, repeat=arguments.repeat)
+    finish(
+        arguments,
+        "loops",
+        device,
+        loops.rows,
+        old,
+        size=arguments.size,
+        bands=len(scenes.cubes[0].wavelengths),
+        tolerance=arguments.tolerance,
+        camera=base.name,
+        demosaic=arguments.demosaic,
+        repeat=arguments.repeat,
+    )
 
 
 def _baseline(loops, simulator, scenes):
     """The baseline and a new cube in turns, and how many times as fast the latter is."""
-    program, baseline = simulator.program(scenes.cubes[0], SECONDS), Baseline(simulator, scenes.cubes[0])
+    program, baseline = (
+        simulator.program(scenes.cubes[0], SECONDS),
+        Baseline(simulator, scenes.cubes[0]),
+    )
     values, device = cycle(scene.content.values for scene in scenes.cubes), simulator.device
 
     def ours():
@@ -127,8 +163,12 @@ def _baseline(loops, simulator, scenes):
     error = rms(baseline.mean(scenes.cubes[0].content.values, SECONDS), device.numpy(exact))
     row = peer_rows(times, {fast: slow}, each={fast: 3})[1]
     loops.add(slow, times[slow], None, f"rms {error:.2g}")
-    loops.add(fast, times[fast] / 3, None,
-              f"{row['over_p50']:.2f} times as fast ({row['over_least']:.2f} .. {row['over_most']:.2f})")
+    loops.add(
+        fast,
+        times[fast] / 3,
+        None,
+        f"{row['over_p50']:.2f} times as fast ({row['over_least']:.2f} .. {row['over_most']:.2f})",
+    )
 
 
 def _differing(simulator, scene, output, last, number):
@@ -152,14 +192,20 @@ def _scenes(loops, simulator, scenes, only):
             last = np.array(device.numpy(frame(4)))
             mean = np.array(device.numpy(program.exposure.mean))
             exact = Simulator(simulator.camera, device=device).expose(given[1], SECONDS).mean
-            return (f"rms {rms(mean, device.numpy(exact)):.2g}; "
-                    f"{_differing(simulator, given[1], output, last, 4)}")
+            return (
+                f"rms {rms(mean, device.numpy(exact)):.2g}; "
+                f"{_differing(simulator, given[1], output, last, 4)}"
+            )
 
         loops.measure(name, frame, check)
 
 
 def _transfers(loops, simulator, scenes, only):
-    for name, given in (("cube", scenes.cubes), ("materials", scenes.materials), ("basis", scenes.bases)):
+    for name, given in (
+        ("cube", scenes.cubes),
+        ("materials", scenes.materials),
+        ("basis", scenes.bases),
+    ):
         title = f"stream of {name} from pinned -> raw"
         if only not in title:
             continue
@@ -168,7 +214,9 @@ def _transfers(loops, simulator, scenes, only):
         number = loops.repeat + WARM - 1
 
         def check(last, given=given, number=number):
-            return _differing(simulator, given[number % 3], "raw", np.array(simulator.device.numpy(last)), number)
+            return _differing(
+                simulator, given[number % 3], "raw", np.array(simulator.device.numpy(last)), number
+            )
 
         loops.streamed(title, simulator, pinned, "raw", nbytes, check)
 
@@ -176,13 +224,19 @@ def _transfers(loops, simulator, scenes, only):
 def _changes(loops, simulator, base, scenes, only):
     exposure = simulator.expose(scenes.materials[0], SECONDS)
     if only in "draw of a kept exposure":
-        loops.measure("draw of a kept exposure", lambda k: simulator.draw(exposure, seed=1, frame=k))
+        loops.measure(
+            "draw of a kept exposure", lambda k: simulator.draw(exposure, seed=1, frame=k)
+        )
     for name, change in changes(base).items():
         if only not in f"{name} -> codes":
             continue
         program = simulator.program(scenes.materials[0], SECONDS)
-        loops.measure(f"{name} -> codes", lambda k, program=program, change=change: program.update(
-            **change(k)).codes(seed=1, frame=k))
+        loops.measure(
+            f"{name} -> codes",
+            lambda k, program=program, change=change: program.update(**change(k)).codes(
+                seed=1, frame=k
+            ),
+        )
 
 
 if __name__ == "__main__":

@@ -26,13 +26,17 @@ def forms(device, rows, cols):
     full = noise.bench(rows, cols)
     mean, own = full["expected"], resident(device, chip.bench(rows, cols))
     full = resident(device, full)
-    plain = {name: value for name, value in full.items()
-             if name not in ("offset", "amplitude", "row_noise", "column_noise")}
+    plain = {
+        name: value
+        for name, value in full.items()
+        if name not in ("offset", "amplitude", "row_noise", "column_noise")
+    }
 
     def stage(function, inputs):
         def run():
             function(**inputs, device=device)
             device.sync()
+
         return run
 
     return {
@@ -82,10 +86,20 @@ def main():
     arguments = made.parse_args()
     device, old = ready(arguments, "noise")
     runs = forms(device, *arguments.size[::-1])
-    told = {name: clock_us(device, *runs[name]) for name in runs if device.is_gpu and name != "NumPy"}
-    compared(arguments, "noise", device, old, {name: run for name, (run, _) in runs.items()},
-             dict.fromkeys([name for name in runs if name != "NumPy"], "NumPy"), told,
-             {name: frames for name, (_, frames) in runs.items()}, size=arguments.size)
+    told = {
+        name: clock_us(device, *runs[name]) for name in runs if device.is_gpu and name != "NumPy"
+    }
+    compared(
+        arguments,
+        "noise",
+        device,
+        old,
+        {name: run for name, (run, _) in runs.items()},
+        dict.fromkeys([name for name in runs if name != "NumPy"], "NumPy"),
+        told,
+        {name: frames for name, (_, frames) in runs.items()},
+        size=arguments.size,
+    )
 
 
 if __name__ == "__main__":

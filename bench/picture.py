@@ -19,7 +19,18 @@ import os
 from importlib.util import find_spec
 
 import numpy as np
-from results import add_repeat, compared, cores, finish, parser, quartiles, ready, resident, show, start
+from results import (
+    add_repeat,
+    compared,
+    cores,
+    finish,
+    parser,
+    quartiles,
+    ready,
+    resident,
+    show,
+    start,
+)
 
 from gpusim.domain.errors import BadData
 from gpusim.kernels.stage import public_function, stage_module
@@ -42,15 +53,26 @@ def camera_pipeline(rows, cols, matrix, curve):
 
     number, calm, plane = hl.Func("number"), hl.Func("calm"), hl.Func("plane")
     number[x, y] = hl.i16(raw[x + MARGIN_COLS, y + MARGIN_ROWS])
-    brightest = hl.max(hl.max(number[x - 2, y], number[x + 2, y]), hl.max(number[x, y - 2], number[x, y + 2]))
+    brightest = hl.max(
+        hl.max(number[x - 2, y], number[x + 2, y]), hl.max(number[x, y - 2], number[x, y + 2])
+    )
     calm[x, y] = hl.clamp(number[x, y], hl.i16(0), brightest)
-    plane[x, y, c] = hl.mux(c, [calm[2 * x, 2 * y], calm[2 * x + 1, 2 * y], calm[2 * x, 2 * y + 1],
-                                calm[2 * x + 1, 2 * y + 1]])
+    plane[x, y, c] = hl.mux(
+        c,
+        [
+            calm[2 * x, 2 * y],
+            calm[2 * x + 1, 2 * y],
+            calm[2 * x, 2 * y + 1],
+            calm[2 * x + 1, 2 * y + 1],
+        ],
+    )
 
     def sample(number):
         return lambda dx=0, dy=0: plane[x + dx, y + dy, number]
 
-    green_r, red, blue, green_b = map(sample, range(4))  # green of the red rows, ... in the 2 x 2 cell
+    green_r, red, blue, green_b = map(
+        sample, range(4)
+    )  # green of the red rows, ... in the 2 x 2 cell
     at_red, at_blue = hl.Func("green_at_red"), hl.Func("green_at_blue")
 
     def smoother(one, other):  # the mean of the pair that differs less
@@ -59,34 +81,63 @@ def camera_pipeline(rows, cols, matrix, curve):
     at_red[x, y] = smoother((green_r(1), green_r()), (green_b(0, -1), green_b()))
     at_blue[x, y] = smoother((green_b(-1), green_b()), (green_r(0, 1), green_r()))
 
-    def carried(color, green, here, p, q):  # a colour's mean, with what green does beyond its own mean
-        return here + mean(color(*p), color(*q)) - mean(green[x + p[0], y + p[1]], green[x + q[0], y + q[1]])
+    def carried(
+        color, green, here, p, q
+    ):  # a colour's mean, with what green does beyond its own mean
+        return (
+            here
+            + mean(color(*p), color(*q))
+            - mean(green[x + p[0], y + p[1]], green[x + q[0], y + q[1]])
+        )
 
     def diagonal(color, green, here, one, other):
-        return hl.select(hl.absd(color(*one[0]), color(*one[1])) < hl.absd(color(*other[0]), color(*other[1])),
-                         carried(color, green, here, *one), carried(color, green, here, *other))
+        return hl.select(
+            hl.absd(color(*one[0]), color(*one[1])) < hl.absd(color(*other[0]), color(*other[1])),
+            carried(color, green, here, *one),
+            carried(color, green, here, *other),
+        )
 
     here = (0, 0)
     cells = (
-        (carried(red, at_red, green_r(), (-1, 0), here), red(),
-         diagonal(red, at_red, at_blue[x, y], (here, (-1, 1)), ((-1, 0), (0, 1))),
-         carried(red, at_red, green_b(), here, (0, 1))),
+        (
+            carried(red, at_red, green_r(), (-1, 0), here),
+            red(),
+            diagonal(red, at_red, at_blue[x, y], (here, (-1, 1)), ((-1, 0), (0, 1))),
+            carried(red, at_red, green_b(), here, (0, 1)),
+        ),
         (green_r(), at_red[x, y], at_blue[x, y], green_b()),
-        (carried(blue, at_blue, green_r(), here, (0, -1)),
-         diagonal(blue, at_blue, at_red[x, y], (here, (1, -1)), ((1, 0), (0, -1))), blue(),
-         carried(blue, at_blue, green_b(), here, (1, 0))))
+        (
+            carried(blue, at_blue, green_r(), here, (0, -1)),
+            diagonal(blue, at_blue, at_red[x, y], (here, (1, -1)), ((1, 0), (0, -1))),
+            blue(),
+            carried(blue, at_blue, green_b(), here, (1, 0)),
+        ),
+    )
     colors = []
     for cell in cells:
         parts = [hl.Func(f"part{number}") for number in range(4)]
         for part, expression in zip(parts, cell, strict=True):
             part[x, y] = expression
         corner = [part[x // 2, y // 2] for part in parts]
-        colors.append(hl.select(y % 2 == 0, hl.select(x % 2 == 0, corner[0], corner[1]),
-                                hl.select(x % 2 == 0, corner[2], corner[3])))
-    camera, corrected, curved, table = hl.Func("camera"), hl.Func("corrected"), hl.Func("curved"), hl.Func("table")
+        colors.append(
+            hl.select(
+                y % 2 == 0,
+                hl.select(x % 2 == 0, corner[0], corner[1]),
+                hl.select(x % 2 == 0, corner[2], corner[3]),
+            )
+        )
+    camera, corrected, curved, table = (
+        hl.Func("camera"),
+        hl.Func("corrected"),
+        hl.Func("curved"),
+        hl.Func("table"),
+    )
     camera[x, y, c] = hl.mux(c, colors)
     fixed = np.rint(256 * np.asarray(matrix)).astype(int)
-    sums = [sum((hl.i32(camera[x, y, k]) * int(row[k]) for k in range(3)), hl.i32(0)) // 256 for row in fixed]
+    sums = [
+        sum((hl.i32(camera[x, y, k]) * int(row[k]) for k in range(3)), hl.i32(0)) // 256
+        for row in fixed
+    ]
     last = len(curve) - 1
     corrected[x, y, c] = hl.u16(hl.clamp(hl.mux(c, sums), 0, last))
     table[value] = hl.Buffer(curve)[value]
@@ -103,11 +154,19 @@ def camera_pipeline(rows, cols, matrix, curve):
     picture.split(y, strips, steps, strip).split(steps, steps, two, 2).split(x, x, xi, 2 * lanes)
     picture.reorder(xi, c, two, x, steps, strips).vectorize(xi, lanes).unroll(c).parallel(strips)
     table.compute_root()
-    calm.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 16).vectorize(x, lanes)
-    plane.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).vectorize(x, lanes)
+    calm.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 16).vectorize(
+        x, lanes
+    )
+    plane.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).vectorize(
+        x, lanes
+    )
     plane.reorder(c, x, y).unroll(c)
-    curved.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).align_bounds(x, 2).align_bounds(y, 2)
-    curved.reorder(c, x, y).tile(x, y, x, y, xi, yi, 2 * lanes, 2).reorder(xi, c, yi, x, y).unroll(c).unroll(yi)
+    curved.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).align_bounds(
+        x, 2
+    ).align_bounds(y, 2)
+    curved.reorder(c, x, y).tile(x, y, x, y, xi, yi, 2 * lanes, 2).reorder(xi, c, yi, x, y).unroll(
+        c
+    ).unroll(yi)
     curved.unroll(xi, 8)
     corrected.compute_at(curved, x).reorder(c, x, y).vectorize(x, lanes).unroll(c)
     camera.compute_at(curved, x).vectorize(x, lanes).reorder(c, x, y).unroll(c).unroll(y)
@@ -134,7 +193,10 @@ def peers():
     def halide(kept=(wide, curve)):  # Halide's buffers do not keep the memory that they show
         picture.realize(shown)
 
-    return {"OpenCV": lambda: cv2.demosaicing(mosaic, cv2.COLOR_BayerRG2RGB, dst=planes), "Halide": halide}
+    return {
+        "OpenCV": lambda: cv2.demosaicing(mosaic, cv2.COLOR_BayerRG2RGB, dst=planes),
+        "Halide": halide,
+    }
 
 
 def ours(device):
@@ -162,7 +224,10 @@ def _launches(device, stage):
     """The launches that one call of a stage makes, with their arguments."""
     run, calls = _frame(device, stage, stage_module(stage).bench(*SIZE)), []
     launch = device.launch
-    device.launch = lambda *arguments, **options: (calls.append((arguments, options)), launch(*arguments, **options))
+    device.launch = lambda *arguments, **options: (
+        calls.append((arguments, options)),
+        launch(*arguments, **options),
+    )
     try:
         run()
     finally:
@@ -218,23 +283,34 @@ def main():
     device, old = ready(arguments, "picture")
     size = {"size": SIZE[::-1]}
     if device.is_gpu:
-        rows = [{"name": f"{stage}, a launch", **quartiles(per_launch(device, stage)), "error": ""} for stage in STAGES]
+        rows = [
+            {"name": f"{stage}, a launch", **quartiles(per_launch(device, stage)), "error": ""}
+            for stage in STAGES
+        ]
         show(rows)
         finish(arguments, "picture", device, rows, old, **size)
         return
     if not (find_spec("cv2") and find_spec("halide")):
-        raise BadData("picture.py: the peers are not installed; pip install opencv-python-headless halide")
+        raise BadData(
+            "picture.py: the peers are not installed; pip install opencv-python-headless halide"
+        )
     os.environ.setdefault("HL_NUM_THREADS", str(cores()))
     own = ours(device)
-    bases = {name: "Halide" if "develop" in name else "OpenCV" for name in own
-             if "develop" in name or name == "processor.bilinear"}
+    bases = {
+        name: "Halide" if "develop" in name else "OpenCV"
+        for name in own
+        if "develop" in name or name == "processor.bilinear"
+    }
     compared(arguments, "picture", device, old, peers() | own, bases, **size)
 
 
 def per_launch(device, stage, launches=200, frames=4):
     """Milliseconds per launch, launches back to back over several frames, more than a GPU's cache holds."""
     calls = [call for _ in range(frames) for call in _launches(device, stage)]
-    return np.array((_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames)) / 1e3
+    return (
+        np.array((_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames))
+        / 1e3
+    )
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ def started(arguments):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    process = subprocess.Popen([sys.executable, "-m", "gpusim", "preview", *arguments, "--port", str(port)])
+    process = subprocess.Popen(
+        [sys.executable, "-m", "gpusim", "preview", *arguments, "--port", str(port)]
+    )
     address = f"http://127.0.0.1:{port}"
     for _ in range(1200):
         try:
@@ -43,13 +45,17 @@ def frames(address, seconds):
     with urlopen(address, timeout=60) as page:
         token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
     times, sizes, numbers = [], [], []
-    with connect(f"{address.replace('http', 'ws')}/picture/{token}", origin=address, max_size=2**26) as client:
+    with connect(
+        f"{address.replace('http', 'ws')}/picture/{token}", origin=address, max_size=2**26
+    ) as client:
         begun = None
         while begun is None or time.perf_counter() - begun < seconds:
             data = client.recv(timeout=60)
             client.send("1")
             numbers.append(struct.unpack("<III", data[:12])[0])
-            begun = time.perf_counter() if len(numbers) == 20 else begun  # the first ones build kernels
+            begun = (
+                time.perf_counter() if len(numbers) == 20 else begun
+            )  # the first ones build kernels
             if begun is not None:
                 times.append(time.perf_counter())
                 sizes.append(len(data))
@@ -66,8 +72,10 @@ def main():
         for _ in range(2):
             times, sizes = frames(address, asked.seconds)
             gaps = 1e3 * np.diff(times)
-            print(f"{1e3 / gaps.mean():.1f} frames/s, gaps of {np.median(gaps):.1f} ms (95 %: "
-                  f"{np.percentile(gaps, 95):.1f}), {sizes.mean() / 1024:.0f} KiB a frame")
+            print(
+                f"{1e3 / gaps.mean():.1f} frames/s, gaps of {np.median(gaps):.1f} ms (95 %: "
+                f"{np.percentile(gaps, 95):.1f}), {sizes.mean() / 1024:.0f} KiB a frame"
+            )
     finally:
         process.terminate()
         process.wait()

@@ -68,12 +68,21 @@ def main():
     arguments = made.parse_args()
     check_output(arguments.out)
     base, frame = gs.open_camera("machine-vision"), rendered()
-    noise = replace(base.sensor.noise, prnu=0.0, dsnu=0.0)  # which differ from pixel to pixel, not in time
-    base = replace(base, sensor=replace(base.sensor, noise=noise),
-                   optics=replace(base.optics, relative_illumination="none"))
+    noise = replace(
+        base.sensor.noise, prnu=0.0, dsnu=0.0
+    )  # which differ from pixel to pixel, not in time
+    base = replace(
+        base,
+        sensor=replace(base.sensor, noise=noise),
+        optics=replace(base.optics, relative_illumination="none"),
+    )
     pictures = np.repeat(frame[None, ..., :3].transpose(0, 3, 1, 2), arguments.count, axis=0)
-    codes, raw = (gs.Batch(base, device=arguments.device, output=output)(pictures, exposure_time=SECONDS, seed=1)
-                  for output in ("codes", "raw"))
+    codes, raw = (
+        gs.Batch(base, device=arguments.device, output=output)(
+            pictures, exposure_time=SECONDS, seed=1
+        )
+        for output in ("codes", "raw")
+    )
     sensor = gs.Simulator(base, device="numpy").camera.sensor
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
     constant = tutorial(frame, arguments.count, np.random.default_rng(1))
@@ -82,15 +91,19 @@ def main():
     left.set(xlabel="mean [8-bit code]", ylabel="variance [code^2]", yscale="log")
     mean, variance = moments(raw[:, :, 1:-1])
     right.plot(mean, variance, ".", ms=3, label="gpusim raw")
-    right.plot(np.sort(mean), expected(np.sort(mean), sensor), lw=1, label="photons + reading + rounding")
+    right.plot(
+        np.sort(mean), expected(np.sort(mean), sensor), lw=1, label="photons + reading + rounding"
+    )
     right.set(xlabel="mean [DN]", ylabel="variance [DN^2]", xscale="log", yscale="log")
     for axes in (left, right):
         axes.legend(frameon=False)
         axes.grid(alpha=0.3)
     figure.savefig(arguments.out, dpi=100)
     below = mean < 0.9 * sensor.white_level
-    print(f"raw variance over theory: {np.median(variance[below] / expected(mean[below], sensor)):.3f} (median), "
-          f"{arguments.count} frames; written {arguments.out}")
+    print(
+        f"raw variance over theory: {np.median(variance[below] / expected(mean[below], sensor)):.3f} (median), "
+        f"{arguments.count} frames; written {arguments.out}"
+    )
 
 
 if __name__ == "__main__":

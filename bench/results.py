@@ -29,23 +29,38 @@ from gpusim.io.atomic import atomic_path, check_output
 
 HERE = Path(__file__).parent
 PACKAGES = ("numpy", "scipy", "pyopencl", "warp-lang", "pocl-binary-distribution")
-FOUND = {"rows", "columns", "limits", "machine", "commit", "dirty", "date", "device"}  # all else is settings
+FOUND = {
+    "rows",
+    "columns",
+    "limits",
+    "machine",
+    "commit",
+    "dirty",
+    "date",
+    "device",
+}  # all else is settings
 PLACE = ("cpu", "cores", "device", "driver")  # of a machine: what makes times differ
 
 
 def parser(doc: str, device: str = "auto") -> argparse.ArgumentParser:
     """A command line with what all scripts have."""
     made = OneLineParser(description=doc.splitlines()[0])
-    made.add_argument("--device", default=device, help=f"as for gpusim simulate (default: {device})")
+    made.add_argument(
+        "--device", default=device, help=f"as for gpusim simulate (default: {device})"
+    )
     made.add_argument("--json", metavar="FILE", help="write the result")
-    made.add_argument("--against", metavar="OLD.json", help="compare with a stored result of the same script")
+    made.add_argument(
+        "--against", metavar="OLD.json", help="compare with a stored result of the same script"
+    )
     made.add_argument("--commit", help="where there is no checkout to ask")
     return made
 
 
 def add_size(made, default="1920x1080"):
     """The option `--size`."""
-    made.add_argument("--size", type=size, default=size(default), metavar="COLSxROWS", help=f"default: {default}")
+    made.add_argument(
+        "--size", type=size, default=size(default), metavar="COLSxROWS", help=f"default: {default}"
+    )
 
 
 def count(text: str) -> int:
@@ -68,13 +83,19 @@ def ready(arguments, bench: str):
     if arguments.against is not None:
         old = load(arguments.against)
         if old["bench"] != bench:
-            raise BadFile(arguments.against, f"is a result of {old['bench']!r}; wanted one of {bench!r}")
+            raise BadFile(
+                arguments.against, f"is a result of {old['bench']!r}; wanted one of {bench!r}"
+            )
     return open_device(arguments.device), old
 
 
-def finish(arguments, bench: str, device, rows: list[dict], old: dict | None = None, **settings) -> dict:
+def finish(
+    arguments, bench: str, device, rows: list[dict], old: dict | None = None, **settings
+) -> dict:
     """Write the result where asked, compare it with the old one where asked; returns it."""
-    result = json.loads(json.dumps({"bench": bench, **about(device, arguments.commit), **settings, "rows": rows}))
+    result = json.loads(
+        json.dumps({"bench": bench, **about(device, arguments.commit), **settings, "rows": rows})
+    )
     if arguments.json is not None:
         save(result, arguments.json)
     if old is not None:
@@ -90,8 +111,10 @@ def start(main):
         print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
         status = 2
     except (MemoryError, KeyboardInterrupt) as error:
-        print(f"{Path(sys.argv[0]).name}: {'out of memory' if isinstance(error, MemoryError) else 'interrupted'}",
-              file=sys.stderr)
+        print(
+            f"{Path(sys.argv[0]).name}: {'out of memory' if isinstance(error, MemoryError) else 'interrupted'}",
+            file=sys.stderr,
+        )
         status = 2
     sys.exit(status)
 
@@ -99,23 +122,40 @@ def start(main):
 def about(device, commit: str | None = None) -> dict:
     """Device, machine, commit and date of a result."""
     found, dirty = (commit, None) if commit else _checkout()
-    return {"device": device.name, "machine": machine(device), "commit": found, "dirty": dirty,
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")}
+    return {
+        "device": device.name,
+        "machine": machine(device),
+        "commit": found,
+        "dirty": dirty,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
 
 
 def machine(device) -> dict:
     """Processor, number of its cores, what the device runs on, and the versions that matter."""
     cpu = platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
-        cpu = next((line.partition(":")[2].strip() for line in Path("/proc/cpuinfo").read_text().splitlines()
-                    if line.startswith("model name")), cpu)
+        cpu = next(
+            (
+                line.partition(":")[2].strip()
+                for line in Path("/proc/cpuinfo").read_text().splitlines()
+                if line.startswith("model name")
+            ),
+            cpu,
+        )
     told = identity(device)
     versions = {}
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
             versions[name] = version(name)
-    return {"cpu": cpu, "cores": cores(), "device": told["device"], "driver": told["driver"],
-            "python": platform.python_version(), **versions}
+    return {
+        "cpu": cpu,
+        "cores": cores(),
+        "device": told["device"],
+        "driver": told["driver"],
+        "python": platform.python_version(),
+        **versions,
+    }
 
 
 def cores() -> int:
@@ -126,8 +166,15 @@ def cores() -> int:
 def _checkout():
     """What is checked out here, and whether files differ from it; nothing where git cannot say."""
     try:
-        said = [subprocess.run(["git", *command], cwd=HERE, capture_output=True, text=True, check=True).stdout.strip()
-                for command in (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))]
+        said = [
+            subprocess.run(
+                ["git", *command], cwd=HERE, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for command in (
+                ("rev-parse", "--short", "HEAD"),
+                ("status", "--porcelain", "--untracked-files=no"),
+            )
+        ]
     except (OSError, subprocess.CalledProcessError):
         return None, None
     return said[0], bool(said[1])
@@ -147,12 +194,19 @@ def load(path) -> dict:
         raise BadFile(path, f"cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise BadFile(path, f"is no JSON: {error}") from error
-    is_one = (isinstance(result, dict) and {"bench", "device", "machine", "rows"} <= set(result)
-              and isinstance(result["machine"], dict) and isinstance(result["rows"], list)
-              and all(isinstance(row, dict) and "name" in row for row in result["rows"]))
+    is_one = (
+        isinstance(result, dict)
+        and {"bench", "device", "machine", "rows"} <= set(result)
+        and isinstance(result["machine"], dict)
+        and isinstance(result["rows"], list)
+        and all(isinstance(row, dict) and "name" in row for row in result["rows"])
+    )
     if not is_one:
-        raise BadFile(path, "is no result of a script in bench/: wanted an object with bench, device, machine and "
-                            "rows, each with a name; --json writes one")
+        raise BadFile(
+            path,
+            "is no result of a script in bench/: wanted an object with bench, device, machine and "
+            "rows, each with a name; --json writes one",
+        )
     return result
 
 
@@ -164,8 +218,10 @@ def spread(row: dict) -> tuple[float, float]:
 def quartiles(times, key: str = "ms") -> dict:
     """Smallest, quartiles and largest of times, as a row has them."""
     values = np.percentile(np.asarray(times, np.float64), (0, 25, 50, 75, 100))
-    return {f"{key}_{name}": float(value) for name, value in zip(("least", "p25", "p50", "p75", "most"), values,
-                                                                 strict=True)}
+    return {
+        f"{key}_{name}": float(value)
+        for name, value in zip(("least", "p25", "p50", "p75", "most"), values, strict=True)
+    }
 
 
 def against(old: dict, new: dict) -> str:
@@ -174,13 +230,21 @@ def against(old: dict, new: dict) -> str:
     What else is not alike, machine or settings, is said in one line before.
     """
     lines, before = [], {_key(row): row for row in old["rows"]}
-    differing = [f"{key} {old['machine'].get(key)!r} then, {new['machine'].get(key)!r} now" for key in PLACE
-                 if old["machine"].get(key) != new["machine"].get(key)]
-    differing += [f"{key} {old[key]!r} then, {new[key]!r} now" for key in sorted(set(old) & set(new) - FOUND)
-                  if old[key] != new[key]]
+    differing = [
+        f"{key} {old['machine'].get(key)!r} then, {new['machine'].get(key)!r} now"
+        for key in PLACE
+        if old["machine"].get(key) != new["machine"].get(key)
+    ]
+    differing += [
+        f"{key} {old[key]!r} then, {new[key]!r} now"
+        for key in sorted(set(old) & set(new) - FOUND)
+        if old[key] != new[key]
+    ]
     if differing:
         lines.append(f"warning: not measured alike: {'; '.join(differing)}")
-    lines.append(f"{'now over ' + str(old.get('commit') or 'the old'):40s} {'ratio':>7s} {'quartiles':>18s}")
+    lines.append(
+        f"{'now over ' + str(old.get('commit') or 'the old'):40s} {'ratio':>7s} {'quartiles':>18s}"
+    )
     for row in new["rows"]:
         lines.append(f"{row['name']:40s} {_change(before.pop(_key(row), None), row)}")
     return "\n".join([*lines, *(f"{row['name']:40s} {'-':>7s}  gone" for row in before.values())])
@@ -196,7 +260,9 @@ def _change(was, row):
         return f"{'-':>7s}  new"
     if "cells" in row and "cells" in was:
         same = list(row["cells"]) == list(was["cells"])
-        return f"{'-':>7s}  " + ("same" if same else f"was {' | '.join(was['cells'])}, is {' | '.join(row['cells'])}")
+        return f"{'-':>7s}  " + (
+            "same" if same else f"was {' | '.join(was['cells'])}, is {' | '.join(row['cells'])}"
+        )
     if not was.get("ms_p50") or row.get("ms_p50") is None:
         return f"{'-':>7s}  no times"
     (was_low, was_high), (low, high) = spread(was), spread(row)
@@ -208,7 +274,9 @@ def _change(was, row):
 def rms(values, truth) -> float:
     """Root mean square difference over the root mean square of the truth, in float64."""
     truth = np.asarray(truth, np.float64)
-    return float(np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2)))
+    return float(
+        np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2))
+    )
 
 
 def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
@@ -227,7 +295,9 @@ def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
     return {name: np.array(taken) for name, taken in times.items()}
 
 
-def peer_rows(times: dict, bases: dict, errors: dict | None = None, each: dict | None = None) -> list[dict]:
+def peer_rows(
+    times: dict, bases: dict, errors: dict | None = None, each: dict | None = None
+) -> list[dict]:
     """Rows of forms that were timed in rounds, each with its ratio to a base within a round.
 
     bases: name of a form -> that it is compared with: "over" is the base's time over the form's. errors: text of the
@@ -250,14 +320,29 @@ def show(rows: list[dict]):
         if "failed" in row:
             print(f"{row['name']:42s} {row['failed']}", flush=True)
             continue
-        over = (f"{row['base']} over it {row['over_p50']:.2f} ({row['over_p25']:.2f} .. {row['over_p75']:.2f})"
-                if "base" in row else "")
-        print(f"{row['name']:42s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
-              f"{row['error']}", flush=True)
+        over = (
+            f"{row['base']} over it {row['over_p50']:.2f} ({row['over_p25']:.2f} .. {row['over_p75']:.2f})"
+            if "base" in row
+            else ""
+        )
+        print(
+            f"{row['name']:42s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
+            f"{row['error']}",
+            flush=True,
+        )
 
 
-def compared(arguments, bench: str, device, old, forms: dict, bases: dict, errors: dict | None = None,
-             each: dict | None = None, **settings):
+def compared(
+    arguments,
+    bench: str,
+    device,
+    old,
+    forms: dict,
+    bases: dict,
+    errors: dict | None = None,
+    each: dict | None = None,
+    **settings,
+):
     """Time forms in turns, `--repeat` rounds, print their rows and finish: see `rounds`, `peer_rows`, `finish`."""
     rows = peer_rows(rounds(forms, arguments.repeat, warm=2), bases, errors, each)
     show(rows)
@@ -291,17 +376,31 @@ class Tables:
 
 def resident(device, inputs: dict) -> dict:
     """A stage's inputs with their arrays on the device."""
-    return {key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-            for key, value in inputs.items()}
+    return {
+        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+        for key, value in inputs.items()
+    }
 
 
 def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
     """What `one(**settings)` of a module here gives, a dict, in a process of its own: {"failed": why} if it fails."""
-    command = [sys.executable, "-c", f"import {module}, json, sys; "
-               f"print(json.dumps({module}.one(**json.loads(sys.argv[1]))))", json.dumps(settings)]
-    ended = subprocess.run(command, cwd=HERE, capture_output=True, text=True,
-                           env={**os.environ, **(environment or {}), "PYTHONPATH": os.pathsep.join(
-                               filter(None, [str(HERE), os.environ.get("PYTHONPATH")]))})
+    command = [
+        sys.executable,
+        "-c",
+        f"import {module}, json, sys; print(json.dumps({module}.one(**json.loads(sys.argv[1]))))",
+        json.dumps(settings),
+    ]
+    ended = subprocess.run(
+        command,
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        env={
+            **os.environ,
+            **(environment or {}),
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH")])),
+        },
+    )
     if ended.returncode == 0:
         return json.loads(ended.stdout.splitlines()[-1])
     last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
@@ -311,4 +410,6 @@ def in_process(module: str, settings: dict, environment: dict | None = None) -> 
 def require_cpu(device, what: str):
     """Raise OutOfRange unless the device is the processor by OpenCL."""
     if not (device.kind == "opencl" and device.on_host):
-        raise OutOfRange("device", device.name, f"{what}: an OpenCL device of the CPU, such as --device opencl:0")
+        raise OutOfRange(
+            "device", device.name, f"{what}: an OpenCL device of the CPU, such as --device opencl:0"
+        )

@@ -13,7 +13,14 @@ from results import count, finish, in_process, parser, ready, start
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.simulator import Simulator
 
-SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))  # of 31 bands
+SIZES = (
+    (640, 480),
+    (1280, 720),
+    (1920, 1080),
+    (2560, 1440),
+    (3840, 2160),
+    (7680, 4320),
+)  # of 31 bands
 BANDS = (3, 10, 31, 61, 101, 301)  # at 1080p
 HD = (1920, 1080)
 
@@ -26,17 +33,34 @@ def cases() -> dict:
 
 def options(made):
     """What the loop is given, here and in threads.py."""
-    made.add_argument("--tolerance", type=float, default=4e-4, help="relative RMS error (default: 4e-4); 0: every band")
+    made.add_argument(
+        "--tolerance",
+        type=float,
+        default=4e-4,
+        help="relative RMS error (default: 4e-4); 0: every band",
+    )
     made.add_argument("--camera", default="phone")
-    made.add_argument("--content", choices=("cube", "materials"), default="cube", help="of the scenes (default: cube)")
-    made.add_argument("--repeat", type=count, default=200, help="frames of a loop at most; it takes 2 s at most")
+    made.add_argument(
+        "--content",
+        choices=("cube", "materials"),
+        default="cube",
+        help="of the scenes (default: cube)",
+    )
+    made.add_argument(
+        "--repeat", type=count, default=200, help="frames of a loop at most; it takes 2 s at most"
+    )
 
 
 def settings(arguments, device) -> dict:
     """The same as arguments of `frames.one`. Raises what Simulator and `open_camera` do."""
     Simulator(open_camera(arguments.camera), device=device, tolerance=arguments.tolerance or None)
-    return {"device": device.name, "tolerance": arguments.tolerance or None, "camera": arguments.camera,
-            "content": arguments.content, "repeat": arguments.repeat}
+    return {
+        "device": device.name,
+        "tolerance": arguments.tolerance or None,
+        "camera": arguments.camera,
+        "content": arguments.content,
+        "repeat": arguments.repeat,
+    }
 
 
 def shown(name, row) -> str:
@@ -44,10 +68,12 @@ def shown(name, row) -> str:
     if "failed" in row:
         return f"{name:24s} {row['failed']}"
     peak = "-" if row["bytes_peak"] is None else f"{row['bytes_peak'] / 2**20:.0f}"
-    return (f"{name:24s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  "
-            f"{row['ms_p50'] / row['megapixels']:8.3f} ms/Mpixel  planning {row['planning_ms']:.0f} ms  memory "
-            f"{row['bytes_predicted'] / 2**20:.0f} MiB predicted, {peak} taken, process {row['rss'] / 2**20:.0f}  "
-            f"{row['busy']:.2f} cores busy")
+    return (
+        f"{name:24s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  "
+        f"{row['ms_p50'] / row['megapixels']:8.3f} ms/Mpixel  planning {row['planning_ms']:.0f} ms  memory "
+        f"{row['bytes_predicted'] / 2**20:.0f} MiB predicted, {peak} taken, process {row['rss'] / 2**20:.0f}  "
+        f"{row['busy']:.2f} cores busy"
+    )
 
 
 def main():

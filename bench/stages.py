@@ -18,7 +18,9 @@ def main():
     """Time the stages; returns the exit status."""
     made = parser(__doc__)
     add_size(made)
-    made.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
+    made.add_argument(
+        "--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)"
+    )
     arguments = made.parse_args()
     for name in arguments.stage or ():
         if name not in stage_names():
@@ -28,8 +30,15 @@ def main():
     print(", ".join(f"{key} {value:.4g}" for key, value in limits.items() if value))
     for row in bench(device, arguments.stage, arguments.size[::-1], limits=limits):
         rows.append({"name": row["stage"], **row})
-        print(f"{row['stage']:24s} " + (f"no speed: verification failed, {row['failed']}" if "failed" in row else
-              f"{row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})"), flush=True)
+        print(
+            f"{row['stage']:24s} "
+            + (
+                f"no speed: verification failed, {row['failed']}"
+                if "failed" in row
+                else f"{row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})"
+            ),
+            flush=True,
+        )
     finish(arguments, "stages", device, rows, old, size=arguments.size, limits=limits)
     return 1 if any("failed" in row for row in rows) else 0
 

@@ -48,8 +48,11 @@ def stored_results(folder) -> dict:
     stored = {path: load(path) for path in sorted(Path(folder).glob("*.json"))}
     for path, result in stored.items():
         if result["bench"] not in TABLES:
-            raise BadFile(path, f"is a result of {result['bench']!r}, of which there are no tables; known: "
-                                f"{', '.join(sorted(TABLES))}")
+            raise BadFile(
+                path,
+                f"is a result of {result['bench']!r}, of which there are no tables; known: "
+                f"{', '.join(sorted(TABLES))}",
+            )
     return stored
 
 
@@ -58,8 +61,11 @@ def filled(text: str, stored: dict, readme="README.md") -> str:
     for name in dict.fromkeys(result["bench"] for result in stored.values()):
         first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
         if text.count(first) != 1 or text.count(last) != 1 or text.index(first) > text.index(last):
-            raise BadFile(readme, f"has no place for the tables of {name}: wanted one {first}, and behind it one "
-                                  f"{last}")
+            raise BadFile(
+                readme,
+                f"has no place for the tables of {name}: wanted one {first}, and behind it one "
+                f"{last}",
+            )
         tables = [table(path, result) for path, result in stored.items() if result["bench"] == name]
         before, after = text.partition(first)[0], text.partition(last)[2]
         text = before + "\n\n".join([first, *tables, last]) + after
@@ -85,15 +91,22 @@ def _head(result):
     shown += [result["camera"]] if "camera" in result else []
     shown += [f"scenes as {result['content']}"] if "content" in result else []
     if "tolerance" in result:
-        shown.append("exact" if result["tolerance"] is None else f"tolerance {result['tolerance']:g}")
-    shown += [f"{rate:.3g} {unit}" for key, unit in (("copy_gbps", "GB/s copied"), ("fma_gflops", "GFLOP/s measured"))
-              if (rate := result.get("limits", {}).get(key))]
+        shown.append(
+            "exact" if result["tolerance"] is None else f"tolerance {result['tolerance']:g}"
+        )
+    shown += [
+        f"{rate:.3g} {unit}"
+        for key, unit in (("copy_gbps", "GB/s copied"), ("fma_gflops", "GFLOP/s measured"))
+        if (rate := result.get("limits", {}).get(key))
+    ]
     cores = f", {told['cores']} cores" if "cores" in told else ""
     dirty = ", with changes" if result.get("dirty") else ""
     date = f", {result['date'][:10]}" if result.get("date") else ""
     place = ", ".join(filter(None, (told["device"], told["driver"])))
-    return (f"**{result['device']}**" + "".join(f", {text}" for text in shown) + f": {place}; host "
-            f"{told['cpu']}{cores}, Python {told['python']}; commit {result['commit']}{dirty}{date}")
+    return (
+        f"**{result['device']}**" + "".join(f", {text}" for text in shown) + f": {place}; host "
+        f"{told['cpu']}{cores}, Python {told['python']}; commit {result['commit']}{dirty}{date}"
+    )
 
 
 def _markdown(columns, rows):
@@ -116,11 +129,34 @@ def _ratio(row, key):
 
 
 def _stages(result):
-    columns = ("stage", "ms", "quartiles", "GB/s", "GFLOP/s", "x floor", "bound", "build ms", "rms error", "max error")
-    rows = [(row["name"], "no speed: verification failed", *[""] * 8) if "failed" in row else (
-        row["name"], *_times(row), _number(row["gbps"]), _number(row["gflops"]), _number(row["ratio_to_floor"], ".2g"),
-        row["bound"] or "", _number(row["build_ms"]), f"{row['rel_rms_error']:.1e}", f"{row['max_error']:.1e}")
-        for row in result["rows"]]
+    columns = (
+        "stage",
+        "ms",
+        "quartiles",
+        "GB/s",
+        "GFLOP/s",
+        "x floor",
+        "bound",
+        "build ms",
+        "rms error",
+        "max error",
+    )
+    rows = [
+        (row["name"], "no speed: verification failed", *[""] * 8)
+        if "failed" in row
+        else (
+            row["name"],
+            *_times(row),
+            _number(row["gbps"]),
+            _number(row["gflops"]),
+            _number(row["ratio_to_floor"], ".2g"),
+            row["bound"] or "",
+            _number(row["build_ms"]),
+            f"{row['rel_rms_error']:.1e}",
+            f"{row['max_error']:.1e}",
+        )
+        for row in result["rows"]
+    ]
     yield _markdown(columns, rows)
 
 
@@ -129,26 +165,60 @@ def _loops(result):
     rows = []
     for row in result["rows"]:
         events = row["events_ms"]
-        rows.append((row["name"], _number(row["ms_p50"]), f"{_number(row['ms_least'])} .. {_number(row['ms_most'])}",
-                     _number(events), "" if events is None else f"{row['ms_p50'] / events:.2f}", row["check"]))
+        rows.append(
+            (
+                row["name"],
+                _number(row["ms_p50"]),
+                f"{_number(row['ms_least'])} .. {_number(row['ms_most'])}",
+                _number(events),
+                "" if events is None else f"{row['ms_p50'] / events:.2f}",
+                row["check"],
+            )
+        )
     yield _markdown(columns, rows)
 
 
 def _scaling(result):
-    columns = ("frame", "wall ms", "quartiles", "ms a megapixel", "over 1080p", "planes", "planning ms",
-               "MiB predicted", "MiB taken", "MiB of the process")
-    base = next((row["ms_p50"] / row["megapixels"] for row in result["rows"]
-                 if row["name"] == "1920x1080, 31 bands" and "failed" not in row), None)
+    columns = (
+        "frame",
+        "wall ms",
+        "quartiles",
+        "ms a megapixel",
+        "over 1080p",
+        "planes",
+        "planning ms",
+        "MiB predicted",
+        "MiB taken",
+        "MiB of the process",
+    )
+    base = next(
+        (
+            row["ms_p50"] / row["megapixels"]
+            for row in result["rows"]
+            if row["name"] == "1920x1080, 31 bands" and "failed" not in row
+        ),
+        None,
+    )
     rows = []
     for row in result["rows"]:
         if "failed" in row:
             rows.append((row["name"], row["failed"], *[""] * 8))
             continue
         each = row["ms_p50"] / row["megapixels"]
-        rows.append((row["name"], *_times(row), _number(each), "" if base is None else f"{each / base:.2f}",
-                     row["planes"] or "", _number(row["planning_ms"]), *(
-                         "" if row[key] is None else f"{row[key] / 2**20:.0f}"
-                         for key in ("bytes_predicted", "bytes_peak", "rss"))))
+        rows.append(
+            (
+                row["name"],
+                *_times(row),
+                _number(each),
+                "" if base is None else f"{each / base:.2f}",
+                row["planes"] or "",
+                _number(row["planning_ms"]),
+                *(
+                    "" if row[key] is None else f"{row[key] / 2**20:.0f}"
+                    for key in ("bytes_predicted", "bytes_peak", "rss")
+                ),
+            )
+        )
     yield _markdown(columns, rows)
 
 
@@ -161,55 +231,133 @@ def _threads(result):
             continue
         base = row["ms_p50"] if row["threads"] == 1 else base
         gain = None if base is None else base / row["ms_p50"]
-        rows.append((row["name"], *_times(row), *(("", "") if gain is None else (
-            f"{gain:.2f}", f"{gain / row['threads']:.2f}")), f"{row['busy']:.2f}"))
+        rows.append(
+            (
+                row["name"],
+                *_times(row),
+                *(("", "") if gain is None else (f"{gain:.2f}", f"{gain / row['threads']:.2f}")),
+                f"{row['busy']:.2f}",
+            )
+        )
     yield _markdown(columns, rows)
 
 
 def _peers(result):
     columns = ("what", "ms", "quartiles", "compared with", "its time over this", "error")
-    rows = [(row["name"], row["failed"], *[""] * 4) if "failed" in row else (
-        row["name"], *_times(row), *((row["base"], _ratio(row, "over")) if "base" in row else ("", "")), row["error"])
-        for row in result["rows"]]
+    rows = [
+        (row["name"], row["failed"], *[""] * 4)
+        if "failed" in row
+        else (
+            row["name"],
+            *_times(row),
+            *((row["base"], _ratio(row, "over")) if "base" in row else ("", "")),
+            row["error"],
+        )
+        for row in result["rows"]
+    ]
     yield _markdown(columns, rows)
 
 
 def _triples(result):
     found = summary(result["rows"])[1]["promise"]
-    yield (f"{result['half']} half: {found['rows']} triples, {len(found['refused'])} refused, "
-           f"{len(found['crashes'])} crashed. Said met: {found['met']}, of which within the tolerance "
-           f"{found['met_within']}; said NOT met: {found['unmet']}, of which beyond it {found['unmet_beyond']}. "
-           f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, root mean squares "
-           f"alone {found['rms_in_band']} of {found['rms_ratios']}.")
-    columns = ("tolerance", "triples", "said met", "within", "silent misses", "needless NOT met", "predicted over true",
-               "true over allowed")
-    yield _markdown(columns, [(name, one["count"], one["met"], one["within"], one["silent"], one["needless"],
-                               _number(one["ratio"], ".2f"), _number(one["used"], ".2g"))
-                              for name, one in found["tolerances"].items()])
+    yield (
+        f"{result['half']} half: {found['rows']} triples, {len(found['refused'])} refused, "
+        f"{len(found['crashes'])} crashed. Said met: {found['met']}, of which within the tolerance "
+        f"{found['met_within']}; said NOT met: {found['unmet']}, of which beyond it {found['unmet_beyond']}. "
+        f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, root mean squares "
+        f"alone {found['rms_in_band']} of {found['rms_ratios']}."
+    )
+    columns = (
+        "tolerance",
+        "triples",
+        "said met",
+        "within",
+        "silent misses",
+        "needless NOT met",
+        "predicted over true",
+        "true over allowed",
+    )
+    yield _markdown(
+        columns,
+        [
+            (
+                name,
+                one["count"],
+                one["met"],
+                one["within"],
+                one["silent"],
+                one["needless"],
+                _number(one["ratio"], ".2f"),
+                _number(one["used"], ".2g"),
+            )
+            for name, one in found["tolerances"].items()
+        ],
+    )
 
 
 def _tolerances(result):
     cols, rows = result["size"]
-    yield (f"{result['device']}, {cols} x {rows}: {', '.join(result['cameras'])}; {', '.join(result['charts'])}. "
-           f"Predicted time within a factor of 1.5: {within(result['rows'])}.")
-    columns = ("tolerance", "met", "rms, median", "exact over it", "least .. most", "SciPy over it", "least .. most")
-    yield _markdown(columns, [(one["tolerance"], f"{one['met']} of {one['count']}", f"{one['error']:.1e}",
-                               *(cell for key in ("exact", "baseline") for cell in (
-                                   f"{one[key][f'{key}_p50']:.2f}",
-                                   f"{one[key][f'{key}_least']:.2f} .. {one[key][f'{key}_most']:.2f}")))
-                              for one in by_tolerance(result["rows"])])
+    yield (
+        f"{result['device']}, {cols} x {rows}: {', '.join(result['cameras'])}; {', '.join(result['charts'])}. "
+        f"Predicted time within a factor of 1.5: {within(result['rows'])}."
+    )
+    columns = (
+        "tolerance",
+        "met",
+        "rms, median",
+        "exact over it",
+        "least .. most",
+        "SciPy over it",
+        "least .. most",
+    )
+    yield _markdown(
+        columns,
+        [
+            (
+                one["tolerance"],
+                f"{one['met']} of {one['count']}",
+                f"{one['error']:.1e}",
+                *(
+                    cell
+                    for key in ("exact", "baseline")
+                    for cell in (
+                        f"{one[key][f'{key}_p50']:.2f}",
+                        f"{one[key][f'{key}_least']:.2f} .. {one[key][f'{key}_most']:.2f}",
+                    )
+                ),
+            )
+            for one in by_tolerance(result["rows"])
+        ],
+    )
 
 
 def _cells(result):
     for title, columns in result["columns"].items():
         yield title + ":"
-        yield _markdown(columns, [(row["name"], *row["cells"]) for row in result["rows"] if row["table"] == title])
+        yield _markdown(
+            columns,
+            [(row["name"], *row["cells"]) for row in result["rows"] if row["table"] == title],
+        )
 
 
-TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
-          "noise": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
-          "picture": _peers, "triples": _triples, "tolerances": _tolerances, "demosaic": _cells, "color": _cells,
-          "figure8": _cells, "figure14": _cells}
+TABLES = {
+    "stages": _stages,
+    "loops": _loops,
+    "scaling": _scaling,
+    "threads": _threads,
+    "compare": _peers,
+    "noise": _peers,
+    "field": _peers,
+    "fusion": _peers,
+    "transforms": _peers,
+    "picture": _peers,
+    "triples": _triples,
+    "tolerances": _tolerances,
+    "demosaic": _cells,
+    "color": _cells,
+    "figure8": _cells,
+    "figure14": _cells,
+}
 
 if __name__ == "__main__":
     start(main)

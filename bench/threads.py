@@ -31,8 +31,11 @@ def main():
     require_cpu(device, "threads are those of the processor")
     given, rows = settings(arguments, device), []
     for number in counts(cores()):
-        row = in_process("frames", {**given, "size": arguments.size, "bands": BANDS, "threads": number},
-                         dict.fromkeys(LIMITS, str(number)))
+        row = in_process(
+            "frames",
+            {**given, "size": arguments.size, "bands": BANDS, "threads": number},
+            dict.fromkeys(LIMITS, str(number)),
+        )
         rows.append({**row, "name": f"{number} of {os.cpu_count()} cores", "threads": number})
         print(shown(rows[-1]["name"], row), flush=True)
     del given["device"]

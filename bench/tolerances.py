@@ -25,7 +25,10 @@ from gpusim.judge.truth import true_mean
 
 CAMERAS = ("phone", "machine-vision", "mono", "figure8")
 CHARTS = ("deadleaves", "colorchecker", "slanted-edge")
-STEADY, GPU_STEADY = 3, 100  # frames of a call that is timed: as a loop has them, its first and last of no matter
+STEADY, GPU_STEADY = (
+    3,
+    100,
+)  # frames of a call that is timed: as a loop has them, its first and last of no matter
 
 
 def main():
@@ -39,8 +42,17 @@ def main():
     with TemporaryDirectory() as folder:  # those of the cache are of another hour
         rows = all_rows(arguments, device, Speeds(device, Path(folder) / "speeds.json"))
     print("\n".join(table(rows)))
-    finish(arguments, "tolerances", device, rows, old, size=arguments.size, repeat=arguments.repeat,
-           cameras=list(arguments.cameras), charts=list(CHARTS))
+    finish(
+        arguments,
+        "tolerances",
+        device,
+        rows,
+        old,
+        size=arguments.size,
+        repeat=arguments.repeat,
+        cameras=list(arguments.cameras),
+        charts=list(CHARTS),
+    )
 
 
 def all_rows(arguments, device, speeds) -> list[dict]:
@@ -48,7 +60,9 @@ def all_rows(arguments, device, speeds) -> list[dict]:
     rows = []
     for camera in [gs.open_camera(name) for name in arguments.cameras]:
         for chart in CHARTS:
-            for row in asked(device, camera, gs.chart(chart, size=arguments.size), speeds, arguments.repeat):
+            for row in asked(
+                device, camera, gs.chart(chart, size=arguments.size), speeds, arguments.repeat
+            ):
                 rows.append(row)
                 print(line(row), flush=True)
     return rows
@@ -57,27 +71,50 @@ def all_rows(arguments, device, speeds) -> list[dict]:
 def asked(device, camera, picture, speeds, repeat) -> list[dict]:
     """A row for every tolerance."""
     values = cube(picture)
-    scenes = [resident_scene(device, replace(picture, content=Cube(picture.wavelengths, values * gain)))
-              for gain in np.float32((1, 1.01))]
-    simulators = {name: gs.Simulator(camera, device=device, tolerance=name) for name in (*TOLERANCES, None)}
-    programs = {name: simulator.program(scenes[0], SECONDS) for name, simulator in simulators.items()}
+    scenes = [
+        resident_scene(device, replace(picture, content=Cube(picture.wavelengths, values * gain)))
+        for gain in np.float32((1, 1.01))
+    ]
+    simulators = {
+        name: gs.Simulator(camera, device=device, tolerance=name) for name in (*TOLERANCES, None)
+    }
+    programs = {
+        name: simulator.program(scenes[0], SECONDS) for name, simulator in simulators.items()
+    }
     on_host = replace(picture, content=Cube(picture.wavelengths, values))
-    baseline, truth = Baseline(simulators[None], on_host), true_mean(
-        gs.Simulator, camera, on_host, simulators[None].plan(on_host), SECONDS)
+    baseline, truth = (
+        Baseline(simulators[None], on_host),
+        true_mean(gs.Simulator, camera, on_host, simulators[None].plan(on_host), SECONDS),
+    )
     steady = GPU_STEADY if device.is_gpu else STEADY
-    forms = {name: lambda program=program: frames(program, scenes, steady) for name, program in programs.items()}
+    forms = {
+        name: lambda program=program: frames(program, scenes, steady)
+        for name, program in programs.items()
+    }
     walls = rounds({**forms, "baseline": lambda: baseline.raw(values, SECONDS)}, repeat, warm=1)
-    exposures = {name: simulator.expose(scenes[0], SECONDS) for name, simulator in simulators.items()}
+    exposures = {
+        name: simulator.expose(scenes[0], SECONDS) for name, simulator in simulators.items()
+    }
     rows = []
     for name in TOLERANCES:
         taken, plan, own = walls[name] / steady, programs[name].plan, exposures[name].plan
         measured = stages(programs[name], scenes)
-        rows.append({
-            "name": f"{camera.name}, {picture.name}, {name}", "tolerance": name, **quartiles(taken),
-            **quartiles(walls[None] / steady / taken, "exact"), **quartiles(walls["baseline"] / taken, "baseline"),
-            "predicted_ms": sum(frame_ms(simulators[name], plan, speeds).values()), "stages_ms": measured,
-            "error": rms(device.numpy(exposures[name].mean), truth), "predicted": own.account.total.rms,
-            "met": own.verdict.met, "planes": None if plan.mix is None else plan.mix.shape[1], "period": plan.period})
+        rows.append(
+            {
+                "name": f"{camera.name}, {picture.name}, {name}",
+                "tolerance": name,
+                **quartiles(taken),
+                **quartiles(walls[None] / steady / taken, "exact"),
+                **quartiles(walls["baseline"] / taken, "baseline"),
+                "predicted_ms": sum(frame_ms(simulators[name], plan, speeds).values()),
+                "stages_ms": measured,
+                "error": rms(device.numpy(exposures[name].mean), truth),
+                "predicted": own.account.total.rms,
+                "met": own.verdict.met,
+                "planes": None if plan.mix is None else plan.mix.shape[1],
+                "period": plan.period,
+            }
+        )
     return rows
 
 
@@ -90,14 +127,20 @@ def frames(program, scenes, count):
 
 def stages(program, scenes) -> float:
     """Milliseconds of all stages of a frame, codes included: the median of a few."""
-    return float(np.median([program.update(scene=scenes[k % 2]).frame(seed=1, frame=k).report.ms for k in range(5)]))
+    return float(
+        np.median(
+            [program.update(scene=scenes[k % 2]).frame(seed=1, frame=k).report.ms for k in range(5)]
+        )
+    )
 
 
 def line(row) -> str:
     """A row in words."""
-    return (f"{row['name']:44s} {row['ms_p50']:8.3f} ms, {row['exact_p50']:5.2f} times as fast as exact, "
-            f"{row['baseline_p50']:6.2f} as the baseline; rms {row['error']:.1e} ({row['predicted']:.1e} predicted); "
-            f"predicted over measured time {row['predicted_ms'] / row['stages_ms']:.2f}")
+    return (
+        f"{row['name']:44s} {row['ms_p50']:8.3f} ms, {row['exact_p50']:5.2f} times as fast as exact, "
+        f"{row['baseline_p50']:6.2f} as the baseline; rms {row['error']:.1e} ({row['predicted']:.1e} predicted); "
+        f"predicted over measured time {row['predicted_ms'] / row['stages_ms']:.2f}"
+    )
 
 
 def by_tolerance(rows) -> list[dict]:
@@ -105,21 +148,31 @@ def by_tolerance(rows) -> list[dict]:
     found = []
     for name in dict.fromkeys(row["tolerance"] for row in rows):
         own = [row for row in rows if row["tolerance"] == name]
-        found.append({"tolerance": name, **{key: quartiles([row[f"{key}_p50"] for row in own], key)
-                                            for key in ("exact", "baseline")},
-                      "time": quartiles([row["predicted_ms"] / row["stages_ms"] for row in own], "time"),
-                      "error": float(np.median([row["error"] for row in own])),
-                      "met": sum(row["met"] for row in own), "count": len(own)})
+        found.append(
+            {
+                "tolerance": name,
+                **{
+                    key: quartiles([row[f"{key}_p50"] for row in own], key)
+                    for key in ("exact", "baseline")
+                },
+                "time": quartiles([row["predicted_ms"] / row["stages_ms"] for row in own], "time"),
+                "error": float(np.median([row["error"] for row in own])),
+                "met": sum(row["met"] for row in own),
+                "count": len(own),
+            }
+        )
     return found
 
 
 def table(rows) -> list[str]:
     """`by_tolerance` in words, and how many times were predicted within a factor of 1.5."""
-    lines = [f"{one['tolerance']:10s} {one['exact']['exact_p50']:6.2f} times as fast as exact "
-             f"({one['exact']['exact_least']:.2f} .. {one['exact']['exact_most']:.2f}), "
-             f"{one['baseline']['baseline_p50']:7.2f} as the baseline ({one['baseline']['baseline_least']:.2f} .. "
-             f"{one['baseline']['baseline_most']:.2f}); rms {one['error']:.1e}; met {one['met']} of {one['count']}"
-             for one in by_tolerance(rows)]
+    lines = [
+        f"{one['tolerance']:10s} {one['exact']['exact_p50']:6.2f} times as fast as exact "
+        f"({one['exact']['exact_least']:.2f} .. {one['exact']['exact_most']:.2f}), "
+        f"{one['baseline']['baseline_p50']:7.2f} as the baseline ({one['baseline']['baseline_least']:.2f} .. "
+        f"{one['baseline']['baseline_most']:.2f}); rms {one['error']:.1e}; met {one['met']} of {one['count']}"
+        for one in by_tolerance(rows)
+    ]
     return [*lines, f"predicted time within a factor of 1.5: {within(rows)}"]
 
 

@@ -47,7 +47,9 @@ def of_device(device, period, planes):
     random = np.random.default_rng(planes)
     content = device.array(random.random((BANDS, ROWS, COLS), np.float32))
     weights = device.array(random.random((planes, BANDS), np.float32))
-    tables = device.array(random.random((3, planes, period[0] // 2 + 1, period[1] // 2 + 1), np.float32))
+    tables = device.array(
+        random.random((3, planes, period[0] // 2 + 1, period[1] // 2 + 1), np.float32)
+    )
     mix = random.random((3, planes), np.float32)
 
     def once():
@@ -63,8 +65,11 @@ def of_device(device, period, planes):
         found |= {"inverse": sum(times.values())} | {f"  inverse {k}": t for k, t in times.items()}
         with by_kernel(device) as times:
             mosaic(reduced, tables, mix, CFA, "edge", period, device=device)
-        return found | {"mosaic (extend, forward, fold, inverse)": sum(times.values())} | {
-            f"  mosaic {k}": t for k, t in times.items()}
+        return (
+            found
+            | {"mosaic (extend, forward, fold, inverse)": sum(times.values())}
+            | {f"  mosaic {k}": t for k, t in times.items()}
+        )
 
     return once
 
@@ -76,8 +81,10 @@ def of_library(period, planes):
     extended = torch.rand((planes, *period), device="cuda")
     phases = torch.rand((4, period[0] // 2, period[1] // 4 + 1), device="cuda").to(torch.complex64)
     ahead = torch.empty(2**28, device="cuda"), torch.empty(2**28, device="cuda")
-    forms = {"forward": lambda: torch.fft.rfft2(extended),
-             "inverse of the four phases": lambda: torch.fft.irfft2(phases)}
+    forms = {
+        "forward": lambda: torch.fft.rfft2(extended),
+        "inverse of the four phases": lambda: torch.fft.irfft2(phases),
+    }
 
     def once():
         found = {}
@@ -97,19 +104,29 @@ def of_library(period, planes):
 def main():
     """Print a row for each part, and write them where asked."""
     made = parser(__doc__)
-    made.add_argument("--period", type=size, default=(2048, 1200), metavar="COLSxROWS", help="of the transforms "
-                      "(default: 2048x1200)")
+    made.add_argument(
+        "--period",
+        type=size,
+        default=(2048, 1200),
+        metavar="COLSxROWS",
+        help="of the transforms (default: 2048x1200)",
+    )
     made.add_argument("--planes", type=count, nargs="*", default=[3, 4, 6])
     add_repeat(made, 50)
     arguments = made.parse_args()
     device, old = ready(arguments, "transforms")
     period = arguments.period[::-1]
     if period[0] < ROWS or period[1] < COLS or any(n % 2 or n not in fft.LENGTHS for n in period):
-        raise OutOfRange("--period", "x".join(map(str, arguments.period)), f"even products of 2, 3 and 5 from "
-                         f"{COLS}x{ROWS} on")
+        raise OutOfRange(
+            "--period",
+            "x".join(map(str, arguments.period)),
+            f"even products of 2, 3 and 5 from {COLS}x{ROWS} on",
+        )
     runs = {f"{planes} planes": of_device(device, period, planes) for planes in arguments.planes}
     try:
-        runs |= {f"cuFFT, {planes} planes": of_library(period, planes) for planes in arguments.planes}
+        runs |= {
+            f"cuFFT, {planes} planes": of_library(period, planes) for planes in arguments.planes
+        }
     except (ImportError, RuntimeError, AssertionError) as error:
         print(f"cuFFT: {one_line(error)}")
     times: dict = defaultdict(list)

@@ -22,10 +22,19 @@ from gpusim.domain.errors import OutOfRange
 NEAREST, FARTHEST = 96, 320  # [sample] within which all light is summed
 RINGS = 48  # of the diffraction within that reach
 ROOM = 8.0  # the reach over the radius of the rays' spread, at least
-RAYS, STEP, ENDS = 240, 1.03, 300.0  # directions; growth of the steps along them; where they end over where they begin
+RAYS, STEP, ENDS = (
+    240,
+    1.03,
+    300.0,
+)  # directions; growth of the steps along them; where they end over where they begin
 ROOM_AROUND = 12  # [sample] that a Gaussian of 3 spreads
 STEP_NM = 0.05  # of the spectral integrals
-MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}  # of numpy.pad
+MODES = {
+    "zero": "constant",
+    "edge": "edge",
+    "reflect": "symmetric",
+    "scene": "edge",
+}  # of numpy.pad
 GOES_ON = {"edge": "nearest", "reflect": "reflect", "scene": "nearest"}  # of scipy.ndimage
 CLEAR = 550.0  # [nm] reference of the generator's wavefronts
 
@@ -51,7 +60,10 @@ class Spread:
     def radius(self) -> float:
         """Where the rays of the rim land [sample]: 2 q times the slope of the wavefront there."""
         slopes = np.linspace(0, 1, 65)
-        return 2 * self.q * float(np.abs(2 * self.w020 * slopes + 4 * self.w040 * slopes**3).max()) + 3 * self.diffused
+        return (
+            2 * self.q * float(np.abs(2 * self.w020 * slopes + 4 * self.w040 * slopes**3).max())
+            + 3 * self.diffused
+        )
 
     @property
     def corners(self) -> np.ndarray:
@@ -63,11 +75,21 @@ class Spread:
 def spread_of(optics, wavelength: float, pitch: float) -> Spread:
     """Of a lens that is the same all over the field, at a wavelength [nm], for samples `pitch` apart [m]."""
     metres, number = 1e-9 * wavelength, optics.f_number
-    shift = optics.defocus if isinstance(optics.defocus, float) else float(
-        np.interp(wavelength, optics.defocus.wavelengths, optics.defocus.values))
-    return Spread(metres * number / pitch, shift / (8 * number**2 * metres),
-                  optics.wavefront.seidel[0] * CLEAR / wavelength, optics.pupil.obscuration, optics.pupil.blades,
-                  optics.pupil.rotation, tuple(one / pitch for one in optics.birefringence), optics.diffuser / pitch)
+    shift = (
+        optics.defocus
+        if isinstance(optics.defocus, float)
+        else float(np.interp(wavelength, optics.defocus.wavelengths, optics.defocus.values))
+    )
+    return Spread(
+        metres * number / pitch,
+        shift / (8 * number**2 * metres),
+        optics.wavefront.seidel[0] * CLEAR / wavelength,
+        optics.pupil.obscuration,
+        optics.pupil.blades,
+        optics.pupil.rotation,
+        tuple(one / pitch for one in optics.birefringence),
+        optics.diffuser / pitch,
+    )
 
 
 def round_spread(of: Spread, reach: float):
@@ -76,8 +98,12 @@ def round_spread(of: Spread, reach: float):
     phase = 2 * np.pi * (abs(of.w020) + abs(of.w040))
     t, mass = np.polynomial.legendre.leggauss(int(np.pi * r[-1] / of.q / 2 + 2 * phase + 40))
     rho = (1 + of.hole) / 2 + (1 - of.hole) / 2 * t
-    pupil = (1 - of.hole) / 2 * mass * rho * np.exp(2j * np.pi * (of.w020 * rho**2 + of.w040 * rho**4))
-    field = np.concatenate([j0(np.pi / of.q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)])
+    pupil = (
+        (1 - of.hole) / 2 * mass * rho * np.exp(2j * np.pi * (of.w020 * rho**2 + of.w040 * rho**4))
+    )
+    field = np.concatenate(
+        [j0(np.pi / of.q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)]
+    )
     return CubicSpline(r, np.pi / of.q**2 * np.abs(field) ** 2 / (1 - of.hole**2))
 
 
@@ -87,7 +113,9 @@ def polygon_spread(of: Spread, at) -> np.ndarray:
     total = np.zeros((len(at), len(at)), complex)
     levels = np.unique(corners[:, 0].round(12))
     for low, high in pairwise(levels):
-        t, mass = np.polynomial.legendre.leggauss(int(np.pi * np.abs(at).max() / of.q * (high - low) / 2) + 24)
+        t, mass = np.polynomial.legendre.leggauss(
+            int(np.pi * np.abs(at).max() / of.q * (high - low) / 2) + 24
+        )
         v = (low + high) / 2 + (high - low) / 2 * t
         ends = []
         for (y0, x0), (y1, x1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -95,8 +123,11 @@ def polygon_spread(of: Spread, at) -> np.ndarray:
                 ends.append(x0 + (x1 - x0) * (v - y0) / (y1 - y0))
         left, right = np.minimum(*ends), np.maximum(*ends)
         s = at / (2 * of.q)
-        chords = (right - left)[:, None] * np.sinc(np.outer(right - left, s)) * np.exp(1j * np.pi * np.outer(
-            left + right, s))
+        chords = (
+            (right - left)[:, None]
+            * np.sinc(np.outer(right - left, s))
+            * np.exp(1j * np.pi * np.outer(left + right, s))
+        )
         total += np.exp(2j * np.pi * np.outer(s, v)) * (mass * (high - low) / 2) @ chords
     area = of.blades / 2 * np.sin(2 * np.pi / of.blades)
     return np.abs(total) ** 2 / (area * 4 * of.q**2)
@@ -108,14 +139,18 @@ def chord_spread(q: float, waves, y, x) -> np.ndarray:
     v = sin of an angle makes the sum over chords that of a smooth function; x is along u.
     """
     # Gauss takes half of the phase at the end in nodes, of the angle pi / 2 times as many
-    count = int(np.pi**2 / 4 * max(np.abs(y).max(), np.abs(x).max()) / q + 40 + 8 * np.abs(waves(0.7, 0.7)))
+    count = int(
+        np.pi**2 / 4 * max(np.abs(y).max(), np.abs(x).max()) / q + 40 + 8 * np.abs(waves(0.7, 0.7))
+    )
     t, mass = np.polynomial.legendre.leggauss(count)
     angles = np.pi / 2 * t
     v, half = np.sin(angles), np.cos(angles)
     chords = np.empty((count, len(x)), complex)
     for k in range(count):
         u = half[k] * t
-        chords[k] = (mass * half[k] * np.exp(2j * np.pi * waves(u, v[k]))) @ np.exp(1j * np.pi / q * np.outer(u, x))
+        chords[k] = (mass * half[k] * np.exp(2j * np.pi * waves(u, v[k]))) @ np.exp(
+            1j * np.pi / q * np.outer(u, x)
+        )
     total = (np.exp(1j * np.pi / q * np.outer(y, v)) * (np.pi / 2 * mass * half)) @ chords
     return np.abs(total) ** 2 / (np.pi * 4 * q * q)
 
@@ -138,7 +173,11 @@ def apertured(values, fine: int, reach: int, width, phase, of: Spread | None = N
         f = np.fft.fftfreq(values.shape[axis], 1 / fine)
         factor = np.sinc(width[axis] * f) * np.exp(2j * np.pi * f * phase[axis])
         if of is not None:
-            factor = factor * np.cos(np.pi * f * of.apart[axis]) * np.exp(-2 * (np.pi * f * of.diffused) ** 2)
+            factor = (
+                factor
+                * np.cos(np.pi * f * of.apart[axis])
+                * np.exp(-2 * (np.pi * f * of.diffused) ** 2)
+            )
         spectrum *= factor[:, None] if axis == 0 else factor
     whole = np.arange(-reach, reach + 1) * fine
     return scipy.fft.ifft2(spectrum).real[np.ix_(whole, whole)]
@@ -161,17 +200,23 @@ def rays(of: Spread) -> tuple[np.ndarray, np.ndarray]:
     polygon of area A throws l / (2 pi^2 A) to both sides along its normal.
     """
     if not of.blades:
-        return (2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS,
-                np.full(RAYS, 2 * np.pi / RAYS / (np.pi**3 * (1 - of.hole))))
+        return (
+            2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS,
+            np.full(RAYS, 2 * np.pi / RAYS / (np.pi**3 * (1 - of.hole))),
+        )
     normals = of.turned + np.pi * (2 * np.arange(of.blades) + 1) / of.blades
     length, area = 2 * np.sin(np.pi / of.blades), of.blades / 2 * np.sin(2 * np.pi / of.blades)
-    return np.concatenate([normals, normals + np.pi]), np.full(2 * of.blades, length / (2 * np.pi**2 * area))
+    return np.concatenate([normals, normals + np.pi]), np.full(
+        2 * of.blades, length / (2 * np.pi**2 * area)
+    )
 
 
 def energy_beyond(of: Spread, reach: int) -> float:
     """Light of a point beyond a square of half-width `reach`."""
     angles, energies = rays(of)
-    return float(of.q * energies @ np.maximum(np.abs(np.sin(angles)), np.abs(np.cos(angles)))) / (reach + 0.5)
+    return float(of.q * energies @ np.maximum(np.abs(np.sin(angles)), np.abs(np.cos(angles)))) / (
+        reach + 0.5
+    )
 
 
 def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.ndarray:
@@ -182,7 +227,9 @@ def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.nda
     if not of.blades:  # smooth: from a coarse grid of places, and of light
         # an edge goes on as it is, not as it is with its neighbours: it gets room around
         room = 0 if border == "reflect" else ROOM_AROUND
-        planes = np.stack([gaussian_filter(np.pad(plane, room, mode="edge"), 3, mode=mode) for plane in planes])
+        planes = np.stack(
+            [gaussian_filter(np.pad(plane, room, mode="edge"), 3, mode=mode) for plane in planes]
+        )
         y, x = (np.linspace(at[0], at[-1], 13) + room for at in (y, x))
     grown = STEP ** np.arange(np.log(ENDS) / np.log(STEP) + 1)
     total = np.zeros((len(planes), len(y), len(x)))
@@ -190,12 +237,19 @@ def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.nda
         along = np.sin(angle), np.cos(angle)
         edges = (reach + 0.5) / max(map(abs, along)) * grown
         r, shares = edges * np.sqrt(STEP), -np.diff(np.append(1 / edges, 0.0))
-        places = np.broadcast_arrays(np.add.outer(r * along[0], y)[:, :, None], np.add.outer(r * along[1], x)[:, None])
+        places = np.broadcast_arrays(
+            np.add.outer(r * along[0], y)[:, :, None], np.add.outer(r * along[1], x)[:, None]
+        )
         for plane, out in zip(planes, total, strict=True):
-            out += energy * np.tensordot(shares, map_coordinates(plane, places, order=1, mode=mode), 1)
+            out += energy * np.tensordot(
+                shares, map_coordinates(plane, places, order=1, mode=mode), 1
+            )
     if of.blades:
         return total
-    back = [(at + room - one[0]) / (one[-1] - one[0]) * 12 for at, one in zip((rows, cols), (y, x), strict=True)]
+    back = [
+        (at + room - one[0]) / (one[-1] - one[0]) * 12
+        for at, one in zip((rows, cols), (y, x), strict=True)
+    ]
     grid = np.meshgrid(*back, indexing="ij")
     return np.stack([map_coordinates(plane, grid, order=3, mode="nearest") for plane in total])
 
@@ -211,9 +265,24 @@ def spectral_weights(scene, camera) -> np.ndarray:
     splines = CubicSpline(nodes, np.eye(len(nodes)))(grid)
     area = sensor.pixel_pitch**2 * sensor.fill_factor * pupil_area(optics.pupil)
     solid = np.pi / (1 + 4 * optics.f_number**2)
-    return area * solid * optics.transmission * np.stack([
-        np.trapezoid(splines * (light * np.interp(grid, sensor.qe.wavelengths, curve, left=0, right=0))[:, None], grid,
-                     axis=0) for curve in sensor.qe.values])
+    return (
+        area
+        * solid
+        * optics.transmission
+        * np.stack(
+            [
+                np.trapezoid(
+                    splines
+                    * (light * np.interp(grid, sensor.qe.wavelengths, curve, left=0, right=0))[
+                        :, None
+                    ],
+                    grid,
+                    axis=0,
+                )
+                for curve in sensor.qe.values
+            ]
+        )
+    )
 
 
 def pupil_area(pupil) -> float:
@@ -243,9 +312,15 @@ def centres(scene) -> list[np.ndarray]:
 
 def reach_of(spreads, shape, border) -> int:
     """Samples within which all light is summed. Raises OutOfRange for spreads that are too wide for that."""
-    reach = max(NEAREST, RINGS * max(of.q for of in spreads), ROOM * max(of.radius for of in spreads))
+    reach = max(
+        NEAREST, RINGS * max(of.q for of in spreads), ROOM * max(of.radius for of in spreads)
+    )
     if reach > FARTHEST * 1.25:
-        raise OutOfRange("spread", f"{reach:.0f} samples", f"up to {FARTHEST * 1.25:.0f} within which light is summed")
+        raise OutOfRange(
+            "spread",
+            f"{reach:.0f} samples",
+            f"up to {FARTHEST * 1.25:.0f} within which light is summed",
+        )
     if border == "zero":
         return max(shape)
     return ceil(min(reach, FARTHEST))
@@ -262,7 +337,11 @@ def rates(scene, camera) -> np.ndarray:
     weights, places = spectral_weights(scene, camera), centres(scene)
     reach = reach_of(spreads, scene.content.shape, scene.border)
     if ratio != 1 and not (ratio == int(ratio) and camera.sensor.fill_factor == 1):
-        raise OutOfRange("samples per pixel", ratio, "1, or 2 or 3 with a fill factor of 1: apertures on whole samples")
+        raise OutOfRange(
+            "samples per pixel",
+            ratio,
+            "1, or 2 or 3 with a fill factor of 1: apertures on whole samples",
+        )
     phase = tuple(float(at[0] % 1) for at in places)
     chosen = np.ix_(*(np.floor(at).astype(int) for at in places))
     total = np.zeros((len(weights), *scene.shape))
@@ -289,8 +368,15 @@ def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
         channels = channels / (1 + y[:, None] ** 2 + x**2) ** 2
     if not camera.sensor.stacked:
         names = camera.sensor.cfa
-        index = np.array([[camera.sensor.channels.index(names[i % len(names)][j % len(names[0])])
-                           for j in range(cols)] for i in range(rows)])
+        index = np.array(
+            [
+                [
+                    camera.sensor.channels.index(names[i % len(names)][j % len(names[0])])
+                    for j in range(cols)
+                ]
+                for i in range(rows)
+            ]
+        )
         channels = np.take_along_axis(channels, index[None], 0)[0]
     return seconds * channels
 

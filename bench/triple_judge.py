@@ -37,8 +37,9 @@ class TookTooLong(Exception):
     """A question is not answered within its limit."""
 
 
-def asked(seed: int, *, kinds: str, device: str, data=None, limit: int = LIMIT,
-          only_met: bool = False) -> list[dict]:
+def asked(
+    seed: int, *, kinds: str, device: str, data=None, limit: int = LIMIT, only_met: bool = False
+) -> list[dict]:
     """The row of a seed, in a list; none if it is of measured data that are not there.
 
     limit: [s], after which it is too slow. only_met: leave out the sums of frames that are not called met.
@@ -48,17 +49,29 @@ def asked(seed: int, *, kinds: str, device: str, data=None, limit: int = LIMIT,
     signal.signal(signal.SIGALRM, _give_up)
     signal.alarm(limit)
     try:
-        question = triple_mixed.triple(seed) if kinds == "combined" else triple_scenes.triple(seed, data)
+        question = (
+            triple_mixed.triple(seed) if kinds == "combined" else triple_scenes.triple(seed, data)
+        )
         if question is None:
             return []
-        row |= {"words": question.words, "features": question.features, "tolerance": question.tolerance}
+        row |= {
+            "words": question.words,
+            "features": question.features,
+            "tolerance": question.tolerance,
+        }
         row |= _answered(question, device, row, only_met)
     except TookTooLong:
-        row |= {"status": "too slow", "text": f"more than {limit} s, in {row.get('doing', 'drawing')}"}
+        row |= {
+            "status": "too slow",
+            "text": f"more than {limit} s, in {row.get('doing', 'drawing')}",
+        }
     except GpusimError as refusal:
         row |= {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     except Exception as error:  # what must not pass silently is counted
-        row |= {"status": "crash", "text": f"in {row.get('doing')}: " + "".join(traceback.format_exception(error)[-3:])}
+        row |= {
+            "status": "crash",
+            "text": f"in {row.get('doing')}: " + "".join(traceback.format_exception(error)[-3:]),
+        }
     finally:
         signal.alarm(0)
     return [row | {"seconds": time.perf_counter() - began}]
@@ -77,16 +90,30 @@ def _answered(question, device, row, only_met):
         simulator = gs.Simulator(question.camera, device=device, tolerance=question.tolerance)
         began = time.process_time()
     plan = simulator.plan(question.scene)
-    row |= {"planning_s": time.process_time() - began, "tolerance": question.tolerance, "doing": "exposing"}
+    row |= {
+        "planning_s": time.process_time() - began,
+        "tolerance": question.tolerance,
+        "doing": "exposing",
+    }
     exposure = simulator.expose(question.scene)
     tolerance = Tolerance.parse(question.tolerance)
     account = exposure.plan.account.at(exposure.exposure_time)
     verdict = account.verdict(tolerance)
-    row |= {"state": getattr(verdict, "state", "met" if verdict.met else "not met"), "verdict": str(verdict),
-            "predicted": {"rms": account.total.rms, "p999_sigma": account.total.p999_sigma,
-                          "max_sigma": account.total.max_sigma},
-            "bounds": {name: bound.rms if np.isfinite(bound.rms) else None for name, bound in account.bounds.items()},
-            "left_out": plan.left_out, "doing": "the frame"}
+    row |= {
+        "state": getattr(verdict, "state", "met" if verdict.met else "not met"),
+        "verdict": str(verdict),
+        "predicted": {
+            "rms": account.total.rms,
+            "p999_sigma": account.total.p999_sigma,
+            "max_sigma": account.total.max_sigma,
+        },
+        "bounds": {
+            name: bound.rms if np.isfinite(bound.rms) else None
+            for name, bound in account.bounds.items()
+        },
+        "left_out": plan.left_out,
+        "doing": "the frame",
+    }
     next(iter(simulator.shoot(exposure, 1)))  # noise, raw values and the picture
     mean = np.array(simulator.device.numpy(exposure.mean), np.float64)
     row |= {"doing": "the outside's sums"}
@@ -111,8 +138,13 @@ def _outside(question, seconds, mean, tolerance):
         elif question.lens == "field":
             raise OutOfRange("lens", "field", "old kinds of lens are the same all over the field")
         else:
-            found = triple_outside.Answers([np.maximum(triple_brute.mean_electrons(
-                question.scene, question.camera, seconds), 0)])
+            found = triple_outside.Answers(
+                [
+                    np.maximum(
+                        triple_brute.mean_electrons(question.scene, question.camera, seconds), 0
+                    )
+                ]
+            )
     except (OutOfRange, MemoryError) as reason:
         return {"within": None, "why": str(reason)[:160]}
     off, true = found.distance(mean)
@@ -121,12 +153,16 @@ def _outside(question, seconds, mean, tolerance):
     read = question.camera.sensor.read_sigma
     raw, least = Error.between(true + off, true, read), Error.between(true + sure, true, read)
     is_open = not raw.meets(tolerance) and least.meets(tolerance)
-    return {"within": None if is_open else raw.meets(tolerance), "why": "beyond by less than these sums are sure of",
-            "nearest": raw.nearest(tolerance)[1],
-            "over": raw.nearest(tolerance)[0], "true": {"rms": raw.rms, "p999_sigma": raw.p999_sigma,
-                                                        "max_sigma": raw.max_sigma},
-            "answers": len(found.means), "truth_s": time.process_time() - began,
-            "gain": float(mean.sum() / true.sum()) if true.sum() else 1.0}
+    return {
+        "within": None if is_open else raw.meets(tolerance),
+        "why": "beyond by less than these sums are sure of",
+        "nearest": raw.nearest(tolerance)[1],
+        "over": raw.nearest(tolerance)[0],
+        "true": {"rms": raw.rms, "p999_sigma": raw.p999_sigma, "max_sigma": raw.max_sigma},
+        "answers": len(found.means),
+        "truth_s": time.process_time() - began,
+        "gain": float(mean.sum() / true.sum()) if true.sum() else 1.0,
+    }
 
 
 def run(ask, seeds, workers: int, add):
@@ -135,7 +171,9 @@ def run(ask, seeds, workers: int, add):
     while todo:
         done = set()
         try:
-            with ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
+            with ProcessPoolExecutor(
+                min(workers, len(todo)), mp_context=get_context("spawn")
+            ) as pool:
                 futures = {pool.submit(ask, seed): seed for seed in todo}
                 for future in as_completed(futures):
                     rows = future.result()
@@ -148,8 +186,18 @@ def run(ask, seeds, workers: int, add):
                     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
                         add(seed, pool.submit(ask, seed).result())
                 except BrokenProcessPool:
-                    add(seed, [{"name": f"{seed}", "seed": seed, "words": f"{seed}", "status": "crash",
-                                "text": "its process died"}])
+                    add(
+                        seed,
+                        [
+                            {
+                                "name": f"{seed}",
+                                "seed": seed,
+                                "words": f"{seed}",
+                                "status": "crash",
+                                "text": "its process died",
+                            }
+                        ],
+                    )
                 done.add(seed)
         todo = [seed for seed in todo if seed not in done]
 
@@ -158,36 +206,56 @@ def line(row: dict) -> str:
     """A row in words."""
     if row["status"] != "ok":
         return f"{row['words']}: {row['status']} {row.get('text', '')[:300]}"
-    judged = {None: f"outside does not say: {row.get('why')}", True: "within", False: "BEYOND"}[row["within"]]
-    return (f"{row['words']}: {row['state']}, {judged} {row.get('nearest', '')}; planning {row['planning_s']:.1f} s, "
-            f"truth {row.get('truth_s', 0):.1f} s, gain {row.get('gain', 1) - 1:+.1e}")
+    judged = {None: f"outside does not say: {row.get('why')}", True: "within", False: "BEYOND"}[
+        row["within"]
+    ]
+    return (
+        f"{row['words']}: {row['state']}, {judged} {row.get('nearest', '')}; planning {row['planning_s']:.1f} s, "
+        f"truth {row.get('truth_s', 0):.1f} s, gain {row.get('gain', 1) - 1:+.1e}"
+    )
 
 
 def summary(rows: list[dict]) -> str:
     """How often the planner's word is kept, and where it is not."""
     good = [row for row in rows if row["status"] == "ok"]
-    says = {state: [row for row in good if row["state"] == state] for state in ("met", "not met", "not judged")}
+    says = {
+        state: [row for row in good if row["state"] == state]
+        for state in ("met", "not met", "not judged")
+    }
     met = [row for row in says["met"] if row["within"] is not None]
     false = sorted((row for row in met if not row["within"]), key=lambda row: -row["over"])
     unmet = [row for row in says["not met"] if row["within"] is not None]
     unsure = [row for row in says["not judged"] if row["within"] is not None]
-    found = [f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
-             f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
-             f"{sum(row['status'] == 'crash' for row in rows)} crashed; the outside judges "
-             f"{sum(row['within'] is not None for row in good)}",
-             f"met: {len(says['met'])}, judged {len(met)}: true {len(met) - len(false)}, false {len(false)}"
-             + (f" ({100 * (1 - len(false) / len(met)):.1f} % true)" if met else ""),
-             f"not met: {len(says['not met'])}, judged {len(unmet)}: of them beyond "
-             f"{sum(not row['within'] for row in unmet)}",
-             f"not judged by the planner: {len(says['not judged'])}, the outside judges {len(unsure)}: of them beyond "
-             f"{sum(not row['within'] for row in unsure)}"]
+    found = [
+        f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
+        f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
+        f"{sum(row['status'] == 'crash' for row in rows)} crashed; the outside judges "
+        f"{sum(row['within'] is not None for row in good)}",
+        f"met: {len(says['met'])}, judged {len(met)}: true {len(met) - len(false)}, false {len(false)}"
+        + (f" ({100 * (1 - len(false) / len(met)):.1f} % true)" if met else ""),
+        f"not met: {len(says['not met'])}, judged {len(unmet)}: of them beyond "
+        f"{sum(not row['within'] for row in unmet)}",
+        f"not judged by the planner: {len(says['not judged'])}, the outside judges {len(unsure)}: of them beyond "
+        f"{sum(not row['within'] for row in unsure)}",
+    ]
     found += [f"crash: {row['words']}: {row['text']}" for row in rows if row["status"] == "crash"]
-    found += [f"false met, {row['nearest']} (rms predicted {row['predicted']['rms']:.2g}, gain {row['gain'] - 1:+.1e})"
-              f": {row['words']}" for row in false]
-    reasons = Counter(row["text"].partition(", got")[0][:110] for row in rows if row["status"] == "refused")
+    found += [
+        f"false met, {row['nearest']} (rms predicted {row['predicted']['rms']:.2g}, gain {row['gain'] - 1:+.1e})"
+        f": {row['words']}"
+        for row in false
+    ]
+    reasons = Counter(
+        row["text"].partition(", got")[0][:110] for row in rows if row["status"] == "refused"
+    )
     found += [f"refused {count} times: {text}" for text, count in reasons.most_common()]
-    found += [f"too slow: {row['words']}: {row['text']}" for row in rows if row["status"] == "too slow"]
+    found += [
+        f"too slow: {row['words']}: {row['text']}" for row in rows if row["status"] == "too slow"
+    ]
     reasons = Counter(row["why"][:80] for row in good if row["within"] is None)
-    found += [f"outside does not say, {count} times: {text}" for text, count in reasons.most_common(8)]
+    found += [
+        f"outside does not say, {count} times: {text}" for text, count in reasons.most_common(8)
+    ]
     slow = sorted((row for row in good), key=lambda row: -row["planning_s"])[:SLOW]
-    return "\n".join([*found, *(f"plan of {row['planning_s']:.1f} s: {row['words']}" for row in slow)])
+    return "\n".join(
+        [*found, *(f"plan of {row['planning_s']:.1f} s: {row['words']}" for row in slow)]
+    )

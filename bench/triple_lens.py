@@ -34,7 +34,9 @@ class Lens:
         scene, ratio = self.scene, self.scene.samples_per_pixel
         axis, corner = axis_of(scene, self.camera), np.hypot(*scene.shape) / 2
         middle = [(n - 1) / 2 for n in scene.content.shape]
-        return ((rows - middle[0]) / ratio - axis[0]) / corner, ((cols - middle[1]) / ratio - axis[1]) / corner
+        return ((rows - middle[0]) / ratio - axis[0]) / corner, (
+            (cols - middle[1]) / ratio - axis[1]
+        ) / corner
 
     def q(self, wavelength):
         """Wavelength times f-number over the distance of samples."""
@@ -48,14 +50,20 @@ class Lens:
         zernikes = np.array(own.zernike)
         if own.heights:
             zernikes = np.array([np.interp(height, own.heights, column) for column in zernikes.T])
-        shift = optics.defocus if isinstance(optics.defocus, float) else float(np.interp(
-            wavelength, optics.defocus.wavelengths, optics.defocus.values))
+        shift = (
+            optics.defocus
+            if isinstance(optics.defocus, float)
+            else float(np.interp(wavelength, optics.defocus.wavelengths, optics.defocus.values))
+        )
         if distance is not None:
             shift += (1 / optics.object_distance - 1 / distance) * optics.image_distance**2
         focus = shift / (8 * optics.working_f_number**2 * wavelength * 1e-9)
         colour = optics.lateral_color
-        colour = colour if isinstance(colour, float) else float(np.interp(
-            wavelength, colour.wavelengths, colour.values))
+        colour = (
+            colour
+            if isinstance(colour, float)
+            else float(np.interp(wavelength, colour.wavelengths, colour.values))
+        )
         # a tilt that moves the image by colour times the place: rays meet it at -2 q grad W
         corner = np.hypot(*scene.shape) / 2 * scene.samples_per_pixel
         tilt = [-colour * corner * at / (2 * self.q(wavelength)) for at in (y, x)]
@@ -64,8 +72,13 @@ class Lens:
 
         def waves(u, v):
             along, across, square = u * cos + v * sin, v * cos - u * sin, u * u + v * v
-            total = (w040 * square**2 + w131 * height * square * along + w222 * height**2 * along**2
-                     + w220 * height**2 * square + w311 * height**3 * along)
+            total = (
+                w040 * square**2
+                + w131 * height * square * along
+                + w222 * height**2 * along**2
+                + w220 * height**2 * square
+                + w311 * height**3 * along
+            )
             for number, weight in enumerate(zernikes, 1):
                 if weight and number > 1:
                     total = total + weight * zernike(number, along, across)
@@ -85,8 +98,10 @@ def apertures(scene, camera):
     """Width of the pixels' apertures and their phase on the samples [sample], and the first pixel's place."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     width = tuple(ratio * one / sensor.pixel_pitch for one in sensor.aperture)
-    first = [scene.margin + (have - 2 * scene.margin - ratio * n) / 2 // 1 + ratio * (0.5 + move) - 0.5
-             for have, n, move in zip(scene.content.shape, scene.shape, sensor.displacement, strict=True)]
+    first = [
+        scene.margin + (have - 2 * scene.margin - ratio * n) / 2 // 1 + ratio * (0.5 + move) - 0.5
+        for have, n, move in zip(scene.content.shape, scene.shape, sensor.displacement, strict=True)
+    ]
     return width, tuple(float(one % 1) for one in first), [int(np.floor(one)) for one in first]
 
 
@@ -102,7 +117,11 @@ def kernels(lens, wavelength, points, reach, width=None):
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     q = lens.q(wavelength)
     at, fine = brute.fine_grid(q, reach)
-    extra = brute.Spread(q, apart=tuple(one / pitch for one in optics.birefringence), diffused=optics.diffuser / pitch)
+    extra = brute.Spread(
+        q,
+        apart=tuple(one / pitch for one in optics.birefringence),
+        diffused=optics.diffuser / pitch,
+    )
     waves = [lens.waves(wavelength, *point) for point in points]
     front = optics.wavefront
     if not (optics.pupil.blades or optics.varies or front.zernike):  # round
@@ -129,7 +148,9 @@ def measured_kernels(lens, wavelength, places, reach):
             sides = []
             for d, w, at in zip((down, across), width, phase, strict=True):
                 edge = (whole + at - d / pitch)[:, None] + np.array([-w, w]) / 2
-                sides.append(np.diff(erf(edge / (np.sqrt(2) * sigma / pitch)), axis=1)[:, 0] / (2 * w))
+                sides.append(
+                    np.diff(erf(edge / (np.sqrt(2) * sigma / pitch)), axis=1)[:, 0] / (2 * w)
+                )
             total = total + weight * np.outer(*sides)
         yield total
 
@@ -138,7 +159,10 @@ def tail(lens, wavelength, reach) -> float:
     """Light of a point beyond a square of half-width `reach`."""
     if lens.camera.optics.model == "measured":
         return 0.0
-    return sum(part * brute.energy_beyond(replace(of, q=lens.q(wavelength)), reach) for part, of in edges(lens))
+    return sum(
+        part * brute.energy_beyond(replace(of, q=lens.q(wavelength)), reach)
+        for part, of in edges(lens)
+    )
 
 
 def edges(lens):
@@ -149,5 +173,7 @@ def edges(lens):
     n, hole = pupil.blades, pupil.obscuration
     polygon = n / 2 * np.sin(2 * np.pi / n)
     area = polygon - np.pi * hole**2
-    return [(polygon / area, brute.Spread(1.0, blades=n, turned=pupil.rotation)),
-            (np.pi * hole / area, brute.Spread(1.0))][: 2 if hole else 1]
+    return [
+        (polygon / area, brute.Spread(1.0, blades=n, turned=pupil.rotation)),
+        (np.pi * hole / area, brute.Spread(1.0)),
+    ][: 2 if hole else 1]

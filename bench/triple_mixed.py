@@ -19,15 +19,42 @@ from gpusim.domain.mosaics import mosaic
 from gpusim.domain.pupil import Pupil, Wavefront
 
 OLD, MIXED = range(33000, 33200), range(34000, 34200)
-LENSES = {"ideal": 0.2, "defocus": 0.12, "axial": 0.06, "zernike": 0.08, "spherical": 0.06, "field": 0.07,
-          "field zernike": 0.04, "lateral": 0.04, "measured": 0.08, "measured heights": 0.04, "measured grid": 0.03,
-          "pupil": 0.14, "none": 0.04}
-DISTORTIONS = {"": 0.6, "radial": 0.07, "table": 0.05, "brown": 0.06, "fisheye": 0.05, "calibration": 0.06,
-               "calibration off": 0.07, "pinhole off": 0.04}
+LENSES = {
+    "ideal": 0.2,
+    "defocus": 0.12,
+    "axial": 0.06,
+    "zernike": 0.08,
+    "spherical": 0.06,
+    "field": 0.07,
+    "field zernike": 0.04,
+    "lateral": 0.04,
+    "measured": 0.08,
+    "measured heights": 0.04,
+    "measured grid": 0.03,
+    "pupil": 0.14,
+    "none": 0.04,
+}
+DISTORTIONS = {
+    "": 0.6,
+    "radial": 0.07,
+    "table": 0.05,
+    "brown": 0.06,
+    "fisheye": 0.05,
+    "calibration": 0.06,
+    "calibration off": 0.07,
+    "pinhole off": 0.04,
+}
 DEPTHS = {"": 0.72, "two": 0.1, "slope": 0.08, "layers": 0.1}
 VIEWS = {"": 0.66, "whole": 0.08, "fraction": 0.1, "zoom": 0.08, "turn": 0.08}
-MOSAICS = {"bayer": 0.34, "quad-bayer": 0.12, "nona-bayer": 0.1, "x-trans": 0.12, "rgbw": 0.12, "mono": 0.12,
-           "stacked": 0.08}
+MOSAICS = {
+    "bayer": 0.34,
+    "quad-bayer": 0.12,
+    "nona-bayer": 0.1,
+    "x-trans": 0.12,
+    "rgbw": 0.12,
+    "mono": 0.12,
+    "stacked": 0.08,
+}
 BORDERS = {"zero": 0.25, "edge": 0.35, "reflect": 0.2, "scene": 0.2}
 FORMS = {"cube": 0.3, "basis": 0.2, "materials": 0.2, "picture": 0.15, "illuminated": 0.15}
 NODES = {"31": 0.3, "few": 0.35, "irregular": 0.2, "narrow": 0.12, "one": 0.03}
@@ -49,17 +76,33 @@ class Blobs(gs.PointSpread):
     def of(cls, pitch, mixtures, heights=None, grid=None):
         """Sampled four times a pixel or finer, as far as they reach."""
         least = min(sigma for blobs in mixtures for *_, sigma in blobs)
-        spacing, far = min(pitch / 4, least / 2.5), max(np.hypot(y, x) + 5 * sigma for blobs in mixtures
-                                                        for _, y, x, sigma in blobs)
+        spacing, far = (
+            min(pitch / 4, least / 2.5),
+            max(np.hypot(y, x) + 5 * sigma for blobs in mixtures for _, y, x, sigma in blobs),
+        )
         half = ceil(far / spacing)
         at = spacing * np.arange(-half, half + 1)
-        values = np.stack([sum(weight / sigma**2 * np.exp(-((at[:, None] - y) ** 2 + (at - x) ** 2) / (2 * sigma**2))
-                               for weight, y, x, sigma in blobs) for blobs in mixtures])
+        values = np.stack(
+            [
+                sum(
+                    weight
+                    / sigma**2
+                    * np.exp(-((at[:, None] - y) ** 2 + (at - x) ** 2) / (2 * sigma**2))
+                    for weight, y, x, sigma in blobs
+                )
+                for blobs in mixtures
+            ]
+        )
         values = np.repeat(values[:, None], 2, axis=1)  # at two wavelengths, the same
         if grid is not None:
             values = values.reshape(*map(len, grid), *values.shape[1:])
-        made = cls(np.array([380.0, 780.0]), values if heights is not None or grid is not None else values[0], spacing,
-                   heights=heights, grid=grid)
+        made = cls(
+            np.array([380.0, 780.0]),
+            values if heights is not None or grid is not None else values[0],
+            spacing,
+            heights=heights,
+            grid=grid,
+        )
         object.__setattr__(made, "mixtures", tuple(mixtures))
         object.__setattr__(made, "radius", far)
         return made
@@ -69,17 +112,28 @@ class Blobs(gs.PointSpread):
         if self.heights is None and self.grid is None:
             return list(self.mixtures[0])
         if self.grid is not None:
-            shares = [np.interp(place, axis, np.eye(len(axis))[k])
-                      for place, axis in zip((y, x), self.grid, strict=True) for k in range(len(axis))]
+            shares = [
+                np.interp(place, axis, np.eye(len(axis))[k])
+                for place, axis in zip((y, x), self.grid, strict=True)
+                for k in range(len(axis))
+            ]
             down, across = shares[: len(self.grid[0])], shares[len(self.grid[0]) :]
-            return [(a * b * weight, *more) for blobs, (a, b) in zip(
-                self.mixtures, [(a, b) for a in down for b in across], strict=True) for weight, *more in blobs]
+            return [
+                (a * b * weight, *more)
+                for blobs, (a, b) in zip(
+                    self.mixtures, [(a, b) for a in down for b in across], strict=True
+                )
+                for weight, *more in blobs
+            ]
         height, angle = np.hypot(y, x), np.arctan2(y, x)
         cos, sin, found = np.cos(angle), np.sin(angle), []
         for k, blobs in enumerate(self.mixtures):
             share = float(np.interp(height, self.heights, np.eye(len(self.heights))[k]))
-            found += [(share * weight, cos * v + sin * u, cos * u - sin * v, sigma)
-                      for weight, v, u, sigma in blobs if share]
+            found += [
+                (share * weight, cos * v + sin * u, cos * u - sin * v, sigma)
+                for weight, v, u, sigma in blobs
+                if share
+            ]
         return found
 
 
@@ -93,38 +147,86 @@ def triple(seed: int) -> Triple:
 
 
 def _drawn(seed, random):
-    kind = {name: old._one_of(random, table) for name, table in (
-        ("lens", LENSES), ("distortion", DISTORTIONS), ("depth", DEPTHS), ("view", VIEWS), ("mosaic", MOSAICS),
-        ("border", BORDERS), ("form", FORMS), ("nodes", NODES), ("frame", FRAMES))}
+    kind = {
+        name: old._one_of(random, table)
+        for name, table in (
+            ("lens", LENSES),
+            ("distortion", DISTORTIONS),
+            ("depth", DEPTHS),
+            ("view", VIEWS),
+            ("mosaic", MOSAICS),
+            ("border", BORDERS),
+            ("form", FORMS),
+            ("nodes", NODES),
+            ("frame", FRAMES),
+        )
+    }
     if kind["depth"]:
         kind["view"] = ""
     if kind["lens"].startswith(("field", "measured", "lateral")) and kind["nodes"] == "31":
         kind["nodes"] = "few"  # sums over wavelengths and places take long
     shape = _frame(random, kind["frame"])
     ratio = float(random.choice((1, 1, 1, 1, 2, 2, 4))) if max(shape) <= 64 else 1.0
-    q = (0.5 if kind["lens"] in ("ideal", "defocus", "pupil", "zernike") else 1.0) * 5 ** random.random()
+    q = (
+        0.5 if kind["lens"] in ("ideal", "defocus", "pupil", "zernike") else 1.0
+    ) * 5 ** random.random()
     if ratio > 1 and q * ratio * 0.7 < 2 and random.random() < 0.8:
         q = 3 / ratio
     margin = int(random.integers(4, 13)) if kind["border"] == "scene" else 0
     samples = tuple(int(n * ratio) + 2 * margin for n in shape)
     content, said = _content(random, kind, samples)
-    light, luminance = gs.illuminant(LIGHTS[random.integers(len(LIGHTS))]), float(10 ** random.uniform(0.5, 3.5))
+    light, luminance = (
+        gs.illuminant(LIGHTS[random.integers(len(LIGHTS))]),
+        float(10 ** random.uniform(0.5, 3.5)),
+    )
     camera, features = _camera(random, kind, q, shape, ratio)
     depth, layers = _depth(random, kind["depth"], content, camera, ratio)
     view = _view(random, kind["view"])
     fov = float(random.uniform(0.2, 0.9)) if random.random() < 0.15 else None
-    scene = gs.Scene(content, white_radiance(light, luminance), kind["border"], margin, fov=fov, depth=depth,
-                     name="mixed", samples_per_pixel=ratio, layers=layers, view=view)
-    features += [name for name in (f"depth {kind['depth']}" if kind["depth"] else "", said,
-                                   f"view {kind['view']}" if kind["view"] else "", kind["frame"],
-                                   f"border {kind['border']}" if kind["border"] != "edge" else "",
-                                   "fov" if fov else "", f"{ratio:g} samples" if ratio > 1 else "",
-                                   kind["form"] if kind["form"] != "cube" else "",
-                                   f"nodes {kind['nodes']}" if kind["nodes"] != "31" else "") if name]
+    scene = gs.Scene(
+        content,
+        white_radiance(light, luminance),
+        kind["border"],
+        margin,
+        fov=fov,
+        depth=depth,
+        name="mixed",
+        samples_per_pixel=ratio,
+        layers=layers,
+        view=view,
+    )
+    features += [
+        name
+        for name in (
+            f"depth {kind['depth']}" if kind["depth"] else "",
+            said,
+            f"view {kind['view']}" if kind["view"] else "",
+            kind["frame"],
+            f"border {kind['border']}" if kind["border"] != "edge" else "",
+            "fov" if fov else "",
+            f"{ratio:g} samples" if ratio > 1 else "",
+            kind["form"] if kind["form"] != "cube" else "",
+            f"nodes {kind['nodes']}" if kind["nodes"] != "31" else "",
+        )
+        if name
+    ]
     tolerance, near = _tolerance(random)
-    words = (f"{seed}: {scene.shape[1]}x{scene.shape[0]} q {q:.2g} f/{camera.optics.f_number:.3g} "
-             f"{'; '.join(features)}; {light.name} {luminance:.3g} cd/m2; tolerance {tolerance}{' near' * near}")
-    return Triple(seed, scene, camera, tolerance, "mixed", kind["border"], kind["lens"], words, tuple(features), near)
+    words = (
+        f"{seed}: {scene.shape[1]}x{scene.shape[0]} q {q:.2g} f/{camera.optics.f_number:.3g} "
+        f"{'; '.join(features)}; {light.name} {luminance:.3g} cd/m2; tolerance {tolerance}{' near' * near}"
+    )
+    return Triple(
+        seed,
+        scene,
+        camera,
+        tolerance,
+        "mixed",
+        kind["border"],
+        kind["lens"],
+        words,
+        tuple(features),
+        near,
+    )
 
 
 def _frame(random, kind):
@@ -150,7 +252,9 @@ def _wavelengths(random, kind):
     if kind == "few":
         return np.linspace(400.0, 700.0, int(random.integers(4, 8)))
     if kind == "narrow":
-        return np.linspace(*[(420.0, 560.0), (500.0, 660.0)][random.integers(2)], int(random.integers(4, 9)))
+        return np.linspace(
+            *[(420.0, 560.0), (500.0, 660.0)][random.integers(2)], int(random.integers(4, 9))
+        )
     if kind == "one":
         return np.array([float(random.integers(450, 650))])
     inner = np.sort(random.choice(np.arange(410.0, 691.0, 10.0), 5, replace=False))
@@ -161,13 +265,16 @@ def _content(random, kind, samples):
     """Smooth to fine planes of random spectra, with edges, bright points or stars in the dark."""
     nodes = _wavelengths(random, kind["nodes"])
     count = int(random.integers(2, 6))
-    spectra = np.array([np.interp(nodes, old.WAVELENGTHS, one) for one in old._smooth(random, count)])
+    spectra = np.array(
+        [np.interp(nodes, old.WAVELENGTHS, one) for one in old._smooth(random, count)]
+    )
     parts = np.nan_to_num(np.stack([old._texture(random, samples) for _ in range(count)]), nan=1.0)
     said = ""
     if random.random() < 0.35:  # edges
         y, x = np.indices(samples)
-        slanted = np.cos(random.uniform(0, np.pi)) * (y - samples[0] / 2) + np.sin(random.uniform(0, 3)) * (
-            x - samples[1] / 2)
+        slanted = np.cos(random.uniform(0, np.pi)) * (y - samples[0] / 2) + np.sin(
+            random.uniform(0, 3)
+        ) * (x - samples[1] / 2)
         parts[0] *= np.where(slanted > 0, 1.0, 10 ** random.uniform(-3, -0.3))
         said = "edge"
     choice = random.random()
@@ -176,7 +283,11 @@ def _content(random, kind, samples):
         if choice < 0.08:
             parts *= 10.0 ** random.uniform(-7, -3)
             said, reach = "stars", 0.5
-            parts[:, random.integers(samples[0], size=number), random.integers(samples[1], size=number)] = 1.0
+            parts[
+                :,
+                random.integers(samples[0], size=number),
+                random.integers(samples[1], size=number),
+            ] = 1.0
         places = random.integers(samples[0], size=number), random.integers(samples[1], size=number)
         parts[(slice(None), *places)] *= 10 ** random.uniform(0, reach)
         said = said or f"highlights 1e{reach:.2g}"
@@ -189,8 +300,15 @@ def _content(random, kind, samples):
         return gs.Materials(nodes, ids.astype(np.uint8), planes.max(axis=0), spectra), said
     if form == "illuminated":
         maps = np.stack([old._texture(random, samples) for _ in range(2)]).astype(np.float32)
-        return gs.Illuminated(nodes, maps, planes, spectra, 0.2 + 0.8 * np.array(
-            [np.interp(nodes, old.WAVELENGTHS, one) for one in old._smooth(random, 2)])), said
+        return gs.Illuminated(
+            nodes,
+            maps,
+            planes,
+            spectra,
+            0.2
+            + 0.8
+            * np.array([np.interp(nodes, old.WAVELENGTHS, one) for one in old._smooth(random, 2)]),
+        ), said
     if form == "picture" and len(nodes) > 1:
         codes = np.clip(255 * np.moveaxis(parts[:3] * count / 2, 0, -1), 0, 255).astype(np.uint8)
         codes = codes if codes.shape[2] == 3 else codes[..., [0, 1, 1]]
@@ -202,8 +320,11 @@ def _content(random, kind, samples):
 
 def _camera(random, kind, q, shape, ratio):
     """The camera, and its features in words."""
-    own = gs.open_camera("mono" if kind["mosaic"] == "mono" else ("phone", "machine-vision", "figure8")[
-        random.integers(3)])
+    own = gs.open_camera(
+        "mono"
+        if kind["mosaic"] == "mono"
+        else ("phone", "machine-vision", "figure8")[random.integers(3)]
+    )
     f_number = q * own.sensor.pixel_pitch / WAVES
     sensor, processor, features = own.sensor, own.processor, []
     if kind["mosaic"] not in ("bayer", "mono"):
@@ -211,7 +332,9 @@ def _camera(random, kind, q, shape, ratio):
         processor = replace(processor, demosaic="bilinear")
         if kind["mosaic"] == "rgbw":
             table = sensor.qe.values
-            clear = np.minimum(table.sum(axis=0, keepdims=True), 1) ** 0.7  # no sum of the others: color needs four
+            clear = (
+                np.minimum(table.sum(axis=0, keepdims=True), 1) ** 0.7
+            )  # no sum of the others: color needs four
             qe = replace(sensor.qe, values=np.concatenate([table, clear]))
             sensor = replace(sensor, qe=qe, channels=("R", "G", "B", "W"), cfa=mosaic("rgbw"))
         elif kind["mosaic"] == "stacked":
@@ -224,17 +347,25 @@ def _camera(random, kind, q, shape, ratio):
     if random.random() < 0.2 and not kind["depth"]:
         room = (1 - np.sqrt(sensor.fill_factor)) / 2
         move = tuple(float(one) for one in random.uniform(0, 1, 2))
-        sensor = replace(sensor, offset=move) if random.random() < 0.5 else replace(
-            sensor, centre=tuple(one * room for one in move))
+        sensor = (
+            replace(sensor, offset=move)
+            if random.random() < 0.5
+            else replace(sensor, centre=tuple(one * room for one in move))
+        )
         features.append("displaced")
     if not sensor.stacked and random.random() < 0.15:
-        sensor = replace(sensor, binning=(2, 2), binning_mode=str(random.choice(("charge", "digital"))))
+        sensor = replace(
+            sensor, binning=(2, 2), binning_mode=str(random.choice(("charge", "digital")))
+        )
         features.append("binned")
     if random.random() < 0.12:
         sensor = replace(sensor, vignetting=((0.7, 0.9, 0.6), (0.95, 1.0, 0.9), (0.6, 0.8, 0.75)))
         features.append("vignetting")
     if random.random() < 0.3:
-        sensor = replace(sensor, noise=replace(sensor.noise, photon="none") if random.random() < 0.5 else gs.Noise())
+        sensor = replace(
+            sensor,
+            noise=replace(sensor.noise, photon="none") if random.random() < 0.5 else gs.Noise(),
+        )
         features.append("noise set")
     if random.random() < 0.5:
         sensor = replace(sensor, exposure_time=float(10 ** random.uniform(-3, -1)))
@@ -249,11 +380,19 @@ def _optics(random, kind, f_number, own, sensor, shape, ratio):
     features = [lens] * (lens != "ideal") + ["near focus"] * (near < 2)
     made = gs.Optics(float(np.clip(f_number, 0.5, 200)), focal, object_distance=near)
     if random.random() < 0.3:
-        made = replace(made, transmission=gs.Spectrum(np.array([350.0, 500.0, 800.0]), np.array([0.5, 0.95, 0.7])))
+        made = replace(
+            made,
+            transmission=gs.Spectrum(np.array([350.0, 500.0, 800.0]), np.array([0.5, 0.95, 0.7])),
+        )
     choice = random.random()
     if choice < 0.5:
-        given = "none" if choice < 0.2 else (-0.3, 0.1) if choice < 0.35 else (np.array([0.0, 0.5, 1.3]),
-                                                                              np.array([1.0, 0.8, 0.4]))
+        given = (
+            "none"
+            if choice < 0.2
+            else (-0.3, 0.1)
+            if choice < 0.35
+            else (np.array([0.0, 0.5, 1.3]), np.array([1.0, 0.8, 0.4]))
+        )
         made = replace(made, relative_illumination=given)
         features.append("illumination given" if choice >= 0.2 else "illumination none")
     if kind["distortion"]:
@@ -268,7 +407,9 @@ def _optics(random, kind, f_number, own, sensor, shape, ratio):
         features.append(f"blades {made.pupil.blades} hole {made.pupil.obscuration:.2g}")
     if random.random() < 0.15:
         apart = float(random.uniform(0.3, 1.0) * pitch)
-        made = replace(made, birefringence=(apart, apart), diffuser=float(random.uniform(0, 0.3) * pitch))
+        made = replace(
+            made, birefringence=(apart, apart), diffuser=float(random.uniform(0, 0.3) * pitch)
+        )
         features.append("low-pass")
     wave = 8 * made.working_f_number**2 * WAVES
     waves = float(random.choice((-1, 1)) * 0.1 * 20 ** random.random())
@@ -287,18 +428,31 @@ def _aberrated(random, lens):
     if lens == "spherical":
         return {"wavefront": Wavefront(seidel=(float(random.uniform(-1.5, 1.5)), 0, 0, 0, 0))}
     if lens == "zernike":
-        return {"wavefront": Wavefront(zernike=(0, 0, 0, *(float(one) for one in random.normal(0, 0.12, 8))))}
+        return {
+            "wavefront": Wavefront(
+                zernike=(0, 0, 0, *(float(one) for one in random.normal(0, 0.12, 8)))
+            )
+        }
     if lens == "field zernike":  # coma that grows with the height, and terms that do not change
         same = random.normal(0, 0.06, 1).tolist()
-        return {"wavefront": Wavefront(zernike=((0, 0, 0, *same, 0, 0, 0, 0), (0, 0, 0, *same, 0, 0, 0, float(
-            random.uniform(-0.3, 0.3)))), heights=(0.0, 1.2))}
+        return {
+            "wavefront": Wavefront(
+                zernike=(
+                    (0, 0, 0, *same, 0, 0, 0, 0),
+                    (0, 0, 0, *same, 0, 0, 0, float(random.uniform(-0.3, 0.3))),
+                ),
+                heights=(0.0, 1.2),
+            )
+        }
     colour = gs.Spectrum(np.array([450.0, 650.0]), random.uniform(-4e-3, 4e-3, 2))
     if lens == "lateral":
         return {"lateral_color": colour}
     if lens == "field":
         seidel = tuple(float(one) for one in random.uniform(-0.8, 0.8, 4))
-        return {"wavefront": Wavefront(seidel=(0.0, *seidel[:3], 0.3 * seidel[3])),
-                "lateral_color": colour if random.random() < 0.3 else 0.0}
+        return {
+            "wavefront": Wavefront(seidel=(0.0, *seidel[:3], 0.3 * seidel[3])),
+            "lateral_color": colour if random.random() < 0.3 else 0.0,
+        }
     return {}
 
 
@@ -310,16 +464,23 @@ def _pupil(random):
 
 def _measured(random, lens, pitch, shape):
     def blobs(height):
-        wide, off = pitch * random.uniform(0.5, 1.2) * (1 + 0.6 * height), pitch * height * random.uniform(-1, 1)
+        wide, off = (
+            pitch * random.uniform(0.5, 1.2) * (1 + 0.6 * height),
+            pitch * height * random.uniform(-1, 1),
+        )
         return ((0.7, 0.0, 0.0, wide), (0.3, 0.0, off, 1.4 * wide))
 
     if lens == "measured":
-        return Blobs.of(pitch, [((0.7, 0.0, 0.0, 0.6 * pitch), (0.3, 0.5 * pitch, -0.3 * pitch, 0.9 * pitch))])
+        return Blobs.of(
+            pitch, [((0.7, 0.0, 0.0, 0.6 * pitch), (0.3, 0.5 * pitch, -0.3 * pitch, 0.9 * pitch))]
+        )
     if lens == "measured heights":
         heights = (0.0, 0.6, 1.0)
         return Blobs.of(pitch, [blobs(one) for one in heights], heights=np.array(heights))
     axes = [np.array([-1.0, 0.0, 1.0])] * 2
-    return Blobs.of(pitch, [blobs(np.hypot(y, x)) for y in axes[0] for x in axes[1]], grid=tuple(axes))
+    return Blobs.of(
+        pitch, [blobs(np.hypot(y, x)) for y in axes[0] for x in axes[1]], grid=tuple(axes)
+    )
 
 
 def _distortion(random, kind, shape, pitch):
@@ -338,10 +499,14 @@ def _distortion(random, kind, shape, pitch):
         return BrownConrady(k1, 0.0, 0.0, 0.01 * k1, -0.02 * k1, focal)
     if kind == "fisheye":
         return Fisheye(0.1 * k1, 0.0, 0.0, 0.0, focal)
-    off = (0.0, 0.0) if kind == "calibration" else tuple(random.uniform(-0.2, 0.2, 2) * (cols, rows))
+    off = (
+        (0.0, 0.0) if kind == "calibration" else tuple(random.uniform(-0.2, 0.2, 2) * (cols, rows))
+    )
     middle = cols / 2 - 0.5 + off[0], rows / 2 - 0.5 + off[1]
     coefficients = () if kind == "pinhole off" else (k1, 0.0, 0.0, 0.0)
-    return gs.Calibration(cols, rows, focal / pitch, focal / pitch, *map(float, middle), coefficients)
+    return gs.Calibration(
+        cols, rows, focal / pitch, focal / pitch, *map(float, middle), coefficients
+    )
 
 
 def _depth(random, kind, content, camera, ratio):
@@ -351,7 +516,14 @@ def _depth(random, kind, content, camera, ratio):
         return None, ()
     optics = camera.optics
     radius = random.uniform(0.5, 5) * ratio  # of the circle of confusion [sample]
-    change = 2 * radius * camera.sensor.pixel_pitch / ratio * optics.working_f_number / optics.image_distance**2
+    change = (
+        2
+        * radius
+        * camera.sensor.pixel_pitch
+        / ratio
+        * optics.working_f_number
+        / optics.image_distance**2
+    )
     near, far = 1 / (1 / FOCUS + change), 1 / max(1 / FOCUS - change, 1e-4)
     rows, cols = np.indices(shape)
     half = cols * np.cos(0.2) + rows * np.sin(0.2) > shape[1] * random.uniform(0.3, 0.7)
@@ -359,9 +531,13 @@ def _depth(random, kind, content, camera, ratio):
         return 1 / (1 / far + (1 / near - 1 / far) * cols / max(shape[1] - 1, 1)), ()
     if kind == "two":
         return np.where(half, near, FOCUS if random.random() < 0.6 else far), ()
-    front = (replace(content, codes=content.codes[::-1].copy()) if content.form == "picture" else
-             replace(content, maps=content.maps[:, ::-1].copy()) if content.form == "illuminated" else
-             content.with_planes(content.planes[..., ::-1, :].copy()))
+    front = (
+        replace(content, codes=content.codes[::-1].copy())
+        if content.form == "picture"
+        else replace(content, maps=content.maps[:, ::-1].copy())
+        if content.form == "illuminated"
+        else content.with_planes(content.planes[..., ::-1, :].copy())
+    )
     layer = gs.Layer(front, half.astype(np.float32), near if random.random() < 0.5 else FOCUS)
     return np.full(shape, far), (layer,)
 

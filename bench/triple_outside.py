@@ -69,7 +69,13 @@ def answers(scene, camera, seconds: float) -> Answers:
         for kind in ("spread", "layers") if scene.depth is not None else ("spread",):
             means.append(exposed(rates(lens, world, int(more[0]), kind), scene, camera, seconds))
     optics, sensor = camera.optics, camera.sensor
-    q = scene.wavelengths.min() * 1e-9 * optics.working_f_number / sensor.pixel_pitch * scene.samples_per_pixel
+    q = (
+        scene.wavelengths.min()
+        * 1e-9
+        * optics.working_f_number
+        / sensor.pixel_pitch
+        * scene.samples_per_pixel
+    )
     # rays of straight edges meet apertures with gaps unevenly: halving what is beyond the reach changes it by 2e-4
     is_uneven = sensor.fill_factor < 1 and q < 1 and optics.pupil.blades
     return Answers(means, min(rim, (min(scene.shape) - 1) // 3), 5e-4 if is_uneven else 3e-5)
@@ -78,10 +84,11 @@ def answers(scene, camera, seconds: float) -> Answers:
 def flat_depth(scene, camera, _world):
     """A scene with depth as the lens displaces it: one picture, whose samples have the distance of the nearest one."""
     planes = np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
-    (light, _, depth), = sheets_of(scene, planes, "spread")
+    ((light, _, depth),) = sheets_of(scene, planes, "spread")
     flat = replace(scene, layers=(), depth=depth)
-    return replace(flat, depth=distorted(flat, camera, depth[None], 0, order=0)[0]), [distorted(
-        flat, camera, light, 0)]
+    return replace(flat, depth=distorted(flat, camera, depth[None], 0, order=0)[0]), [
+        distorted(flat, camera, light, 0)
+    ]
 
 
 def spectra(content, band) -> np.ndarray:
@@ -100,9 +107,13 @@ def require(scene, camera):
     if not float(ratio).is_integer():
         raise OutOfRange("samples per pixel", ratio, "a whole number")
     q = scene.wavelengths.min() * 1e-9 * camera.optics.working_f_number / sensor.pixel_pitch * ratio
-    partial = ratio != 1 and (sensor.fill_factor != 1 or any((ratio * one) % 1 for one in sensor.displacement))
+    partial = ratio != 1 and (
+        sensor.fill_factor != 1 or any((ratio * one) % 1 for one in sensor.displacement)
+    )
     if partial and (q < 2 or camera.optics.model != "diffraction"):
-        raise OutOfRange("q of a sample", f"{q:.2g}", "2 or more with apertures that end between samples")
+        raise OutOfRange(
+            "q of a sample", f"{q:.2g}", "2 or more with apertures that end between samples"
+        )
     if camera.optics.model == "none" and (any(sensor.displacement) or partial):
         raise OutOfRange("displacement", sensor.displacement, "0 without blur")
 
@@ -113,7 +124,10 @@ def seen_by_view(scene, planes):
     y, x = (np.arange(n) - (n - 1) / 2 for n in planes.shape[1:])
     cos, sin = np.cos(view.rotation) / view.zoom, np.sin(view.rotation) / view.zoom
     y, x = np.meshgrid(y, x, indexing="ij")
-    down, across = cos * y + sin * x + ratio * view.shift[0], cos * x - sin * y + ratio * view.shift[1]
+    down, across = (
+        cos * y + sin * x + ratio * view.shift[0],
+        cos * x - sin * y + ratio * view.shift[1],
+    )
     return band_limited(planes, down, across, scene.border)
 
 
@@ -121,14 +135,29 @@ def reach_of(lens, planes) -> int:
     """Samples within which all light is summed. Raises OutOfRange."""
     scene, optics = lens.scene, lens.camera.optics
     if optics.model == "measured":
-        return ceil(optics.psf.radius * scene.samples_per_pixel / lens.camera.sensor.pixel_pitch) + 2
+        return (
+            ceil(optics.psf.radius * scene.samples_per_pixel / lens.camera.sensor.pixel_pitch) + 2
+        )
     longest = scene.wavelengths.max()
-    distances = [None] if scene.depth is None else [
-        extreme(np.asarray(one)) for one in (scene.depth, *(layer.depth for layer in scene.layers))
-        for extreme in (np.min, np.max)]
-    radius = max(2 * lens.q(longest) * steepest(lens.waves(wavelength, y, x, distance)) * wavelength / longest
-                 for y, x in ((0, 0), (0.7, 0.7), (0, 1), (-0.7, 0.7)) for distance in distances
-                 for wavelength in scene.wavelengths[[0, -1]])
+    distances = (
+        [None]
+        if scene.depth is None
+        else [
+            extreme(np.asarray(one))
+            for one in (scene.depth, *(layer.depth for layer in scene.layers))
+            for extreme in (np.min, np.max)
+        ]
+    )
+    radius = max(
+        2
+        * lens.q(longest)
+        * steepest(lens.waves(wavelength, y, x, distance))
+        * wavelength
+        / longest
+        for y, x in ((0, 0), (0.7, 0.7), (0, 1), (-0.7, 0.7))
+        for distance in distances
+        for wavelength in scene.wavelengths[[0, -1]]
+    )
     reach = max(NEAREST, RINGS * lens.q(longest), 3 * radius)
     if scene.border == "zero":
         return max(max(planes.shape[1:]), ceil(min(reach, FARTHEST)))
@@ -148,7 +177,10 @@ def shares_of(lens, more, reach):
     unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     axes, places = [], []
     for n in shape:
-        at = np.clip(np.arange(-reach - more, n + reach + more), 0, n - 1) / max((n - 1) / 2, 0.5) - 1
+        at = (
+            np.clip(np.arange(-reach - more, n + reach + more), 0, n - 1) / max((n - 1) / 2, 0.5)
+            - 1
+        )
         basis = np.ones((NODES, len(at)))
         for i in range(NODES):
             for j in set(range(NODES)) - {i}:
@@ -156,8 +188,9 @@ def shares_of(lens, more, reach):
         axes.append(basis)
         places.append((unit + 1) * max((n - 1) / 2, 0.5))
     points = [lens.place(y, x) for y in places[0] for x in places[1]]
-    return points, (axes[0][:, None, :, None] * axes[1][None, :, None, :]).reshape(NODES**2, *(
-        len(axis[0]) for axis in axes))
+    return points, (axes[0][:, None, :, None] * axes[1][None, :, None, :]).reshape(
+        NODES**2, *(len(axis[0]) for axis in axes)
+    )
 
 
 def sheets_of(scene, planes, kind):
@@ -185,9 +218,14 @@ def sheets_of(scene, planes, kind):
     sheets = []
     for level in levels:
         nearer = depth < level
-        rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True) if nearer.any() else (
-            np.indices(shape))
-        sheets.append((light[:, rows, cols], (depth[rows, cols] == level) * 1.0, np.full(shape, level)))
+        rows, cols = (
+            distance_transform_edt(nearer, return_distances=False, return_indices=True)
+            if nearer.any()
+            else (np.indices(shape))
+        )
+        sheets.append(
+            (light[:, rows, cols], (depth[rows, cols] == level) * 1.0, np.full(shape, level))
+        )
     return sheets
 
 
@@ -218,26 +256,44 @@ def rates(lens, planes, more, kind) -> np.ndarray:
     total = np.zeros((len(weights), *scene.shape))
     ratio = int(scene.samples_per_pixel)
     width, _, first = apertures(scene, camera)
-    room = ceil(ratio * max(map(abs, camera.sensor.displacement))) + 1  # pixels beyond the outermost samples
+    room = (
+        ceil(ratio * max(map(abs, camera.sensor.displacement))) + 1
+    )  # pixels beyond the outermost samples
     if camera.optics.model == "none":
         light = np.tensordot(weights, planes, 1)
-        places = np.ix_(*(more + scene.margin + (have - 2 * scene.margin - ratio * n) // 2 + np.arange(ratio * n)
-                          for have, n in zip(scene.content.shape, scene.shape, strict=True)))
+        places = np.ix_(
+            *(
+                more
+                + scene.margin
+                + (have - 2 * scene.margin - ratio * n) // 2
+                + np.arange(ratio * n)
+                for have, n in zip(scene.content.shape, scene.shape, strict=True)
+            )
+        )
         rows, cols = scene.shape
-        return light[:, places[0], places[1]].reshape(-1, rows, ratio, cols, ratio).mean(axis=(2, 4))
+        return (
+            light[:, places[0], places[1]].reshape(-1, rows, ratio, cols, ratio).mean(axis=(2, 4))
+        )
     reach = reach_of(lens, planes)
     points, shares = shares_of(lens, more, reach + room)
     sheets, shown = sheets_of(scene, planes, kind), sheets_of(scene, planes, "spread")[0][0]
     hidden = sheets_afar(lens, sheets, reach, room) if len(sheets) > 1 else []
-    chosen = np.ix_(*(room + more + at + ratio * np.arange(n) for at, n in zip(first, scene.shape, strict=True)))
+    chosen = np.ix_(
+        *(room + more + at + ratio * np.arange(n) for at, n in zip(first, scene.shape, strict=True))
+    )
     afar = np.zeros((len(weights), *planes.shape[1:]))
     for band, wavelength in enumerate(scene.wavelengths):
         share = weights[:, band]
         if not np.abs(share).max() > 1e-7 * np.abs(weights).max():
             continue
-        spread = Spread(lens, wavelength, points, shares, reach, room, bool(np.isclose(width, ratio).all()))
-        light = composed(spread, [(one[band], alpha, its) for one, alpha, its in sheets],
-                         [(one[band], cover) for one, cover in hidden])
+        spread = Spread(
+            lens, wavelength, points, shares, reach, room, bool(np.isclose(width, ratio).all())
+        )
+        light = composed(
+            spread,
+            [(one[band], alpha, its) for one, alpha, its in sheets],
+            [(one[band], cover) for one, cover in hidden],
+        )
         total += share[:, None, None] * light[chosen]
         afar += lens.q(wavelength) * spread.excess * share[:, None, None] * shown[band]
     return total if hidden else total + far(lens, afar, reach, scene, more, first)
@@ -271,8 +327,11 @@ class Spread:
         key = self.wavelength, distance, reach
         if key not in self.lens.known:
             places = [(*point, distance) for point in self.points]
-            self.lens.known[key] = list(measured_kernels(self.lens, self.wavelength, self.points, reach) if measured
-                                        else self._even(places))
+            self.lens.known[key] = list(
+                measured_kernels(self.lens, self.wavelength, self.points, reach)
+                if measured
+                else self._even(places)
+            )
         made = self.lens.known[key]
         size = [scipy.fft.next_fast_len(n + 2 * reach, real=True) for n in world.shape]
         total, beyond, alone = 0.0, [], tail(self.lens, self.wavelength, reach)
@@ -289,7 +348,9 @@ class Spread:
         made = list(kernels(self.lens, self.wavelength, places, self.reach))
         if self.is_whole or self.lens.q(self.wavelength) >= 1:
             return made
-        ratio = float(self.lens.scene.samples_per_pixel)  # what is beyond the reach is alike with gaps and without
+        ratio = float(
+            self.lens.scene.samples_per_pixel
+        )  # what is beyond the reach is alike with gaps and without
         whole = kernels(self.lens, self.wavelength, places, self.reach, (ratio, ratio))
         return [own / (own.sum() + 1 - all_.sum()) for own, all_ in zip(made, whole, strict=True)]
 
@@ -303,13 +364,20 @@ def composed(spread, sheets, afar):
     q = spread.lens.q(spread.wavelength)
     for number, (light, alpha, distances) in enumerate(sheets):
         mine, cover = 0.0, 0.0
-        for distance, share in [(None, np.ones(light.shape))] if distances is None else by_distance(distances):
+        for distance, share in (
+            [(None, np.ones(light.shape))] if distances is None else by_distance(distances)
+        ):
             mine = mine + spread.gathered(light * alpha * share, distance, brute.MODES[border])
             if afar:
-                cover = cover + spread.gathered(alpha * share, distance, "symmetric" if border == "reflect" else "edge")
+                cover = cover + spread.gathered(
+                    alpha * share, distance, "symmetric" if border == "reflect" else "edge"
+                )
         if not afar:
             return mine
-        mine, cover = (one + q * spread.excess * more for one, more in zip((mine, cover), afar[number], strict=True))
+        mine, cover = (
+            one + q * spread.excess * more
+            for one, more in zip((mine, cover), afar[number], strict=True)
+        )
         out, through = out + through * mine, through * (1 - np.clip(cover, 0, 1))
     return out
 
@@ -322,9 +390,16 @@ def sheets_afar(lens, sheets, reach, room):
     for light, alpha, _ in sheets:
         planes, mixes = few(light * alpha)
         places = [np.arange(-room, n + room, dtype=float) for n in alpha.shape]
-        more, cover = (sum(part * brute.from_afar(one, of, reach, border if border != "zero" or is_light else "edge",
-                                                  *places) for part, of in edges(lens))
-                       for one, is_light in ((planes, True), (alpha[None], False)))
+        more, cover = (
+            sum(
+                part
+                * brute.from_afar(
+                    one, of, reach, border if border != "zero" or is_light else "edge", *places
+                )
+                for part, of in edges(lens)
+            )
+            for one, is_light in ((planes, True), (alpha[None], False))
+        )
         found.append((np.tensordot(mixes, more, 1), cover[0]))
     return found
 
@@ -335,10 +410,18 @@ def gathered_one_by_one(lens, wavelength, world, reach):
     rows, cols = np.nonzero(world)
     shape = lens.scene.content.shape
     more = [(n - have) // 2 for n, have in zip(world.shape, shape, strict=True)]
-    places = {(y, x): lens.place(*(np.clip(at - beyond, 0, n - 1) for at, beyond, n in
-                                   zip((y, x), more, shape, strict=True)))
-              for y, x in zip(rows.tolist(), cols.tolist(), strict=True)}
-    for (y, x), kernel in zip(places, measured_kernels(lens, wavelength, places.values(), reach), strict=True):
+    places = {
+        (y, x): lens.place(
+            *(
+                np.clip(at - beyond, 0, n - 1)
+                for at, beyond, n in zip((y, x), more, shape, strict=True)
+            )
+        )
+        for y, x in zip(rows.tolist(), cols.tolist(), strict=True)
+    }
+    for (y, x), kernel in zip(
+        places, measured_kernels(lens, wavelength, places.values(), reach), strict=True
+    ):
         out[y : y + 2 * reach + 1, x : x + 2 * reach + 1] += world[y, x] * kernel
     return out[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
 
@@ -348,8 +431,13 @@ def far(lens, afar, reach, scene, more, first):
     ratio = int(scene.samples_per_pixel)
     if lens.camera.optics.model == "measured" or scene.border == "zero":
         return 0.0
-    places = [more + at + ratio * np.arange(n, dtype=float) for at, n in zip(first, scene.shape, strict=True)]
-    return sum(part * brute.from_afar(afar, of, reach, scene.border, *places) for part, of in edges(lens))
+    places = [
+        more + at + ratio * np.arange(n, dtype=float)
+        for at, n in zip(first, scene.shape, strict=True)
+    ]
+    return sum(
+        part * brute.from_afar(afar, of, reach, scene.border, *places) for part, of in edges(lens)
+    )
 
 
 def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
@@ -358,6 +446,10 @@ def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
     if camera.sensor.stacked:
         return channels
     cfa, (rows, cols) = camera.sensor.cfa, scene.shape
-    index = np.array([[camera.sensor.channels.index(cfa[i % len(cfa)][j % len(cfa[0])]) for j in range(cols)]
-                      for i in range(rows)])
+    index = np.array(
+        [
+            [camera.sensor.channels.index(cfa[i % len(cfa)][j % len(cfa[0])]) for j in range(cols)]
+            for i in range(rows)
+        ]
+    )
     return np.take_along_axis(channels, index[None], 0)[0]

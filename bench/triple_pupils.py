@@ -48,7 +48,10 @@ def chords(pupil, cycles: float) -> Chords:
     levels = {-1.0, 1.0} if not pupil.blades else set(corners_of(pupil)[:, 0].round(12))
     hole = pupil.obscuration
     levels = np.unique([*levels, *([-hole, hole] if hole else [])])
-    found, many = [], ceil(np.pi * cycles * 1.1) + 24  # pi cycles nodes for a chord of length 2, and a few
+    found, many = (
+        [],
+        ceil(np.pi * cycles * 1.1) + 24,
+    )  # pi cycles nodes for a chord of length 2, and a few
     t, mass = np.polynomial.legendre.leggauss(many)
     for low, high in pairwise(levels):
         if high - low < 1e-9:
@@ -64,7 +67,9 @@ def chords(pupil, cycles: float) -> Chords:
             parts = [(left, -inner), (inner, right)]
         for first, last in parts:
             half = (last - first) / 2
-            found.append((v, own, ((first + last) / 2)[:, None] + half[:, None] * t, half[:, None] * mass))
+            found.append(
+                (v, own, ((first + last) / 2)[:, None] + half[:, None] * t, half[:, None] * mass)
+            )
     v, own, u, weights = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     return Chords(v, own, u, weights, float(own @ weights.sum(axis=1)))
 
@@ -78,7 +83,10 @@ def spreads(rule: Chords, q: float, waves, at):
     part = max(1, int(CHUNK / (len(rule.v) * len(at))))
     for begin in range(0, len(waves), part):
         own = waves[begin : begin + part]
-        pupil = np.stack([rule.weights * np.exp(2j * np.pi * one(rule.u, rule.v[:, None])) for one in own], axis=1)
+        pupil = np.stack(
+            [rule.weights * np.exp(2j * np.pi * one(rule.u, rule.v[:, None])) for one in own],
+            axis=1,
+        )
         lines = np.empty((len(rule.v), len(own), len(at)), complex)
         for line, amplitude, u in zip(lines, pupil, inner, strict=True):
             line[:] = amplitude @ np.exp(1j * np.outer(u, at))
@@ -97,8 +105,11 @@ def zernike(j: int, u, v):
     r, angle = np.hypot(u, v), np.arctan2(v, u)
     radial, term = np.zeros(np.shape(r)), 1.0
     for s in range((n - m) // 2 + 1):
-        term = (-1) ** s * _factorial(n - s) / (_factorial(s) * _factorial((n + m) // 2 - s)
-                                                * _factorial((n - m) // 2 - s))
+        term = (
+            (-1) ** s
+            * _factorial(n - s)
+            / (_factorial(s) * _factorial((n + m) // 2 - s) * _factorial((n - m) // 2 - s))
+        )
         radial = radial + term * r ** (n - 2 * s)
     if m == 0:
         return np.sqrt(n + 1) * radial

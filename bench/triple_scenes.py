@@ -20,10 +20,24 @@ from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.io.scene.photo import read_samples
 
 DEVELOPMENT, HELD_OUT = range(160), range(500, 660)
-KINDS = {"photo": 0.22, "cube": 0.14, "chart": 0.22, "spectra": 0.24, "hdr": 0.18}  # name -> how often
+KINDS = {
+    "photo": 0.22,
+    "cube": 0.14,
+    "chart": 0.22,
+    "spectra": 0.24,
+    "hdr": 0.18,
+}  # name -> how often
 BORDERS = {"zero": 0.2, "edge": 0.35, "reflect": 0.2, "scene": 0.25}
-LENSES = {"ideal": 0.3, "defocus": 0.14, "axial": 0.06, "spherical": 0.1, "blades": 0.12, "obscured": 0.1,
-          "low-pass": 0.06, "field": 0.12}
+LENSES = {
+    "ideal": 0.3,
+    "defocus": 0.14,
+    "axial": 0.06,
+    "spherical": 0.1,
+    "blades": 0.12,
+    "obscured": 0.1,
+    "low-pass": 0.06,
+    "field": 0.12,
+}
 SENSORS = {"phone": 0.35, "machine-vision": 0.25, "figure8": 0.2, "mono": 0.2}
 TOLERANCES = ("1e-1", "1e-2", "1e-3", "3e-4", "1e-4", "1e-5", "preview", "video", "metrology")
 LIGHTS = ("D65", "A", "FL11", "FL2", "LED-B1", "LED-RGB1", "daylight-5000K")
@@ -31,7 +45,9 @@ CHARTS = ("colorchecker", "slanted-edge", "ramp", "points", "deadleaves", "sweep
 MOSAICS = ("GRBG", "BGGR", "GBRG", "x-trans", "quad-bayer")
 RATIOS = (1.0, 1.0, 1.0, 1.5, 2.0, 3.0, 1.25)  # samples per pixel
 LOW_Q, HIGH_Q = 0.25, 6.0  # of a pixel at GREEN
-LOW_FIELD_Q = 0.8  # where the blur varies over the field: below, the truth takes a quarter of an hour
+LOW_FIELD_Q = (
+    0.8  # where the blur varies over the field: below, the truth takes a quarter of an hour
+)
 GREEN = 550e-9
 SHORTEST, LONGEST, MOST_SAMPLES = 64, 256, 320  # sides of a frame [pixel] and of a scene [sample]
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
@@ -63,7 +79,9 @@ def triple(seed: int, data: Path | None = None) -> Triple | None:
     data: folder that has `kodak` and `mcm` (photographs), `cubes` and `isetcam` (spectral scenes).
     """
     random = np.random.default_rng((seed, 20))
-    kind, border, lens, base = (_one_of(random, names) for names in (KINDS, BORDERS, LENSES, SENSORS))
+    kind, border, lens, base = (
+        _one_of(random, names) for names in (KINDS, BORDERS, LENSES, SENSORS)
+    )
     tolerance = TOLERANCES[random.integers(len(TOLERANCES))]
     ratio = 1.0 if lens == "field" else RATIOS[random.integers(len(RATIOS))]
     low = LOW_FIELD_Q if lens == "field" else LOW_Q
@@ -79,9 +97,18 @@ def triple(seed: int, data: Path | None = None) -> Triple | None:
     if made is None:
         return None
     content, name = made
-    scene = gs.Scene(content, white_radiance(light, luminance), border, margin, name=name, samples_per_pixel=ratio)
-    words = (f"{seed}: {name} as {content.form} {scene.shape[1]}x{scene.shape[0]} x{ratio:g} border {border}"
-             f"{f' {margin}' if margin else ''}, {light.name} {luminance:.3g} cd/m2; {about}; tolerance {tolerance}")
+    scene = gs.Scene(
+        content,
+        white_radiance(light, luminance),
+        border,
+        margin,
+        name=name,
+        samples_per_pixel=ratio,
+    )
+    words = (
+        f"{seed}: {name} as {content.form} {scene.shape[1]}x{scene.shape[0]} x{ratio:g} border {border}"
+        f"{f' {margin}' if margin else ''}, {light.name} {luminance:.3g} cd/m2; {about}; tolerance {tolerance}"
+    )
     return Triple(seed, scene, camera, tolerance, kind, border, lens, words)
 
 
@@ -104,23 +131,32 @@ def _camera(random, base, lens, q):
     seconds = None if random.random() < 0.6 else float(10 ** random.uniform(-3, -1))
     stacked = base != "mono" and lens != "field" and random.random() < 0.08
     sensor = replace(sensor, fill_factor=fill, exposure_time=seconds, stacked=stacked)
-    about = (f"{base} {'stacked' if stacked else '/'.join(sensor.cfa)} fill {fill:.2g} q {q:.3g} {lens} {said}, "
-             f"{'auto' if seconds is None else f'{1e3 * seconds:.3g} ms'}")
+    about = (
+        f"{base} {'stacked' if stacked else '/'.join(sensor.cfa)} fill {fill:.2g} q {q:.3g} {lens} {said}, "
+        f"{'auto' if seconds is None else f'{1e3 * seconds:.3g} ms'}"
+    )
     return replace(own, optics=optics, sensor=sensor, processor=processor), about
 
 
 def _optics(random, lens, f_number, own):
     """The lens, and its figures in words."""
-    made = gs.Optics(f_number, own.optics.focal_length,
-                     relative_illumination="none" if random.random() < 0.3 else "cos4")
+    made = gs.Optics(
+        f_number,
+        own.optics.focal_length,
+        relative_illumination="none" if random.random() < 0.3 else "cos4",
+    )
     wave = 8 * f_number**2 * GREEN  # of defocus at the rim [m of the sensor]
     limit = 0.3 * own.optics.focal_length
     waves = float(random.choice((-1, 1)) * 0.1 * 30 ** random.random())
     if lens == "defocus":
-        return replace(made, defocus=float(np.clip(waves * wave, -limit, limit))), f"{waves:.2g} waves"
+        return replace(
+            made, defocus=float(np.clip(waves * wave, -limit, limit))
+        ), f"{waves:.2g} waves"
     if lens == "axial":
         low, high = np.clip(np.array([-abs(waves), waves / 2]) * wave, -limit, limit)
-        return replace(made, defocus=gs.Spectrum(np.array([420.0, 680.0]), np.array([low, high]))), f"{waves:.2g} waves"
+        return replace(
+            made, defocus=gs.Spectrum(np.array([420.0, 680.0]), np.array([low, high]))
+        ), f"{waves:.2g} waves"
     if lens == "spherical":
         seidel = (waves, 0.0, 0.0, 0.0, 0.0)
         return replace(made, wavefront=Wavefront(seidel=seidel)), f"{waves:.2g} waves"
@@ -132,8 +168,12 @@ def _optics(random, lens, f_number, own):
         return replace(made, pupil=Pupil(0, hole)), f"{hole:.2g}"
     if lens == "low-pass":
         apart = float(random.uniform(0.3, 1.2) * own.sensor.pixel_pitch)
-        diffuser = float(random.uniform(0, 0.4) * own.sensor.pixel_pitch) if random.random() < 0.5 else 0.0
-        return replace(made, birefringence=(apart, apart), diffuser=diffuser), f"{1e6 * apart:.2g} um"
+        diffuser = (
+            float(random.uniform(0, 0.4) * own.sensor.pixel_pitch) if random.random() < 0.5 else 0.0
+        )
+        return replace(
+            made, birefringence=(apart, apart), diffuser=diffuser
+        ), f"{1e6 * apart:.2g} um"
     if lens == "field":
         seidel = (0.0, *(float(value) for value in random.uniform(-1.5, 1.5, 3)), 0.0)
         colour = gs.Spectrum(np.array([450.0, 650.0]), random.uniform(-2e-3, 2e-3, 2))
@@ -145,15 +185,22 @@ def _optics(random, lens, f_number, own):
 
 def _window(random, content, samples):
     """A part of a content, as large as is wanted; one that is too small goes on mirrored."""
-    at = [np.arange(n) + (random.integers(have - n + 1) if have >= n else 0)
-          for n, have in zip(samples, content.shape, strict=True)]
-    at = [np.minimum(one % (2 * have), (-1 - one) % (2 * have)) for one, have in zip(at, content.shape, strict=True)]
+    at = [
+        np.arange(n) + (random.integers(have - n + 1) if have >= n else 0)
+        for n, have in zip(samples, content.shape, strict=True)
+    ]
+    at = [
+        np.minimum(one % (2 * have), (-1 - one) % (2 * have))
+        for one, have in zip(at, content.shape, strict=True)
+    ]
     return content.take(*np.meshgrid(*at, indexing="ij"))
 
 
 def _cube_of(content):
     """The same as samples of every band."""
-    return gs.Cube(content.wavelengths, np.maximum(content.bands_at(slice(None)), 0).astype(np.float32))
+    return gs.Cube(
+        content.wavelengths, np.maximum(content.bands_at(slice(None)), 0).astype(np.float32)
+    )
 
 
 @cache
@@ -169,7 +216,9 @@ def _photo(random, samples, _ratio, data):
         return None
     path = files[random.integers(len(files))]
     codes = read_samples(path)[..., :3]
-    at = [random.integers(max(have - n, 0) + 1) for n, have in zip(samples, codes.shape, strict=False)]
+    at = [
+        random.integers(max(have - n, 0) + 1) for n, have in zip(samples, codes.shape, strict=False)
+    ]
     codes = np.ascontiguousarray(codes[at[0] : at[0] + samples[0], at[1] : at[1] + samples[1]])
     content = gs.picture(codes).content
     if form >= 0.3:
@@ -199,11 +248,19 @@ def _stored(path):
 def _chart(random, samples, ratio, _data):
     """A chart of known reflectances, with options."""
     name = CHARTS[random.integers(len(CHARTS))]
-    options = {"slanted-edge": {"angle_deg": float(random.uniform(-45, 45)),
-                                "contrast": float(10 ** random.uniform(0.1, 3))},
-               "points": {"count": int(random.integers(1, 25)), "highest": float(10 ** random.uniform(2.1, 5))},
-               "ramp": {"low": float(random.uniform(0, 0.5))}, "sweep": {"contrast": float(random.uniform(0.2, 1))},
-               "deadleaves": {"smallest": float(random.uniform(2, 8)), "seed": int(random.integers(1000))}}
+    options = {
+        "slanted-edge": {
+            "angle_deg": float(random.uniform(-45, 45)),
+            "contrast": float(10 ** random.uniform(0.1, 3)),
+        },
+        "points": {
+            "count": int(random.integers(1, 25)),
+            "highest": float(10 ** random.uniform(2.1, 5)),
+        },
+        "ramp": {"low": float(random.uniform(0, 0.5))},
+        "sweep": {"contrast": float(random.uniform(0.2, 1))},
+        "deadleaves": {"smallest": float(random.uniform(2, 8)), "seed": int(random.integers(1000))},
+    }
     return _charted(random, name, samples, ratio, options.get(name, {})), name
 
 
@@ -217,7 +274,9 @@ def _charted(random, name, samples, ratio, options):
 
 def _smooth(random, count):
     """Reflectances (count, L) that vary over some 20 to 150 nm, within 0.02 .. 0.98."""
-    raw = gaussian_filter(random.normal(size=(count, len(WAVELENGTHS) + 40)), (0, random.uniform(2, 15)))[:, 20:-20]
+    raw = gaussian_filter(
+        random.normal(size=(count, len(WAVELENGTHS) + 40)), (0, random.uniform(2, 15))
+    )[:, 20:-20]
     raw = raw / raw.std() * random.uniform(0.3, 2) + random.normal(0, 0.8, (count, 1))
     return 0.02 + 0.96 / (1 + np.exp(-raw))
 
@@ -235,7 +294,9 @@ def _spectra(random, samples, _ratio, _data):
     spectra = _smooth(random, count)
     if form == "materials":
         ids = np.stack([_texture(random, samples) for _ in range(count)]).argmax(axis=0)
-        content = gs.Materials(WAVELENGTHS, ids.astype(np.uint8), _texture(random, samples).astype(np.float32), spectra)
+        content = gs.Materials(
+            WAVELENGTHS, ids.astype(np.uint8), _texture(random, samples).astype(np.float32), spectra
+        )
     else:
         parts = np.stack([_texture(random, samples) for _ in range(count)])
         content = gs.Basis(WAVELENGTHS, (parts / count).astype(np.float32), spectra)
@@ -248,8 +309,11 @@ def _hdr(random, samples, ratio, _data):
         decades = float(random.uniform(2, 6))
         content = _charted(random, "ramp", samples, ratio, {"decades": decades, "high": 1.0})
         return content, f"ramp of {decades:.2g} decades"
-    base, name = _spectra(random, samples, ratio, None) if random.random() < 0.6 else _chart(random, samples, ratio,
-                                                                                             None)
+    base, name = (
+        _spectra(random, samples, ratio, None)
+        if random.random() < 0.6
+        else _chart(random, samples, ratio, None)
+    )
     count, reach = int(random.integers(1, 30)), random.uniform(2, 5)
     places = tuple(random.integers(0, n, count) for n in samples)
     planes = base.planes.copy()

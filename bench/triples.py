@@ -41,17 +41,36 @@ PROBES = 2  # pixels of a blur that varies over the field at which the truth is 
 def main():
     """Ask, judge, print and store."""
     made = parser(__doc__)
-    made.add_argument("--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside")
-    made.add_argument("--limit", type=count, default=triple_judge.LIMIT, metavar="SECONDS",
-                      help=f"for a question of --kinds (default: {triple_judge.LIMIT})")
-    made.add_argument("--only-met", action="store_true", help="with --kinds: judge only frames called met")
-    made.add_argument("--half", choices=HALVES, default="development", help="which seeds (default: development)")
+    made.add_argument(
+        "--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside"
+    )
+    made.add_argument(
+        "--limit",
+        type=count,
+        default=triple_judge.LIMIT,
+        metavar="SECONDS",
+        help=f"for a question of --kinds (default: {triple_judge.LIMIT})",
+    )
+    made.add_argument(
+        "--only-met", action="store_true", help="with --kinds: judge only frames called met"
+    )
+    made.add_argument(
+        "--half", choices=HALVES, default="development", help="which seeds (default: development)"
+    )
     made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
-    made.add_argument("--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none")
+    made.add_argument(
+        "--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none"
+    )
     made.add_argument("--jobs", "--workers", type=count, default=1, help="processes (default: 1)")
-    made.add_argument("--time", action="store_true", help="time frames with and without the tolerance, too")
-    made.add_argument("--brute", action="store_true", help="judge the truth by sums that share nothing with it")
-    made.add_argument("--monotone", action="store_true", help="ask some scenes for every tolerance instead")
+    made.add_argument(
+        "--time", action="store_true", help="time frames with and without the tolerance, too"
+    )
+    made.add_argument(
+        "--brute", action="store_true", help="judge the truth by sums that share nothing with it"
+    )
+    made.add_argument(
+        "--monotone", action="store_true", help="ask some scenes for every tolerance instead"
+    )
     made.add_argument("--summary", metavar="FILE", help="of a stored result: nothing is run")
     arguments = made.parse_args()
     if arguments.kinds:
@@ -63,13 +82,26 @@ def main():
     device, old = ready(arguments, "triples")
     if arguments.data is not None and not arguments.data.is_dir():
         raise BadFile(arguments.data, "is no folder")
-    seeds = [seed for seed in HALVES[arguments.half] if seed in chosen(arguments.seeds, HALVES[arguments.half])]
-    ask = partial(ladder if arguments.monotone else partial(asked, brute=arguments.brute), device=device.name,
-                  data=arguments.data, timed=arguments.time)
+    seeds = [
+        seed
+        for seed in HALVES[arguments.half]
+        if seed in chosen(arguments.seeds, HALVES[arguments.half])
+    ]
+    ask = partial(
+        ladder if arguments.monotone else partial(asked, brute=arguments.brute),
+        device=device.name,
+        data=arguments.data,
+        timed=arguments.time,
+    )
     if arguments.monotone and not arguments.seeds:
         seeds = seeds[:: len(seeds) // MONOTONE]
-    rows = run(ask, seeds, arguments.jobs, quiet=arguments.half == "held-out",
-               kept=arguments.json and Path(f"{arguments.json}.rows"))
+    rows = run(
+        ask,
+        seeds,
+        arguments.jobs,
+        quiet=arguments.half == "held-out",
+        kept=arguments.json and Path(f"{arguments.json}.rows"),
+    )
     print(summary(rows)[0])
     finish(arguments, "triples", device, rows, old, half=arguments.half)
 
@@ -77,15 +109,31 @@ def main():
 def ask_kinds(arguments):
     """Judge fresh questions from outside; rows go to FILE.rows as they come, and a run that was stopped goes on."""
     if arguments.summary:
-        rows = [row for line in Path(arguments.summary).read_text().splitlines() for row in json.loads(line)[1]]
+        rows = [
+            row
+            for line in Path(arguments.summary).read_text().splitlines()
+            for row in json.loads(line)[1]
+        ]
         print(triple_judge.summary(rows))
         return
     device, old = ready(arguments, "triples")
     seeds = sorted(chosen(arguments.seeds, triple_judge.KINDS[arguments.kinds]))
-    ask = partial(triple_judge.asked, kinds=arguments.kinds, device=device.name, data=arguments.data,
-                  limit=arguments.limit, only_met=arguments.only_met)
-    rows = run(ask, seeds, arguments.jobs, kept=arguments.json and Path(f"{arguments.json}.rows"),
-               words=triple_judge.line, apart=triple_judge.run)
+    ask = partial(
+        triple_judge.asked,
+        kinds=arguments.kinds,
+        device=device.name,
+        data=arguments.data,
+        limit=arguments.limit,
+        only_met=arguments.only_met,
+    )
+    rows = run(
+        ask,
+        seeds,
+        arguments.jobs,
+        kept=arguments.json and Path(f"{arguments.json}.rows"),
+        words=triple_judge.line,
+        apart=triple_judge.run,
+    )
     print(triple_judge.summary(rows))
     finish(arguments, "triples", device, rows, old, kinds=arguments.kinds)
 
@@ -98,14 +146,17 @@ def chosen(text: str | None, allowed) -> set:
     for part in text.split(","):
         match = re.fullmatch(r"(\d{1,6})(?:([-:])(\d{1,6}))?", part)
         if not match:
-            raise BadFile(f"--seeds {text}", f"{part!r} is no seed; wanted numbers such as 3,5,20-29 or 0:160")
+            raise BadFile(
+                f"--seeds {text}", f"{part!r} is no seed; wanted numbers such as 3,5,20-29 or 0:160"
+            )
         last = int(match[3] or match[1])
         found |= set(range(int(match[1]), last + (match[2] != ":")))
     return found
 
 
-def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None, words=None,
-        apart=None) -> list[dict]:
+def run(
+    ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None, words=None, apart=None
+) -> list[dict]:
     """Rows of all seeds, in their order; several processes ask if wanted.
 
     kept: a file to which rows are added as they come, one line of JSON for each seed: a run that was stopped goes on.
@@ -113,7 +164,11 @@ def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None
     """
     found: dict = {}
     if kept and kept.is_file():
-        found = {seed: rows for seed, rows in map(json.loads, kept.read_text().splitlines()) if seed in seeds}
+        found = {
+            seed: rows
+            for seed, rows in map(json.loads, kept.read_text().splitlines())
+            if seed in seeds
+        }
     seeds, todo = list(seeds), [seed for seed in seeds if seed not in found]
 
     def add(seed, rows):
@@ -142,12 +197,21 @@ def line(row: dict) -> str:
     if row["status"] != "ok":
         return f"{row['words'] or row['name']}: {row['status']} {row.get('text', '')[:200]}"
     said = {True: "met", False: "NOT met", None: "says nothing"}[row["met"]]
-    return (f"{row['words']}: {said}, {'within' if row['within'] else 'BEYOND'}; rms {row['true']['rms']:.2g} "
-            f"predicted {row['total']['rms'] or 0:.2g}; {row['seconds']:.1f} s")
+    return (
+        f"{row['words']}: {said}, {'within' if row['within'] else 'BEYOND'}; rms {row['true']['rms']:.2g} "
+        f"predicted {row['total']['rms'] or 0:.2g}; {row['seconds']:.1f} s"
+    )
 
 
-def asked(seed: int, *, device: str, data: Path | None = None, tolerance: str | None = None, timed: bool = False,
-          brute: bool = False) -> list[dict]:
+def asked(
+    seed: int,
+    *,
+    device: str,
+    data: Path | None = None,
+    tolerance: str | None = None,
+    timed: bool = False,
+    brute: bool = False,
+) -> list[dict]:
     """The row of a seed, in a list; none where it is of data that are not there. tolerance: in place of its own."""
     row: dict = {"name": f"seed {seed}", "seed": seed, "words": ""}
     began = time.perf_counter()
@@ -156,9 +220,16 @@ def asked(seed: int, *, device: str, data: Path | None = None, tolerance: str | 
         if question is None:
             return []
         question = replace(question, tolerance=tolerance or question.tolerance)
-        row |= {"words": question.words, "kind": question.kind, "border": question.border, "lens": question.lens,
-                "tolerance": question.tolerance, "form": question.scene.content.form,
-                "samples_per_pixel": question.scene.samples_per_pixel, "shape": question.scene.shape}
+        row |= {
+            "words": question.words,
+            "kind": question.kind,
+            "border": question.border,
+            "lens": question.lens,
+            "tolerance": question.tolerance,
+            "form": question.scene.content.form,
+            "samples_per_pixel": question.scene.samples_per_pixel,
+            "shape": question.scene.shape,
+        }
         row |= judged(question, device, brute, timed)
         if timed and row["status"] == "ok":
             row |= times(question, device)
@@ -198,18 +269,33 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
     true = {"rms": error.rms, "p999_sigma": error.p999_sigma, "max_sigma": error.max_sigma}
     bound = next(key for key in true if getattr(tolerance, key) is not None)
     promised, total = getattr(account.total, bound), account.total.rms
-    row = {"status": "ok", "met": verdict.met, "verdict": str(verdict), "by": verdict.by,
-           "within": error.meets(tolerance),
-           "nearest": error.nearest(tolerance)[1], "bound": bound, "allowed": getattr(tolerance, bound), "true": true,
-           "max_local": error.max_local, "total": asdict(account.total),
-           "bounds": {name: asdict(one) for name, one in account.bounds.items()}, "beside": plan.beside,
-           "ratio": over(promised, true[bound]), "ratio_rms": over(total, error.rms),
-           "models": plan.models, "left_out": plan.left_out, "expected_time": plan.account.seconds,
-           "planes": None if plan.mix is None else plan.mix.shape[1], "period": plan.period,
-           "samples": plan.scene.content.shape, "q": [float(plan.q.min()), float(plan.q.max())],
-           "predicted_ms": sum(frame_ms(simulator, plan).values()) if timed else None,
-           "exposure_time": exposure.exposure_time,
-           "largest_e": float(mean.max())}
+    row = {
+        "status": "ok",
+        "met": verdict.met,
+        "verdict": str(verdict),
+        "by": verdict.by,
+        "within": error.meets(tolerance),
+        "nearest": error.nearest(tolerance)[1],
+        "bound": bound,
+        "allowed": getattr(tolerance, bound),
+        "true": true,
+        "max_local": error.max_local,
+        "total": asdict(account.total),
+        "bounds": {name: asdict(one) for name, one in account.bounds.items()},
+        "beside": plan.beside,
+        "ratio": over(promised, true[bound]),
+        "ratio_rms": over(total, error.rms),
+        "models": plan.models,
+        "left_out": plan.left_out,
+        "expected_time": plan.account.seconds,
+        "planes": None if plan.mix is None else plan.mix.shape[1],
+        "period": plan.period,
+        "samples": plan.scene.content.shape,
+        "q": [float(plan.q.min()), float(plan.q.max())],
+        "predicted_ms": sum(frame_ms(simulator, plan).values()) if timed else None,
+        "exposure_time": exposure.exposure_time,
+        "largest_e": float(mean.max()),
+    }
     return row | (compared(question, exposure.exposure_time, mean, truth) if brute else {})
 
 
@@ -228,15 +314,22 @@ def compared(question, seconds: float, mean, truth) -> dict:
 
     try:
         if question.lens == "field":
-            pixels = np.random.default_rng(question.seed).integers(0, question.scene.shape, (PROBES, 2))
+            pixels = np.random.default_rng(question.seed).integers(
+                0, question.scene.shape, (PROBES, 2)
+            )
             mean, truth = mean[tuple(pixels.T)], truth[tuple(pixels.T)]
             own = triple_field.electrons_at(question.scene, question.camera, seconds, pixels)
         else:
             own = triple_brute.mean_electrons(question.scene, question.camera, seconds)
     except OutOfRange as refusal:
         return {"brute": {"refused": str(refusal)}}
-    return {"brute": {"truth": rms(truth, own), "frame": rms(mean, own),
-                      "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma}}
+    return {
+        "brute": {
+            "truth": rms(truth, own),
+            "frame": rms(mean, own),
+            "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma,
+        }
+    }
 
 
 def times(question, device: str) -> dict:
@@ -244,8 +337,15 @@ def times(question, device: str) -> dict:
 
     Frames alternate between both, so that other work on the machine meets each.
     """
-    scenes = [replace(question.scene, content=question.scene.content.with_planes(question.scene.content.planes.copy()))
-              if question.scene.content.form != "picture" else replace(question.scene) for _ in range(2)]
+    scenes = [
+        replace(
+            question.scene,
+            content=question.scene.content.with_planes(question.scene.content.planes.copy()),
+        )
+        if question.scene.content.form != "picture"
+        else replace(question.scene)
+        for _ in range(2)
+    ]
     programs, found = {}, {}
     for name, tolerance in (("frame", question.tolerance), ("exact", None)):
         simulator = gs.Simulator(question.camera, device=device, tolerance=tolerance)
@@ -262,12 +362,16 @@ def times(question, device: str) -> dict:
             raw = program.update(scene=scenes[0]).raw()
             program.simulator.device.numpy(raw)  # waits; a frame is small
             taken = 1e3 * (time.perf_counter() - begin)
-            report = program.update(scene=scenes[1]).frame().report  # all its stages, codes included
+            report = (
+                program.update(scene=scenes[1]).frame().report
+            )  # all its stages, codes included
             if number:
                 walls[name].append(taken)
                 stages[name].append(report.ms)
     found |= {f"{name}_ms": float(np.median(values)) for name, values in walls.items()}
-    return found | {f"{name}_stages_ms": float(np.median(values)) for name, values in stages.items()}
+    return found | {
+        f"{name}_stages_ms": float(np.median(values)) for name, values in stages.items()
+    }
 
 
 def ladder(seed: int, *, device: str, data: Path | None = None, timed: bool = False) -> list[dict]:

@@ -20,8 +20,15 @@ import gpusim  # noqa: E402
 project, author, release = "gpusim", "the authors of gpusim", gpusim.__version__
 copyright = "the authors of gpusim"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["_build", "examples", "README.md", "gallery/*.ipynb", "gallery/*.py", "gallery/*.json",
-                    "gallery/*.zip"]
+exclude_patterns = [
+    "_build",
+    "examples",
+    "README.md",
+    "gallery/*.ipynb",
+    "gallery/*.py",
+    "gallery/*.json",
+    "gallery/*.zip",
+]
 suppress_warnings = ["config.cache"]  # the gallery's settings hold functions
 
 myst_enable_extensions = ["colon_fence", "dollarmath", "deflist"]
@@ -46,8 +53,21 @@ def whole_figures(gallery, path):
 class InTurn:
     """Sorts examples as the gallery shows them; what has no place here comes last."""
 
-    names = ("start", "own_camera", "low_light", "render_to_raw", "training_pairs", "pixel_sizes", "measured_psf",
-             "hdr_burst", "figure_8", "figure_12", "figure_14", "emva1288", "your_own_parts")
+    names = (
+        "start",
+        "own_camera",
+        "low_light",
+        "render_to_raw",
+        "training_pairs",
+        "pixel_sizes",
+        "measured_psf",
+        "hdr_burst",
+        "figure_8",
+        "figure_12",
+        "figure_14",
+        "emva1288",
+        "your_own_parts",
+    )
 
     def __init__(self, folder):
         pass

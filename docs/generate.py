@@ -27,14 +27,42 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.sensor import Sensor
 
-CLASSES = {"optics": (Optics, Wavefront), "sensor": (Sensor,), "noise": (Noise,), "processor": (Processor,),
-           "display": (Display,)}
-UNITS = {"mm": "mm", "um": "µm", "nm": "nm", "m": "m", "ms": "ms", "us": "µs", "e": "e⁻", "dn": "DN", "c": "°C",
-         "k": "K", "deg": "degree", "waves": "wave", "diopters": "1/m", "v": "V", "dn_per_e": "DN/e⁻",
-         "uv_per_e": "µV/e⁻", "e_per_s": "e⁻/s", "cd_per_m2": "cd/m²"}
-INSIDE = re.compile(r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]")  # units of the classes; files have others
+CLASSES = {
+    "optics": (Optics, Wavefront),
+    "sensor": (Sensor,),
+    "noise": (Noise,),
+    "processor": (Processor,),
+    "display": (Display,),
+}
+UNITS = {
+    "mm": "mm",
+    "um": "µm",
+    "nm": "nm",
+    "m": "m",
+    "ms": "ms",
+    "us": "µs",
+    "e": "e⁻",
+    "dn": "DN",
+    "c": "°C",
+    "k": "K",
+    "deg": "degree",
+    "waves": "wave",
+    "diopters": "1/m",
+    "v": "V",
+    "dn_per_e": "DN/e⁻",
+    "uv_per_e": "µV/e⁻",
+    "e_per_s": "e⁻/s",
+    "cd_per_m2": "cd/m²",
+}
+INSIDE = re.compile(
+    r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]"
+)  # units of the classes; files have others
 CURVE = "a curve"
-CURVES = {"_curve": CURVE, "_number_or_curve": f"a number or {CURVE}", "_micrometres_or_curve": f"a number or {CURVE}"}
+CURVES = {
+    "_curve": CURVE,
+    "_number_or_curve": f"a number or {CURVE}",
+    "_micrometres_or_curve": f"a number or {CURVE}",
+}
 # keys of a file that are not fields of their own, and what the dataclass says in units of its own
 SAID = {
     "focal_length_mm": "Of the lens, as a thin one.",
@@ -45,11 +73,11 @@ SAID = {
     "psf": "Measured point spreads, an .npz file beside the camera file: `lens.npz` in [Files](../files.md).",
     "photodetector": "A second factor of `qe`, such as the photodiode behind the colour filters.",
     "ir_cut": "A third factor of `qe`: the infrared filter in front of the sensor.",
-    "calibration": "A file of OpenCV, ROS or Kalibr, or `{file = ..., camera = \"cam0\"}`: principal point, focal "
-                   "lengths and distortion, see [Files](../files.md).",
+    "calibration": 'A file of OpenCV, ROS or Kalibr, or `{file = ..., camera = "cam0"}`: principal point, focal '
+    "lengths and distortion, see [Files](../files.md).",
     "noise_profile": "A raw photograph (DNG) whose NoiseProfile gives gain, offset and read noise.",
     "qe_ends": '"zero": light outside the table is not counted. Without it such light is refused.',
-    "table": "Filters of `demosaic = \"learned\"`: an .npz file of `gpusim train-l3`; without it the built-in ones.",
+    "table": 'Filters of `demosaic = "learned"`: an .npz file of `gpusim train-l3`; without it the built-in ones.',
     "photodetector_size": "Height and width of the sensitive rectangle over the pitch, in place of `fill_factor`.",
     "auto_exposure": "How the time is chosen: see `AutoExposure`.",
     "conversion_gain_uv_per_e": "Of the pixel; with `adc_range_v`, in place of `gain_dn_per_e`.",
@@ -63,13 +91,49 @@ SAID = {
     "name": "`srgb`, `display-p3`, or a measured display; or a name of your own beside the keys below.",
 }
 GROUPS = {  # by the module that a public name comes from, in the order of the page
-    "Simulate": ("simulator", "frame", "program", "report", "batches", "backends", "domain.tolerance", "domain.errors"),
-    "Cameras": ("data.cameras", "domain.camera", "domain.optics", "domain.sensor", "domain.noise", "domain.exposure",
-                "domain.processor", "domain.display", "data.displays", "readout"),
-    "Calibration": ("domain.calibration", "data.calibration", "data.noise_profile", "data.emva1288", "domain.psf",
-                    "data.psf", "data.zemax", "data.optiland", "measure.photon_transfer"),
-    "Scenes": ("domain.scene", "domain.content", "domain.illuminated", "domain.spectrum", "data.charts", "data.lights",
-               "data.illumination", "io"),
+    "Simulate": (
+        "simulator",
+        "frame",
+        "program",
+        "report",
+        "batches",
+        "backends",
+        "domain.tolerance",
+        "domain.errors",
+    ),
+    "Cameras": (
+        "data.cameras",
+        "domain.camera",
+        "domain.optics",
+        "domain.sensor",
+        "domain.noise",
+        "domain.exposure",
+        "domain.processor",
+        "domain.display",
+        "data.displays",
+        "readout",
+    ),
+    "Calibration": (
+        "domain.calibration",
+        "data.calibration",
+        "data.noise_profile",
+        "data.emva1288",
+        "domain.psf",
+        "data.psf",
+        "data.zemax",
+        "data.optiland",
+        "measure.photon_transfer",
+    ),
+    "Scenes": (
+        "domain.scene",
+        "domain.content",
+        "domain.illuminated",
+        "domain.spectrum",
+        "data.charts",
+        "data.lights",
+        "data.illumination",
+        "io",
+    ),
     "Things that move": ("domain.view", "domain.motion", "domain.animation", "domain.flicker"),
     "Several exposures": ("captures",),
     "Preview and pictures": ("preview", "plot", "look"),
@@ -80,7 +144,12 @@ def write(folder):
     """Write all pages into a folder, which may hold those of a build before."""
     folder = Path(folder)
     folder.mkdir(exist_ok=True)
-    for name, lines in (("keys.rst", keys()), ("tasks.rst", tasks()), ("cli.rst", commands()), ("api.rst", names())):
+    for name, lines in (
+        ("keys.rst", keys()),
+        ("tasks.rst", tasks()),
+        ("cli.rst", commands()),
+        ("api.rst", names()),
+    ):
         keep(folder / name, "\n".join(lines) + "\n")
     stage_pages.write(folder, keep)
 
@@ -88,10 +157,15 @@ def write(folder):
 def tasks():
     """Scripts of docs/tasks, as they are."""
     yield from title("Four tasks")
-    yield from ("What many come for, in at most 15 lines each. They are tested as they stand here.", "")
+    yield from (
+        "What many come for, in at most 15 lines each. They are tested as they stand here.",
+        "",
+    )
     for path in sorted(Path(__file__).parent.glob("tasks/*.py")):
         text = path.read_text()
-        heading = (ast.get_docstring(ast.parse(text)) or path.stem.replace("_", " ").capitalize()).split("\n")[0]
+        heading = (
+            ast.get_docstring(ast.parse(text)) or path.stem.replace("_", " ").capitalize()
+        ).split("\n")[0]
         yield from title(heading.rstrip("."), "-")
         yield from (".. code-block:: python", "", textwrap.indent(text, "   "), "")
 
@@ -109,7 +183,12 @@ def title(text, line="="):
 
 def table(heads, rows, widths):
     """A list-table."""
-    lines = [".. list-table::", "   :header-rows: 1", f"   :widths: {' '.join(map(str, widths))}", ""]
+    lines = [
+        ".. list-table::",
+        "   :header-rows: 1",
+        f"   :widths: {' '.join(map(str, widths))}",
+        "",
+    ]
     for row in (heads, *rows):
         lines += [f"   {'*' if number == 0 else ' '} - {cell}" for number, cell in enumerate(row)]
     return [*lines, ""]
@@ -133,10 +212,22 @@ def keys():
         said, fields = {}, {}
         for cls in reversed(CLASSES[section]):
             fields |= {field.name: field for field in dataclasses.fields(cls)}
-            said |= prose.what_is_said(cls.__doc__, [field.name for field in dataclasses.fields(cls)])
-        rows = [(f"``{key}``", wanted(read), unit(key), default(fields.get(field), read), meaning(key, field, said))
-                for key, (field, read) in known.items()]
-        yield from table(("key", "value", "unit", "default", "what it is"), rows, (22, 18, 8, 10, 42))
+            said |= prose.what_is_said(
+                cls.__doc__, [field.name for field in dataclasses.fields(cls)]
+            )
+        rows = [
+            (
+                f"``{key}``",
+                wanted(read),
+                unit(key),
+                default(fields.get(field), read),
+                meaning(key, field, said),
+            )
+            for key, (field, read) in known.items()
+        ]
+        yield from table(
+            ("key", "value", "unit", "default", "what it is"), rows, (22, 18, 8, 10, 42)
+        )
 
 
 def unit(key):
@@ -178,7 +269,13 @@ def default(field, read):
         return f"``{value / one:g}``" if isinstance(one, float) else f"``{value:g}``"
     if isinstance(value, str):
         return f'``"{value}"``'
-    return f"``{list(value)}``" if value and not isinstance(value[0], tuple) else "none" if not value else "sRGB's"
+    return (
+        f"``{list(value)}``"
+        if value and not isinstance(value[0], tuple)
+        else "none"
+        if not value
+        else "sRGB's"
+    )
 
 
 def meaning(key, field, said):
@@ -188,34 +285,55 @@ def meaning(key, field, said):
     text, together = said[field]
     text = INSIDE.sub("", text) if unit(key) else text
     others = ", ".join(f"``{name}``" for name in together if name != field)
-    return prose.escaped(text[0].upper() + text[1:]) + (f" (told together with {others})" if others else "")
+    return prose.escaped(text[0].upper() + text[1:]) + (
+        f" (told together with {others})" if others else ""
+    )
 
 
 def commands():
     """What every command takes, as `--help` says it."""
     yield from title("Command line")
-    yield from ("Each command says this by ``--help``; this page is generated from the same parsers. Exit status: 0, 1 "
-                "where a verification failed or a tolerance is not met, 2 for wrong input, which is said in one line "
-                "with nothing half written.", "")
+    yield from (
+        "Each command says this by ``--help``; this page is generated from the same parsers. Exit status: 0, 1 "
+        "where a verification failed or a tolerance is not met, 2 for wrong input, which is said in one line "
+        "with nothing half written.",
+        "",
+    )
     parser = cli._parser()
-    found = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    found = next(
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    )
     told = {action.dest: action.help for action in found._choices_actions}
     for name, command in found.choices.items():
         command.formatter_class = lambda prog: argparse.HelpFormatter(prog, width=96)
         yield from title(f"gpusim {name}", "-")
-        yield from (prose.escaped(told[name][0].upper() + told[name][1:]) + ".", "", ".. code-block:: none", "",
-                    textwrap.indent(command.format_help(), "   "), "")
+        yield from (
+            prose.escaped(told[name][0].upper() + told[name][1:]) + ".",
+            "",
+            ".. code-block:: none",
+            "",
+            textwrap.indent(command.format_help(), "   "),
+            "",
+        )
 
 
 def names():
     """The public names, grouped by where they come from."""
     yield from title("Python names")
-    yield from ("All of ``import gpusim as gs``. Arrays are band-major, lengths are in metres, times in seconds and "
-                "wavelengths in nanometres, whatever the units of camera files.", "")
+    yield from (
+        "All of ``import gpusim as gs``. Arrays are band-major, lengths are in metres, times in seconds and "
+        "wavelengths in nanometres, whatever the units of camera files.",
+        "",
+    )
     where = {name: place(getattr(gpusim, name)) for name in gpusim.__all__}
     left = dict(where)
     for group, modules in GROUPS.items():
-        inside = [name for module in modules for name in left if f"{where[name]}.".startswith(f"{module}.")]
+        inside = [
+            name
+            for module in modules
+            for name in left
+            if f"{where[name]}.".startswith(f"{module}.")
+        ]
         yield from title(group, "-")
         for name in inside:
             yield from directive(name)
@@ -235,7 +353,11 @@ def names():
 
 def place(value):
     """The module of a public name, or of one that is a module itself, below gpusim."""
-    name = value.__name__ if inspect.ismodule(value) else getattr(value, "__module__", type(value).__module__)
+    name = (
+        value.__name__
+        if inspect.ismodule(value)
+        else getattr(value, "__module__", type(value).__module__)
+    )
     return name.removeprefix("gpusim.")
 
 
@@ -246,16 +368,28 @@ def directive(name, module="gpusim"):
         within = [line for other in value.__all__ for line in directive(other, value.__name__)]
         return [f".. automodule:: {module}.{name}", "", *within]
     if isinstance(value, type):
-        return [f".. autoclass:: {module}.{name}", "   :members:" if not issubclass(value, Exception) else "", ""]
-    return [f".. autofunction:: {module}.{name}" if callable(value) else f".. autodata:: {module}.{name}", ""]
+        return [
+            f".. autoclass:: {module}.{name}",
+            "   :members:" if not issubclass(value, Exception) else "",
+            "",
+        ]
+    return [
+        f".. autofunction:: {module}.{name}"
+        if callable(value)
+        else f".. autodata:: {module}.{name}",
+        "",
+    ]
 
 
 def readable(app, what, name, value, options, lines):
     """Sphinx's event: a docstring's lines, in place, as reStructuredText."""
     known = ()
     if inspect.isclass(value):
-        known = ([field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value)
-                 else list(inspect.signature(value).parameters))
+        known = (
+            [field.name for field in dataclasses.fields(value)]
+            if dataclasses.is_dataclass(value)
+            else list(inspect.signature(value).parameters)
+        )
     elif callable(value):
         known = list(inspect.signature(value).parameters)
     lines[:] = prose.rst("\n".join(lines), known)

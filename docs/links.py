@@ -39,7 +39,11 @@ def headings(text):
 def pages(path):
     """File -> links and places, of a folder of HTML or of a Markdown file."""
     if path.is_dir():
-        found = {file.resolve(): Page(file) for file in path.rglob("*.html") if "_static" not in file.parts}
+        found = {
+            file.resolve(): Page(file)
+            for file in path.rglob("*.html")
+            if "_static" not in file.parts
+        }
         return {file: (page.links, page.places) for file, page in found.items()}
     text = path.read_text()
     return {path.resolve(): (LINK.findall(FENCE.sub("", text)), headings(text))}
@@ -58,7 +62,11 @@ def broken(given) -> list[str]:
             target = (file.parent / unquote(parts.path)).resolve() if parts.path else file
             if not target.exists():
                 wrong.append(f"{file}: {link}: no such file")
-            elif parts.fragment and target in known and unquote(parts.fragment) not in known[target][1]:
+            elif (
+                parts.fragment
+                and target in known
+                and unquote(parts.fragment) not in known[target][1]
+            ):
                 wrong.append(f"{file}: {link}: no such place")
     print(f"{followed} links of {len(known)} files")
     return wrong

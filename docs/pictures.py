@@ -53,8 +53,14 @@ def main():
 def gallery(folder):
     """What the commands write, made in a folder that has photo.png."""
     for name, command in (GALLERY | PLOTS).items():
-        words = [str(folder / word) if word == "photo.png" else str(HERE / word) if word == f"{name}.png" else word
-                 for word in shlex.split(command)[1:]]
+        words = [
+            str(folder / word)
+            if word == "photo.png"
+            else str(HERE / word)
+            if word == f"{name}.png"
+            else word
+            for word in shlex.split(command)[1:]
+        ]
         if status := gpusim(words):
             raise SystemExit(f"{command}: status {status}")
 
@@ -62,7 +68,11 @@ def gallery(folder):
 def mosaic(frame, zoom):
     """Digital numbers in the colours of their filters, a pixel drawn `zoom` times as large."""
     sensor = frame.camera.sensor
-    level = np.clip((frame.raw.astype(float) - sensor.black_level) / (sensor.white_level - sensor.black_level), 0, 1)
+    level = np.clip(
+        (frame.raw.astype(float) - sensor.black_level) / (sensor.white_level - sensor.black_level),
+        0,
+        1,
+    )
     level = (level / np.quantile(level, 0.995)).clip(0, 1) ** (1 / 2.2)
     return colored(sensor, (255 * level).astype(np.uint8)).repeat(zoom, 0).repeat(zoom, 1)
 
@@ -105,9 +115,14 @@ def accuracy():
         told, true = frame.report.account.total, frame.report.error
         mean, truth = seen(simulate, scene, simulate.expose(scene))
         noise = np.sqrt(truth + camera.sensor.read_sigma**2)
-        image = axis.imshow(np.log10(np.abs(mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma")
-        axis.set_title(f"--tolerance {asked}\nrms: predicted {told.rms:.1e}, true {true.rms:.1e}\n"
-                       f"99.9 %: {told.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}", fontsize=8)
+        image = axis.imshow(
+            np.log10(np.abs(mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma"
+        )
+        axis.set_title(
+            f"--tolerance {asked}\nrms: predicted {told.rms:.1e}, true {true.rms:.1e}\n"
+            f"99.9 %: {told.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}",
+            fontsize=8,
+        )
     for axis in axes:
         axis.set_axis_off()
     figure.colorbar(image, ax=axes, shrink=0.8, pad=0.01, label="log10 of error over noise")
@@ -122,8 +137,20 @@ def still_events():
     camera = gs.open_camera("phone").with_(f_number=2.8, pixel_pitch_um=18.5)
     simulate, sensor = gs.Simulator(camera), gs.EventSensor(mismatch=0.25)
     luminances = np.geomspace(0.03, 300, 13)
-    rates = [len(gs.events_of(simulate, gs.chart("flat", size=(32, 32), luminance=float(luminance)), gs.Motion(), 3.0,
-                              sensor)) / 32**2 / 3 for luminance in luminances]
+    rates = [
+        len(
+            gs.events_of(
+                simulate,
+                gs.chart("flat", size=(32, 32), luminance=float(luminance)),
+                gs.Motion(),
+                3.0,
+                sensor,
+            )
+        )
+        / 32**2
+        / 3
+        for luminance in luminances
+    ]
     figure, axis = plt.subplots(figsize=(5, 3))
     axis.loglog(luminances, rates, label="gpusim: cutoff 30 Hz, noise 5 Hz")
     published = [0.1, 1, 10, 100]

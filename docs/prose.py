@@ -24,8 +24,12 @@ def _paragraph(lines, names):
         first = indented.index(True)
         last = next((i for i in range(first, len(lines)) if not indented[i]), len(lines))
         block = ["::", "", *lines[first:last], ""]
-        return [*_text(" ".join(lines[:first]), names), "", *block,
-                *(_paragraph(lines[last:], names) if lines[last:] else [])]
+        return [
+            *_text(" ".join(lines[:first]), names),
+            "",
+            *block,
+            *(_paragraph(lines[last:], names) if lines[last:] else []),
+        ]
     return _text(" ".join(line.strip() for line in lines), names)
 
 
@@ -53,7 +57,7 @@ def _text(text, names):
 
 def _cut(text):
     found = TAIL.search(text)
-    return (text[: found.start()], " ", text[found.end():]) if found else (text, "", "")
+    return (text[: found.start()], " ", text[found.end() :]) if found else (text, "", "")
 
 
 def escaped(text: str) -> str:
@@ -78,5 +82,7 @@ def what_is_said(docstring: str, names) -> dict[str, tuple]:
             parts[-1] = _cut(parts[-1])[0]
         for number in range(1, len(parts), 2):
             said = parts[number + 1].strip()
-            told |= {name: (said, tuple(parts[number].split(", "))) for name in parts[number].split(", ")}
+            told |= {
+                name: (said, tuple(parts[number].split(", "))) for name in parts[number].split(", ")
+            }
     return told

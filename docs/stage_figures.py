@@ -18,15 +18,26 @@ RAW = ("raw",)
 ELECTRONS = ("mean", "expected", "rates", "mosaic", "pixels")
 LIGHT = ("planes", "content", "camera", "rgb", "ambient", "flash", "lights", "onto")
 SMOOTH = {  # ports that are no pictures: a blur's contrast, fall-off to the corner, a disc before the rest, patches
-    "tables": lambda value: np.broadcast_to(_centred(value, 3.0, corner=True), value.shape).astype(value.dtype),
+    "tables": lambda value: np.broadcast_to(_centred(value, 3.0, corner=True), value.shape).astype(
+        value.dtype
+    ),
     "gains": lambda value: np.broadcast_to(_centred(value, 0.7), value.shape).astype(value.dtype),
-    "alphas": lambda value: np.broadcast_to(_centred(value, 9.0) > 0.6, value.shape).astype(value.dtype),
-    "maps": lambda value: np.stack([_centred(value, 3.0), 1 - _centred(value, 3.0)]).astype(value.dtype),
+    "alphas": lambda value: np.broadcast_to(_centred(value, 9.0) > 0.6, value.shape).astype(
+        value.dtype
+    ),
+    "maps": lambda value: np.stack([_centred(value, 3.0), 1 - _centred(value, 3.0)]).astype(
+        value.dtype
+    ),
     "shading": lambda value: _centred(value, 1.5).astype(value.dtype),
-    "ids": lambda value: (np.indices(value.shape) // 16 * [[[6]], [[1]]]).sum(0).astype(value.dtype),
+    "ids": lambda value: (
+        (np.indices(value.shape) // 16 * [[[6]], [[1]]]).sum(0).astype(value.dtype)
+    ),
 }
 TABLES = ("airy", "near", "pupil")
-MIXED = ("blur", "integrate")  # stages whose planes are mixed by random numbers in `bench`: no colours
+MIXED = (
+    "blur",
+    "integrate",
+)  # stages whose planes are mixed by random numbers in `bench`: no colours
 
 
 def draw(name, folder):
@@ -34,11 +45,15 @@ def draw(name, folder):
     module, leaf = stage_module(name), name.rpartition(".")[2]
     reference = importlib.import_module(f"{module.__name__}_ref")
     path = folder / f"{name.replace('.', '-')}.png"
-    newest = max(Path(file).stat().st_mtime for file in (module.__file__, reference.__file__, __file__))
+    newest = max(
+        Path(file).stat().st_mtime for file in (module.__file__, reference.__file__, __file__)
+    )
     if path.is_file() and path.stat().st_mtime > newest:
         return path
     inputs = module.bench(ROWS, COLS)
-    inputs |= {key: pictured(key, value, inputs) for key, value in inputs.items() if is_picture(value)}
+    inputs |= {
+        key: pictured(key, value, inputs) for key, value in inputs.items() if is_picture(value)
+    }
     if leaf == "shade":  # gains that undo a fall-off
         inputs["gains"] = 1 / SMOOTH["gains"](inputs["gains"])
     result = getattr(reference, leaf)(**inputs)
@@ -55,12 +70,18 @@ def draw(name, folder):
 def is_picture(value):
     """Whether a value is an array that can be looked at."""
     return (isinstance(value, np.ndarray) and value.ndim >= 2 and min(value.shape[-2:]) >= 24) or (
-        isinstance(value, np.ndarray) and value.ndim == 3 and value.shape[2] == 3 and min(value.shape[:2]) >= 24)
+        isinstance(value, np.ndarray)
+        and value.ndim == 3
+        and value.shape[2] == 3
+        and min(value.shape[:2]) >= 24
+    )
 
 
 def _centred(value, fall, corner=False):
     """A Gaussian over the last two axes, about the middle or the first corner."""
-    y, x = (np.arange(n) / n if corner else (np.arange(n) + 0.5) / n - 0.5 for n in value.shape[-2:])
+    y, x = (
+        np.arange(n) / n if corner else (np.arange(n) + 0.5) / n - 0.5 for n in value.shape[-2:]
+    )
     return np.exp(-fall * (y[:, None] ** 2 + x**2))
 
 
@@ -77,7 +98,9 @@ def pictured(key, value, inputs):
     if key not in (*RAW, *ELECTRONS, *LIGHT, "codes"):
         return value
     if key == "codes":
-        return (255 * np.moveaxis(photograph(*value.shape[:2]), 0, -1) ** (1 / 2.2)).astype(value.dtype)
+        return (255 * np.moveaxis(photograph(*value.shape[:2]), 0, -1) ** (1 / 2.2)).astype(
+            value.dtype
+        )
     colors = photograph(*value.shape[-2:])
     count = int(np.prod(value.shape[:-2], dtype=int))
     if value.ndim == 2 or key in RAW:
@@ -89,8 +112,12 @@ def pictured(key, value, inputs):
         planes = np.stack([colors[min(3 * number // count, 2)] for number in range(count)])
     if key in RAW:
         scale = inputs.get("scale", 1 / 959)
-        random = np.random.default_rng(1)  # shot noise, and a few defects where a stage looks for them
-        planes = random.poisson(planes * 300) / 300 / scale + float(np.max(inputs.get("black_level", 64)))
+        random = np.random.default_rng(
+            1
+        )  # shot noise, and a few defects where a stage looks for them
+        planes = random.poisson(planes * 300) / 300 / scale + float(
+            np.max(inputs.get("black_level", 64))
+        )
         return planes.reshape(value.shape).clip(0, 1 / scale + 64).astype(value.dtype)
     return (planes.reshape(value.shape) * (WELL if key in ELECTRONS else 1)).astype(value.dtype)
 
@@ -115,6 +142,7 @@ def image(value, leaf):
 def save(path, shown):
     """Pictures side by side."""
     import matplotlib
+
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 

@@ -11,12 +11,25 @@ import stage_figures
 from gpusim.kernels.stage import AREAS, public_function, stage_module, stage_names
 
 ROOT = Path(__file__).parents[1]
-TITLES = {"spectral": "Light: from spectra to planes", "optics": "Optics: the lens",
-          "sensor": "Sensor: from light to digital numbers", "processor": "Image processor: from raw to colors",
-          "display": "Display: from colors to codes"}
-HEADS = {"ms_p50": "p50 ms", "gbps": "GB/s", "ratio_to_floor": "x floor", "rel_rms_error": "rms error",
-         "max_error": "max error"}
-METRICS = {"peak": "of the largest value", "local": "of each value", "exact": "absolute; 0 is bit for bit"}
+TITLES = {
+    "spectral": "Light: from spectra to planes",
+    "optics": "Optics: the lens",
+    "sensor": "Sensor: from light to digital numbers",
+    "processor": "Image processor: from raw to colors",
+    "display": "Display: from colors to codes",
+}
+HEADS = {
+    "ms_p50": "p50 ms",
+    "gbps": "GB/s",
+    "ratio_to_floor": "x floor",
+    "rel_rms_error": "rms error",
+    "max_error": "max error",
+}
+METRICS = {
+    "peak": "of the largest value",
+    "local": "of each value",
+    "exact": "absolute; 0 is bit for bit",
+}
 
 
 def write(folder, keep):
@@ -34,7 +47,10 @@ def write(folder, keep):
 
 def measured() -> list[dict]:
     """Stored results of bench/stages.py, those of processors first."""
-    found = [json.loads(path.read_text()) for path in sorted((ROOT / "bench" / "results").glob("stages-*.json"))]
+    found = [
+        json.loads(path.read_text())
+        for path in sorted((ROOT / "bench" / "results").glob("stages-*.json"))
+    ]
     return sorted(found or pasted(), key=lambda result: "NVIDIA" in result["machine"]["device"])
 
 
@@ -42,12 +58,28 @@ def pasted() -> list[dict]:
     """The stages' tables in bench/README.md, where no result is stored that they could be made of."""
     stored = (ROOT / "bench" / "README.md").read_text()
     results = []
-    for text in stored.partition("<!-- stages -->")[2].partition("<!-- end of stages -->")[0].split("\n## ")[1:]:
-        lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.split("\n")
-                 if line.startswith("| ")]
+    for text in (
+        stored.partition("<!-- stages -->")[2]
+        .partition("<!-- end of stages -->")[0]
+        .split("\n## ")[1:]
+    ):
+        lines = [
+            [cell.strip() for cell in line.strip("|").split("|")]
+            for line in text.split("\n")
+            if line.startswith("| ")
+        ]
         rows = [dict(zip(lines[0], line, strict=True)) for line in lines[1:]]
-        results.append({"machine": {"device": text.partition("\n")[0]}, "device": "", "size": (1920, 1080), "rows": [
-            {"name": row["stage"], **{key: float(row[head]) for key, head in HEADS.items()}} for row in rows]})
+        results.append(
+            {
+                "machine": {"device": text.partition("\n")[0]},
+                "device": "",
+                "size": (1920, 1080),
+                "rows": [
+                    {"name": row["stage"], **{key: float(row[head]) for key, head in HEADS.items()}}
+                    for row in rows
+                ],
+            }
+        )
     return results
 
 
@@ -59,10 +91,19 @@ def page(name, speeds, figure):
     if figure:
         yield from (f".. image:: figures/{figure.name}", f"   :alt: {name}", "")
     yield from prose.rst(module.__doc__)
-    yield from (".. code-block:: python", "", f"   gpusim.kernels.{name}.{leaf}{signature(function)}", "")
+    yield from (
+        ".. code-block:: python",
+        "",
+        f"   gpusim.kernels.{name}.{leaf}{signature(function)}",
+        "",
+    )
     yield from prose.rst(function.__doc__, list(inspect.signature(function).parameters))
-    yield from ("**Reference** (float64): " + " ".join(prose.rst(reference.__doc__)).strip()
-                if "::" not in prose.rst(reference.__doc__) else "**Reference** (float64):", "")
+    yield from (
+        "**Reference** (float64): " + " ".join(prose.rst(reference.__doc__)).strip()
+        if "::" not in prose.rst(reference.__doc__)
+        else "**Reference** (float64):",
+        "",
+    )
     yield from folded(f"kernels/{name.replace('.', '/')}_ref.py", source(reference, leaf))
     yield from errors(module)
     yield from speed(name, speeds)
@@ -71,8 +112,11 @@ def page(name, speeds, figure):
 def signature(function):
     """A function's signature, without types."""
     found = inspect.signature(function)
-    return found.replace(parameters=[each.replace(annotation=inspect.Parameter.empty)
-                                     for each in found.parameters.values()])
+    return found.replace(
+        parameters=[
+            each.replace(annotation=inspect.Parameter.empty) for each in found.parameters.values()
+        ]
+    )
 
 
 def source(reference, leaf):
@@ -84,7 +128,14 @@ def source(reference, leaf):
 
 def folded(summary, text):
     """Code that opens by a click."""
-    yield from (".. raw:: html", "", f"   <details><summary>{summary}</summary>", "", ".. code-block:: python", "")
+    yield from (
+        ".. raw:: html",
+        "",
+        f"   <details><summary>{summary}</summary>",
+        "",
+        ".. code-block:: python",
+        "",
+    )
     yield from ("   " + line for line in text.rstrip().split("\n"))
     yield from ("", ".. raw:: html", "", "   </details>", "")
 
@@ -100,17 +151,33 @@ def errors(module):
 
 def speed(name, speeds):
     """What was measured, device by device."""
-    rows = [(result, row) for result in speeds for row in result["rows"] if row["name"] == name and "failed" not in row]
+    rows = [
+        (result, row)
+        for result in speeds
+        for row in result["rows"]
+        if row["name"] == name and "failed" not in row
+    ]
     if not rows:
         return
-    yield from (".. list-table::", "   :header-rows: 1", "",
-                *cells("device", "frame", "ms", "GB/s", "times the floor", "rms error", "largest error"))
+    yield from (
+        ".. list-table::",
+        "   :header-rows: 1",
+        "",
+        *cells("device", "frame", "ms", "GB/s", "times the floor", "rms error", "largest error"),
+    )
     for result, row in rows:
-        device = result["machine"]["device"] + (f", ``{result['device']}``" if result["device"] else "")
-        yield from cells(device, "x".join(map(str, result["size"])),
-                         f"{row['ms_p50']:.3g}", f"{row['gbps']:.3g}",
-                         "" if row["ratio_to_floor"] is None else f"{row['ratio_to_floor']:.2g}",
-                         f"{row['rel_rms_error']:.1e}", f"{row['max_error']:.1e}")
+        device = result["machine"]["device"] + (
+            f", ``{result['device']}``" if result["device"] else ""
+        )
+        yield from cells(
+            device,
+            "x".join(map(str, result["size"])),
+            f"{row['ms_p50']:.3g}",
+            f"{row['gbps']:.3g}",
+            "" if row["ratio_to_floor"] is None else f"{row['ratio_to_floor']:.2g}",
+            f"{row['rel_rms_error']:.1e}",
+            f"{row['max_error']:.1e}",
+        )
     yield ""
 
 

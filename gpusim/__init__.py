@@ -16,42 +16,79 @@ __version__ = "0.1.0"
 
 # name -> module; resolved on first use, so that `import gpusim` stays fast
 _PUBLIC = {
-    "Camera": "gpusim.domain.camera", "Display": "gpusim.domain.display", "Optics": "gpusim.domain.optics",
-    "Processor": "gpusim.domain.processor", "Scene": "gpusim.domain.scene", "Sensor": "gpusim.domain.sensor",
-    "Cube": "gpusim.domain.content", "Basis": "gpusim.domain.content", "Materials": "gpusim.domain.content",
-    "Picture": "gpusim.domain.content", "Illuminated": "gpusim.domain.illuminated",
-    "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
-    "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
-    "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.pipeline.readout", "Layer": "gpusim.domain.scene",
-    "View": "gpusim.domain.view", "Batch": "gpusim.apps.tensors.batches",
-    "EventSensor": "gpusim.captures.events", "events_of": "gpusim.captures.events",
+    "Camera": "gpusim.domain.camera",
+    "Display": "gpusim.domain.display",
+    "Optics": "gpusim.domain.optics",
+    "Processor": "gpusim.domain.processor",
+    "Scene": "gpusim.domain.scene",
+    "Sensor": "gpusim.domain.sensor",
+    "Cube": "gpusim.domain.content",
+    "Basis": "gpusim.domain.content",
+    "Materials": "gpusim.domain.content",
+    "Picture": "gpusim.domain.content",
+    "Illuminated": "gpusim.domain.illuminated",
+    "Spectrum": "gpusim.domain.spectrum",
+    "Tolerance": "gpusim.domain.tolerance",
+    "GpusimError": "gpusim.domain.errors",
+    "Noise": "gpusim.domain.noise",
+    "AutoExposure": "gpusim.domain.exposure",
+    "exposure_value": "gpusim.domain.exposure",
+    "Readout": "gpusim.pipeline.readout",
+    "Layer": "gpusim.domain.scene",
+    "View": "gpusim.domain.view",
+    "Batch": "gpusim.apps.tensors.batches",
+    "EventSensor": "gpusim.captures.events",
+    "events_of": "gpusim.captures.events",
     "write_events": "gpusim.io.frame.events",
-    "Actor": "gpusim.domain.animation", "Animation": "gpusim.domain.animation",
-    "Motion": "gpusim.domain.motion", "Flicker": "gpusim.domain.flicker",
-    "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
-    "average": "gpusim.captures.burst", "read_nondestructively": "gpusim.captures.reads",
-    "expose_moving": "gpusim.captures.moving", "expose_motion": "gpusim.captures.moving",
+    "Actor": "gpusim.domain.animation",
+    "Animation": "gpusim.domain.animation",
+    "Motion": "gpusim.domain.motion",
+    "Flicker": "gpusim.domain.flicker",
+    "bracket": "gpusim.captures.bracket",
+    "lengthened": "gpusim.captures.bracket",
+    "burst": "gpusim.captures.burst",
+    "average": "gpusim.captures.burst",
+    "read_nondestructively": "gpusim.captures.reads",
+    "expose_moving": "gpusim.captures.moving",
+    "expose_motion": "gpusim.captures.moving",
     "autofocus": "gpusim.captures.focus",
-    "merge_bracket": "gpusim.captures.merge", "merge_burst": "gpusim.captures.merge",
+    "merge_bracket": "gpusim.captures.merge",
+    "merge_burst": "gpusim.captures.merge",
     "merge_flash": "gpusim.captures.merge",
-    "Simulator": "gpusim.pipeline.simulator", "Frame": "gpusim.pipeline.frame",
-    "Program": "gpusim.pipeline.program", "open_device": "gpusim.backends",
-    "open_camera": "gpusim.io.camera.cameras", "camera_names": "gpusim.io.camera.cameras",
-    "sensor_from_emva1288": "gpusim.io.camera.emva1288", "Calibration": "gpusim.domain.calibration",
-    "read_calibration": "gpusim.io.camera.calibration", "read_noise_profile": "gpusim.io.camera.noise_profile",
-    "photon_transfer": "gpusim.measure", "read_psf": "gpusim.io.camera.psf", "write_psf": "gpusim.io.camera.psf",
-    "PointSpread": "gpusim.domain.psf", "read_zemax_psf": "gpusim.io.camera.zemax",
+    "Simulator": "gpusim.pipeline.simulator",
+    "Frame": "gpusim.pipeline.frame",
+    "Program": "gpusim.pipeline.program",
+    "open_device": "gpusim.backends",
+    "open_camera": "gpusim.io.camera.cameras",
+    "camera_names": "gpusim.io.camera.cameras",
+    "sensor_from_emva1288": "gpusim.io.camera.emva1288",
+    "Calibration": "gpusim.domain.calibration",
+    "read_calibration": "gpusim.io.camera.calibration",
+    "read_noise_profile": "gpusim.io.camera.noise_profile",
+    "photon_transfer": "gpusim.measure",
+    "read_psf": "gpusim.io.camera.psf",
+    "write_psf": "gpusim.io.camera.psf",
+    "PointSpread": "gpusim.domain.psf",
+    "read_zemax_psf": "gpusim.io.camera.zemax",
     "optiland_psf": "gpusim.io.camera.optiland",
-    "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
-    "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
+    "open_display": "gpusim.data.displays",
+    "display_names": "gpusim.data.displays",
+    "displayed": "gpusim.data.displays",
+    "chart": "gpusim.data.charts",
+    "illuminant": "gpusim.data.lights",
     "illuminated": "gpusim.data.illumination",
-    "open_scene": "gpusim.io.scene.scenes", "save_scene": "gpusim.io.scene.scenes",
-    "picture": "gpusim.io.scene.scenes", "scene_from": "gpusim.io.scene.arrays", "preview": "gpusim.apps.preview",
+    "open_scene": "gpusim.io.scene.scenes",
+    "save_scene": "gpusim.io.scene.scenes",
+    "picture": "gpusim.io.scene.scenes",
+    "scene_from": "gpusim.io.scene.arrays",
+    "preview": "gpusim.apps.preview",
     "plot": "gpusim",  # a package of its own
 }
 __all__ = sorted(_PUBLIC)
 
-if TYPE_CHECKING:  # the same for type checkers and editors, which do not run the code; a test compares the two
+if (
+    TYPE_CHECKING
+):  # the same for type checkers and editors, which do not run the code; a test compares the two
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
     from gpusim.apps.tensors.batches import Batch as Batch
@@ -64,7 +101,10 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
         merge_burst as merge_burst,
         merge_flash as merge_flash,
     )
-    from gpusim.captures.moving import expose_motion as expose_motion, expose_moving as expose_moving
+    from gpusim.captures.moving import (
+        expose_motion as expose_motion,
+        expose_moving as expose_moving,
+    )
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration
     from gpusim.io.camera.cameras import camera_names as camera_names, open_camera as open_camera
@@ -84,10 +124,18 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.domain.animation import Actor as Actor, Animation as Animation
     from gpusim.domain.calibration import Calibration as Calibration
     from gpusim.domain.camera import Camera as Camera
-    from gpusim.domain.content import Basis as Basis, Cube as Cube, Materials as Materials, Picture as Picture
+    from gpusim.domain.content import (
+        Basis as Basis,
+        Cube as Cube,
+        Materials as Materials,
+        Picture as Picture,
+    )
     from gpusim.domain.display import Display as Display
     from gpusim.domain.errors import GpusimError as GpusimError
-    from gpusim.domain.exposure import AutoExposure as AutoExposure, exposure_value as exposure_value
+    from gpusim.domain.exposure import (
+        AutoExposure as AutoExposure,
+        exposure_value as exposure_value,
+    )
     from gpusim.domain.flicker import Flicker as Flicker
     from gpusim.domain.illuminated import Illuminated as Illuminated
     from gpusim.domain.motion import Motion as Motion
@@ -103,7 +151,11 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events
-    from gpusim.io.scene.scenes import open_scene as open_scene, picture as picture, save_scene as save_scene
+    from gpusim.io.scene.scenes import (
+        open_scene as open_scene,
+        picture as picture,
+        save_scene as save_scene,
+    )
     from gpusim.measure import photon_transfer as photon_transfer
     from gpusim.apps.preview import preview as preview
     from gpusim.pipeline.program import Program as Program

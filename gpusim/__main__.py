@@ -7,7 +7,10 @@ import os
 import signal
 import sys
 
-INTERRUPTED, FAILED = 2, 2  # exit statuses; that of another signal is 128 + its number, as shells have it
+INTERRUPTED, FAILED = (
+    2,
+    2,
+)  # exit statuses; that of another signal is 128 + its number, as shells have it
 GONE = 128 + 13  # the reader of our output has gone, as `head` does: SIGPIPE's
 
 
@@ -53,7 +56,9 @@ def _run():
             raise
     if out.failure is None:
         return status
-    os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # what is left goes nowhere as Python ends
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), out.fileno()
+    )  # what is left goes nowhere as Python ends
     if isinstance(out.failure, BrokenPipeError):
         return GONE
     print(f"gpusim: standard output cannot be written: {out.failure.strerror}", file=sys.stderr)

@@ -62,8 +62,12 @@ class Case:
             return float(difference.max())
         magnitude = np.abs(np.where(both_nan, 0.0, reference))
         if self.metric == "local":
-            return float((difference / np.maximum(magnitude, max(self.floor, np.finfo(float).tiny))).max())
-        return float(difference.max() / max(float(np.nanmax(magnitude, initial=0.0)), np.finfo(float).tiny))
+            return float(
+                (difference / np.maximum(magnitude, max(self.floor, np.finfo(float).tiny))).max()
+            )
+        return float(
+            difference.max() / max(float(np.nanmax(magnitude, initial=0.0)), np.finfo(float).tiny)
+        )
 
 
 def stage(function: Callable) -> Callable:
@@ -99,9 +103,15 @@ def stage(function: Callable) -> Callable:
 def _public_signature(function):
     """The signature of `function` with its first parameter, the device, as the last one by keyword."""
     inner = inspect.signature(function)
-    parameters = [*list(inner.parameters.values())[1:], inspect.Parameter(
-        "device", inspect.Parameter.KEYWORD_ONLY, default="auto", annotation=Device | str)]
-    return inner.replace(parameters=sorted(parameters, key=lambda parameter: parameter.kind))  # **kwargs stay last
+    parameters = [
+        *list(inner.parameters.values())[1:],
+        inspect.Parameter(
+            "device", inspect.Parameter.KEYWORD_ONLY, default="auto", annotation=Device | str
+        ),
+    ]
+    return inner.replace(
+        parameters=sorted(parameters, key=lambda parameter: parameter.kind)
+    )  # **kwargs stay last
 
 
 def _require_arguments(name, signature, args, kwargs):
@@ -118,8 +128,11 @@ def _reference_of(module, name):
 
 def stage_names() -> list[str]:
     """Every stage as `area.name`, in the order the light goes."""
-    return [f"{area}.{path.name.removesuffix('_ref.py')}"
-            for area in AREAS for path in sorted((ROOT / area).glob("*_ref.py"))]
+    return [
+        f"{area}.{path.name.removesuffix('_ref.py')}"
+        for area in AREAS
+        for path in sorted((ROOT / area).glob("*_ref.py"))
+    ]
 
 
 def stage_module(name: str):
@@ -138,4 +151,9 @@ def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
     leaf = name.rpartition(".")[2]
     reference = getattr(import_module(f"{module.__name__}_ref"), leaf)
     for case in module.cases():
-        yield case, case.error(getattr(module, leaf)(**case.inputs, device=device), reference(**case.inputs))
+        yield (
+            case,
+            case.error(
+                getattr(module, leaf)(**case.inputs, device=device), reference(**case.inputs)
+            ),
+        )

@@ -32,8 +32,10 @@ class Brute:
         self.tables = quarter[:, fold]
 
     def transform(self, planes, mode="edge"):
-        pad = [(first, length - n - first) for first, length, n in
-               zip(self.before, self.period, self.shape, strict=True)]
+        pad = [
+            (first, length - n - first)
+            for first, length, n in zip(self.before, self.period, self.shape, strict=True)
+        ]
         return np.fft.rfft2(np.pad(planes, ((0, 0), *pad), mode=mode))
 
     def crop(self, spectrum):
@@ -42,7 +44,9 @@ class Brute:
 
     def mosaic(self, channels, cfa):
         y, x = np.indices(self.shape)
-        return np.take_along_axis(channels, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0)[0]
+        return np.take_along_axis(
+            channels, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0
+        )[0]
 
     def truth(self, transformed, weights, cfa):
         """The mosaic, band by band."""
@@ -55,5 +59,7 @@ class Brute:
         """The mosaic by planes w_in^T x of which each channel has its transfer functions; transfers: (C, planes, L)."""
         total = np.zeros((len(transfers), *transformed.shape[1:]), complex)
         for k, weights in enumerate(w_in.T):
-            total += np.tensordot(transfers[:, k], self.tables, 1) * np.tensordot(weights, transformed, 1)
+            total += np.tensordot(transfers[:, k], self.tables, 1) * np.tensordot(
+                weights, transformed, 1
+            )
         return self.mosaic(self.crop(total), cfa)

@@ -13,5 +13,7 @@ def budgeted(item):
     result = yield
     seconds = time.process_time() - start
     if seconds > BUDGET and not item.get_closest_marker("slow"):
-        pytest.fail(f"{seconds:.0f} s of processor time, {BUDGET} s are allowed: make it cheaper, or mark it slow")
+        pytest.fail(
+            f"{seconds:.0f} s of processor time, {BUDGET} s are allowed: make it cheaper, or mark it slow"
+        )
     return result

@@ -13,7 +13,9 @@ def camera_with(base=PHONE, **parts):
     """A camera whose parts have other settings, `noise` that of its sensor."""
     for part, settings in parts.items():
         if part == "noise":
-            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
+            base = replace(
+                base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings))
+            )
         else:
             base = replace(base, **{part: replace(getattr(base, part), **settings)})
     return base
@@ -23,5 +25,11 @@ def cubes(count, size):
     """Dead leaves in all bands, each a tenth of the first brighter than the one before; size: columns and rows."""
     picture = gs.chart("deadleaves", size=size)
     bands = picture.content.bands_at(slice(None)).astype(np.float32)
-    return [replace(picture, content=gs.Cube(picture.wavelengths, bands * np.float32(1 + 0.1 * k)), name=f"leaves {k}")
-            for k in range(count)]
+    return [
+        replace(
+            picture,
+            content=gs.Cube(picture.wavelengths, bands * np.float32(1 + 0.1 * k)),
+            name=f"leaves {k}",
+        )
+        for k in range(count)
+    ]

@@ -12,7 +12,9 @@ DATA = Path(__file__).parent / "data"
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
     os.environ.setdefault("POCL_MAX_PTHREAD_COUNT", str(max(2, share)))
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(max(1, share)))  # read when NumPy is loaded, which is later
+    os.environ.setdefault(
+        "OPENBLAS_NUM_THREADS", str(max(1, share))
+    )  # read when NumPy is loaded, which is later
 
 
 @pytest.fixture(scope="session")

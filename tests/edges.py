@@ -23,19 +23,33 @@ def gaussian_edge(rows, cols, angle, sigma):
         z = t / sigma
         return (t * t + sigma**2) * ndtr(z) + t * sigma * np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
 
-    return (twice(distance + (a + b) / 2) - twice(distance + (a - b) / 2) - twice(distance - (a - b) / 2)
-            + twice(distance - (a + b) / 2)) / (2 * a * b)
+    return (
+        twice(distance + (a + b) / 2)
+        - twice(distance + (a - b) / 2)
+        - twice(distance - (a - b) / 2)
+        + twice(distance - (a + b) / 2)
+    ) / (2 * a * b)
 
 
 def gaussian_mtf(f, angle, sigma):
     """Its transfer function along the edge's normal; f [cycle/pixel]."""
-    return np.sinc(f * np.cos(angle)) * np.sinc(f * np.sin(angle)) * np.exp(-2 * (np.pi * sigma * f) ** 2)
+    return (
+        np.sinc(f * np.cos(angle))
+        * np.sinc(f * np.sin(angle))
+        * np.exp(-2 * (np.pi * sigma * f) ** 2)
+    )
 
 
 def airy_mtf(f, angle, q):
     """Of a diffraction-limited lens, q = wavelength f-number / pitch, behind square pixels; f [cycle/pixel]."""
     s = np.minimum(np.abs(q * f), 1)
-    return 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(f * np.cos(angle)) * np.sinc(f * np.sin(angle))
+    return (
+        2
+        / np.pi
+        * (np.arccos(s) - s * np.sqrt(1 - s * s))
+        * np.sinc(f * np.cos(angle))
+        * np.sinc(f * np.sin(angle))
+    )
 
 
 def edge_of(mtf, cutoff, distance):
@@ -47,4 +61,8 @@ def edge_of(mtf, cutoff, distance):
     nodes, weights = np.polynomial.legendre.leggauss(600)
     f, weights = cutoff * (nodes + 1) / 2, cutoff * weights / 2
     places = np.arange(np.floor(distance.min() * 64), np.ceil(distance.max() * 64) + 1) / 64
-    return np.interp(distance, places, 0.5 + np.sin(2 * np.pi * places[:, None] * f) @ (weights * mtf(f) / (np.pi * f)))
+    return np.interp(
+        distance,
+        places,
+        0.5 + np.sin(2 * np.pi * places[:, None] * f) @ (weights * mtf(f) / (np.pi * f)),
+    )

@@ -27,13 +27,18 @@ def intensity(q, waves=0.0, hole=0.0):
     of J0 over the pupil (Born and Wolf, 8.5 and 8.8), tabled.
     """
     if not waves and not hole:
-        return lambda r: np.pi / (4 * q * q) * (2 * j1(np.maximum(np.pi * r / q, 1e-9)) / np.maximum(
-            np.pi * r / q, 1e-9)) ** 2
+        return lambda r: (
+            np.pi
+            / (4 * q * q)
+            * (2 * j1(np.maximum(np.pi * r / q, 1e-9)) / np.maximum(np.pi * r / q, 1e-9)) ** 2
+        )
     r = np.arange(0, np.sqrt(2) * (REACH + 2), q / 24)
     nodes, mass = np.polynomial.legendre.leggauss(int(np.pi * r[-1] / q / 2 + 8 * waves + 40))
     rho = (1 + hole) / 2 + (1 - hole) / 2 * nodes
     pupil = (1 - hole) / 2 * mass * rho * np.exp(2j * np.pi * waves * rho**2)
-    field = np.concatenate([j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)])
+    field = np.concatenate(
+        [j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)]
+    )
     return CubicSpline(r, np.pi / (q * q) * np.abs(field) ** 2 / (1 - hole**2))
 
 
@@ -61,13 +66,20 @@ def picture(image, q, border, waves=0.0, hole=0.0):
 
     q: wavelength times f-number over the pixels' pitch. waves, hole: see `intensity`.
     """
-    image, own, tail = np.asarray(image, np.float64), kernel(q, waves, hole), q / np.pi**3 / (1 - hole)
+    image, own, tail = (
+        np.asarray(image, np.float64),
+        kernel(q, waves, hole),
+        q / np.pi**3 / (1 - hole),
+    )
     if border == "zero":
         return fftconvolve(image, centred(own), "same")
     if border == "reflect":
         return _mirrored(image, own, tail)
     near = fftconvolve(np.pad(image, REACH, mode="edge"), centred(own), "valid")
-    down, across = _beside(image[[0, -1]]), _beside(image.T[[0, -1]])  # above and below, left and right
+    down, across = (
+        _beside(image[[0, -1]]),
+        _beside(image.T[[0, -1]]),
+    )  # above and below, left and right
     corners = image[[0, 0, -1, -1], [0, -1, 0, -1]].sum() * (2 - np.sqrt(2)) / (REACH + 0.5)
     return near + tail * (down + across[:, None] + corners)
 
@@ -75,10 +87,14 @@ def picture(image, q, border, waves=0.0, hole=0.0):
 def _beside(lines):
     """Light from both sides farther than REACH, of lines that go on along themselves and outwards, at each place."""
     n, a = lines.shape[1], REACH + 0.5
-    v = np.clip(np.arange(n + 1) - 0.5 - np.arange(n)[:, None], -a, a)  # edges of the lines' pixels from each pixel
+    v = np.clip(
+        np.arange(n + 1) - 0.5 - np.arange(n)[:, None], -a, a
+    )  # edges of the lines' pixels from each pixel
     v[:, 0], v[:, -1] = -a, a  # the outermost go on
     v[v == 0] = 1e-30
-    strips = np.diff(v / (a * (np.sqrt(a * a + v * v) + a)), axis=1)  # the closed form above, without cancellation
+    strips = np.diff(
+        v / (a * (np.sqrt(a * a + v * v) + a)), axis=1
+    )  # the closed form above, without cancellation
     return strips @ lines.sum(axis=0)
 
 
@@ -88,8 +104,15 @@ def _mirrored(image, near, tail):
     total = np.zeros(period)
     for j in range(-IMAGES, IMAGES + 1):
         for i in range(-IMAGES, IMAGES + 1):
-            y, x = (np.abs(at + k * length) for at, k, length in zip(
-                (np.fft.fftfreq(n, 1 / n).astype(int) for n in period), (j, i), period, strict=True))
+            y, x = (
+                np.abs(at + k * length)
+                for at, k, length in zip(
+                    (np.fft.fftfreq(n, 1 / n).astype(int) for n in period),
+                    (j, i),
+                    period,
+                    strict=True,
+                )
+            )
             far = np.hypot(y[:, None], x)
             some = (y[:, None] <= REACH) & (x <= REACH)
             rows, cols = np.minimum(y, REACH), np.minimum(x, REACH)

@@ -26,14 +26,22 @@ def made_on(device, tolerance=4e-4, camera="phone") -> dict:
     found["another scene"] = program.update(scene=first[1]).raw(seed=3)
     found = taken(device, found)
     made = simulator.stream(first, "raw", seed=3, exposure_time=SECONDS)
-    found |= {f"stream {number}": taken(device, {"": frame})[""] for number, frame in enumerate(made)}
-    found["metered"] = np.stack(list(taken(device, dict(enumerate(simulator.stream(first, "raw", seed=3)))).values()))
-    found |= taken(device, {"batch": simulator.batch(len(first), "raw")(first, seed=3, exposure_time=SECONDS)})
+    found |= {
+        f"stream {number}": taken(device, {"": frame})[""] for number, frame in enumerate(made)
+    }
+    found["metered"] = np.stack(
+        list(taken(device, dict(enumerate(simulator.stream(first, "raw", seed=3)))).values())
+    )
+    found |= taken(
+        device, {"batch": simulator.batch(len(first), "raw")(first, seed=3, exposure_time=SECONDS)}
+    )
     frame = simulator(first[2], seed=3)
     found |= {"simulate": frame.raw, "picture": frame.rgb}
     # of a network: pictures of linear RGB, channels first
     pictures = np.random.default_rng(5).random((2, 3, *SIZE[::-1])).astype(np.float32)
-    found["batch of pictures"] = gs.Batch(simulator.camera, device=device, output="linear")(pictures, seed=3)
+    found["batch of pictures"] = gs.Batch(simulator.camera, device=device, output="linear")(
+        pictures, seed=3
+    )
     values = device.pinned((3, 5))  # arrays on their way, and back
     values[:] = np.arange(15).reshape(3, 5)
     transfer = device.send(values)

@@ -11,7 +11,9 @@ def exiftool(path) -> dict:
     """Tags by name, lists of numbers as such, of a file in which exiftool finds no error and nothing to warn of."""
     if not shutil.which("exiftool"):
         pytest.skip("exiftool is not installed")
-    run = subprocess.run(["exiftool", "-json", "-n", "-validate", "-all", path], capture_output=True, text=True)
+    run = subprocess.run(
+        ["exiftool", "-json", "-n", "-validate", "-all", path], capture_output=True, text=True
+    )
     tags = {name: _parsed(value) for name, value in json.loads(run.stdout)[0].items()}
     assert tags["Validate"] == [0, 0, 0], run.stdout + run.stderr  # errors, warnings, minor ones
     return tags

@@ -50,14 +50,18 @@ class Stream:
 
     def _require_context(self):
         if self.cuda_stream is None and current() is not self.device:
-            raise RuntimeError(f"CUDA's default stream of {self.device} while {current()} is current")
+            raise RuntimeError(
+                f"CUDA's default stream of {self.device} while {current()} is current"
+            )
 
     def record_event(self, event=None):
         self._require_context()
         event = event or Event(self.device)
         if event.device is not self.device:  # Warp's words
-            raise RuntimeError(f"Event from device {event.device} cannot be recorded on stream from device "
-                               f"{self.device}")
+            raise RuntimeError(
+                f"Event from device {event.device} cannot be recorded on stream from device "
+                f"{self.device}"
+            )
         self.seen[self] += 1
         event.stamp = dict(self.seen)
         return event
@@ -71,8 +75,10 @@ class Stream:
         """Something is launched here that reads or writes the memory."""
         user, tick = memory.used
         if user is not None and self.seen.get(user, 0) < tick:
-            raise RuntimeError(f"a race: memory of {memory.device} is used on a stream of {self.device} that has not "
-                               f"waited for a stream of {user.device}")
+            raise RuntimeError(
+                f"a race: memory of {memory.device} is used on a stream of {self.device} that has not "
+                f"waited for a stream of {user.device}"
+            )
         self.seen[self] += 1
         memory.used = self, self.seen[self]
 
@@ -96,7 +102,9 @@ class CudaDevice:
 
     def set_stream(self, stream, sync=True):
         if stream.device is not self:
-            raise RuntimeError(f"Stream from device {stream.device} cannot be used on device {self}")
+            raise RuntimeError(
+                f"Stream from device {stream.device} cannot be used on device {self}"
+            )
         if sync:
             with self.context_guard:
                 stream.wait_event(self.stream.record_event())
@@ -132,7 +140,12 @@ class Array:
     def _take(self, values, memory=None):
         self.real, self.memory = values, memory or Memory(self.device, values)
         self.ptr, self.shape, self.dtype, self.ndim, self.size = (
-            values.ptr, values.shape, values.dtype, values.ndim, values.size)
+            values.ptr,
+            values.shape,
+            values.dtype,
+            values.ndim,
+            values.size,
+        )
         self.capacity, self.is_contiguous = values.capacity, values.is_contiguous
         return self
 
@@ -214,10 +227,23 @@ class Native:
 
     def run(self, dim, params, options):
         with FAKE.lock:
-            args = [self._values(param) if isinstance(param, ctypes.Structure) else param.value for param in params]
-            there = [self.of.array(arg.copy(), arg.dtype) if isinstance(arg, np.ndarray) else arg for arg in args]
+            args = [
+                self._values(param) if isinstance(param, ctypes.Structure) else param.value
+                for param in params
+            ]
+            there = [
+                self.of.array(arg.copy(), arg.dtype) if isinstance(arg, np.ndarray) else arg
+                for arg in args
+            ]
             group = (options["block_dim"],) if "block_dim" in options else None
-            self.of.launch(self.stage, self.name, tuple(np.atleast_1d(dim)), *there, defines=self.defines, group=group)
+            self.of.launch(
+                self.stage,
+                self.name,
+                tuple(np.atleast_1d(dim)),
+                *there,
+                defines=self.defines,
+                group=group,
+            )
             for arg, made in zip(args, there, strict=True):
                 if isinstance(arg, np.ndarray):
                     arg[:] = self.of.numpy(made)
@@ -226,13 +252,18 @@ class Native:
     def _values(param):
         memory = Memory.at(param.data)
         flat = memory.values.numpy().reshape(-1)
-        return flat[(param.data - memory.values.ptr) // flat.itemsize :][: int(np.prod(param.shape[: param.ndim]))]
+        return flat[(param.data - memory.values.ptr) // flat.itemsize :][
+            : int(np.prod(param.shape[: param.ndim]))
+        ]
 
 
 class FakeWarp:
     array, Event, Stream = Array, Event, Stream
     uint16, float32, int32 = real.uint16, real.float32, real.int32
-    dtype_from_numpy, dtype_to_numpy = staticmethod(real.dtype_from_numpy), staticmethod(real.dtype_to_numpy)
+    dtype_from_numpy, dtype_to_numpy = (
+        staticmethod(real.dtype_from_numpy),
+        staticmethod(real.dtype_to_numpy),
+    )
     get_module = staticmethod(real.get_module)
     config, __version__ = real.config, real.__version__
 
@@ -268,10 +299,14 @@ class FakeWarp:
 
     def copy(self, dest, src, dest_offset=0, src_offset=0, count=0, stream=None):
         if stream is None:
-            stream = next((array.device.stream for array in (dest, src) if array.device.is_cuda), None)
+            stream = next(
+                (array.device.stream for array in (dest, src) if array.device.is_cuda), None
+            )
         if stream is not None:
             if stream.device not in (dest.device, src.device):
-                raise RuntimeError(f"a copy between {src.device} and {dest.device} on a stream of {stream.device}")
+                raise RuntimeError(
+                    f"a copy between {src.device} and {dest.device} on a stream of {stream.device}"
+                )
             for array in (src, dest):
                 stream.uses(array.memory)
         real.copy(dest.real, src.real, dest_offset, src_offset, count)
@@ -305,7 +340,9 @@ class FakeWarp:
     def synchronize_device(self, device=None):
         stream = self.get_device(device).stream
         self._host_waits(stream.seen)
-        for other in [used[0] for used in (memory.used for memory in list(self.memories.values())) if used[0]]:
+        for other in [
+            used[0] for used in (memory.used for memory in list(self.memories.values())) if used[0]
+        ]:
             if other.device is stream.device:
                 self._host_waits({other: other.seen[other]})
 
@@ -314,7 +351,9 @@ class FakeWarp:
 
     def get_event_elapsed_time(self, first, last):
         if not (current() is first.device is last.device):
-            raise RuntimeError(f"events of {first.device} and {last.device} while {current()} is current")
+            raise RuntimeError(
+                f"events of {first.device} and {last.device} while {current()} is current"
+            )
         self.synchronize_event(last)
         return 1.0
 
@@ -355,5 +394,7 @@ def two_cuda(monkeypatch, native):
     devices = [TwoCuda(f"cuda:{ordinal}", f"warp:cuda:{ordinal}") for ordinal in range(2)]
     opened = open_device.__globals__["_opened"]
     named = {device.name: device for device in devices}
-    monkeypatch.setitem(open_device.__globals__, "_opened", lambda name: named.get(name) or opened(name))
+    monkeypatch.setitem(
+        open_device.__globals__, "_opened", lambda name: named.get(name) or opened(name)
+    )
     return devices

@@ -50,8 +50,14 @@ class ByInterface:
     """An array in CUDA memory: nothing here may read it."""
 
     def __init__(self, shape=(7, *SHAPE), typestr="<f4", stream=1):
-        self.__cuda_array_interface__ = {"shape": shape, "typestr": typestr, "data": (4096, False), "version": 3,
-                                         "strides": None, "stream": stream}
+        self.__cuda_array_interface__ = {
+            "shape": shape,
+            "typestr": typestr,
+            "data": (4096, False),
+            "version": 3,
+            "strides": None,
+            "stream": stream,
+        }
 
 
 class ByNumpy:

@@ -40,33 +40,97 @@ from gpusim.io.exr import write_rgb_exr, write_spectral_exr
 from gpusim.io.scene.scenes import open_scene
 
 SEEDS = (1, 2, 3)  # of the kept runs
-READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile",
-           "mat", "mat73", "envi", "array", "spectra", "listing", "link", "fields", "manifest", "sheet")
+READERS = (
+    "camera",
+    "curves",
+    "psf",
+    "table",
+    "scene",
+    "exr",
+    "png",
+    "jpg",
+    "tiff",
+    "planes",
+    "calibration",
+    "profile",
+    "mat",
+    "mat73",
+    "envi",
+    "array",
+    "spectra",
+    "listing",
+    "link",
+    "fields",
+    "manifest",
+    "sheet",
+)
 JSON = READERS[-4:]
 WAVES = np.array([400.0, 500.0, 650.0])
-SUFFIXES = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif",
-            "calibration": ".yaml", "profile": ".dng", "mat": ".mat", "mat73": ".mat", "envi": ".envi", "array": ".npy",
-            "spectra": ".csv", "listing": ".txt"} | dict.fromkeys(JSON, ".json")  # others read .npz
-READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibration": read_calibration,
-        "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES),
-        "array": lambda path: open_scene(path, wavelengths=WAVES),
-        "spectra": lambda path: open_scene(path, size=(60, 40)), "link": json_mutations.read_link,
-        "fields": json_mutations.read_fields, "manifest": json_mutations.read_manifest,
-        "sheet": json_mutations.read_sheet}  # others open scenes
-MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
-          "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
-          "planes": picture_mutations.tiff, "profile": picture_mutations.tiff,
-          "mat": mat_mutations.version_5, "mat73": mat_mutations.version_7_3,
-          "envi": instrument_files.envi, "array": instrument_files.array, "spectra": mutations.table,
-          "listing": instrument_files.listing, "fields": json_mutations.fields, "manifest": json_mutations.manifest,
-          "link": json_mutations.changed, "sheet": json_mutations.changed}  # others see Inputs.make
-INSTRUMENTS = {"envi": instrument_files.envi_files, "array": instrument_files.array_files,
-               "spectra": lambda: instrument_files.TABLES, "listing": instrument_files.listings}
+SUFFIXES = {
+    "camera": ".toml",
+    "exr": ".exr",
+    "png": ".png",
+    "jpg": ".jpg",
+    "tiff": ".tif",
+    "planes": ".tif",
+    "calibration": ".yaml",
+    "profile": ".dng",
+    "mat": ".mat",
+    "mat73": ".mat",
+    "envi": ".envi",
+    "array": ".npy",
+    "spectra": ".csv",
+    "listing": ".txt",
+} | dict.fromkeys(JSON, ".json")  # others read .npz
+READ = {
+    "camera": open_camera,
+    "psf": read_psf,
+    "table": read_table,
+    "calibration": read_calibration,
+    "profile": read_noise_profile,
+    "planes": lambda path: open_scene(path, wavelengths=WAVES),
+    "array": lambda path: open_scene(path, wavelengths=WAVES),
+    "spectra": lambda path: open_scene(path, size=(60, 40)),
+    "link": json_mutations.read_link,
+    "fields": json_mutations.read_fields,
+    "manifest": json_mutations.read_manifest,
+    "sheet": json_mutations.read_sheet,
+}  # others open scenes
+MUTATE = {
+    "curves": mutations.table,
+    "calibration": mutations.yaml,
+    "png": picture_mutations.png,
+    "jpg": picture_mutations.jpeg,
+    "exr": picture_mutations.exr,
+    "tiff": picture_mutations.tiff,
+    "planes": picture_mutations.tiff,
+    "profile": picture_mutations.tiff,
+    "mat": mat_mutations.version_5,
+    "mat73": mat_mutations.version_7_3,
+    "envi": instrument_files.envi,
+    "array": instrument_files.array,
+    "spectra": mutations.table,
+    "listing": instrument_files.listing,
+    "fields": json_mutations.fields,
+    "manifest": json_mutations.manifest,
+    "link": json_mutations.changed,
+    "sheet": json_mutations.changed,
+}  # others see Inputs.make
+INSTRUMENTS = {
+    "envi": instrument_files.envi_files,
+    "array": instrument_files.array_files,
+    "spectra": lambda: instrument_files.TABLES,
+    "listing": instrument_files.listings,
+}
 PEAK = Path("/proc/self/clear_refs")
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
-LARGEST = 256 * 2**20  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
-UNACCOUNTED = 16 * 2**20  # [byte] that one input may take beside twice what its reader asked for: what libraries load
+LARGEST = (
+    256 * 2**20
+)  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
+UNACCOUNTED = (
+    16 * 2**20
+)  # [byte] that one input may take beside twice what its reader asked for: what libraries load
 PICTURE = 6  # times as long, and 32 times as much beside estimates, for a whole frame
 LONGEST_MESSAGE = 500
 
@@ -77,24 +141,62 @@ def good_archives(reader):
     values = random.random((3, 6, 5), np.float32)
     if reader == "psf":
         plain = {"wavelengths_nm": WAVES, "psf": values, "spacing_um": 1.5}
-        return [plain, plain | {"integrated": True}, plain | {"heights": [0.0, 1.0], "psf": np.stack([values, values])},
-                plain | {"grid_y": [-1.0, 1.0], "grid_x": [-1.0, 0.0, 1.0], "psf": random.random((2, 3, 3, 4, 4))}]
+        return [
+            plain,
+            plain | {"integrated": True},
+            plain | {"heights": [0.0, 1.0], "psf": np.stack([values, values])},
+            plain
+            | {
+                "grid_y": [-1.0, 1.0],
+                "grid_x": [-1.0, 0.0, 1.0],
+                "psf": random.random((2, 3, 3, 4, 4)),
+            },
+        ]
     if reader == "table":
         made = layout(("RG", "GB"), "RGB", noise=(0.0, 0.1), radius=1)
         found = io.BytesIO()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "a.npz"
-            write_table(path, FilterTable(made, random.random(made.shape), random.random(made.shape[:-1]), "a test"))
+            write_table(
+                path,
+                FilterTable(
+                    made, random.random(made.shape), random.random(made.shape[:-1]), "a test"
+                ),
+            )
             found = dict(np.load(path))
         return [found, {key: value for key, value in found.items() if key != "offsets"}]
-    return [{"wavelengths_nm": WAVES, "cube": values, "depth_m": 1 + values[0], "fov_rad": 0.5, "name": "a"},
-            {"wavelengths_nm": WAVES, "cube": values, "kind": "reflectance", "border": "scene", "margin": 1},
-            {"wavelengths_nm": WAVES, "coefficients": values, "basis": np.eye(3), "illuminant": np.ones(3),
-             "illuminant_wavelengths_nm": WAVES, "samples_per_pixel": 1.5},
-            {"wavelengths_nm": WAVES, "ids": np.zeros((6, 5), np.uint8), "shading": values[0],
-             "spectra": np.ones((2, 3))},
-            {"wave": WAVES, "photons": values.T, "illuminant_photons": np.ones(3), "fov_deg": 30.0},
-            {"wave": WAVES, "coef": values.T, "basis": np.eye(3)}]
+    return [
+        {
+            "wavelengths_nm": WAVES,
+            "cube": values,
+            "depth_m": 1 + values[0],
+            "fov_rad": 0.5,
+            "name": "a",
+        },
+        {
+            "wavelengths_nm": WAVES,
+            "cube": values,
+            "kind": "reflectance",
+            "border": "scene",
+            "margin": 1,
+        },
+        {
+            "wavelengths_nm": WAVES,
+            "coefficients": values,
+            "basis": np.eye(3),
+            "illuminant": np.ones(3),
+            "illuminant_wavelengths_nm": WAVES,
+            "samples_per_pixel": 1.5,
+        },
+        {
+            "wavelengths_nm": WAVES,
+            "ids": np.zeros((6, 5), np.uint8),
+            "shading": values[0],
+            "spectra": np.ones((2, 3)),
+        },
+        {"wave": WAVES, "photons": values.T, "illuminant_photons": np.ones(3), "fov_deg": 30.0},
+        {"wave": WAVES, "coef": values.T, "basis": np.eye(3)},
+    ]
 
 
 def good_pictures(reader, folder):
@@ -105,10 +207,14 @@ def good_pictures(reader, folder):
     rgb = random.integers(0, 256, (7, 9, 3), np.uint8)
     if reader == "exr":
         path = folder / "good.exr"
-        for write in (lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
-                      lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True),
-                      lambda: write_rgb_exr(path, random.random((7, 9, 3))),
-                      lambda: write_foreign_exr(path, random)):
+        for write in (
+            lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
+            lambda: write_spectral_exr(
+                path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True
+            ),
+            lambda: write_rgb_exr(path, random.random((7, 9, 3))),
+            lambda: write_foreign_exr(path, random),
+        ):
             write()
             found.append(path.read_bytes())
         return found
@@ -127,14 +233,28 @@ def good_pictures(reader, folder):
         saved(Image.fromarray(rgb), format="JPEG", progressive=True, subsampling=0)
         saved(Image.fromarray(rgb[..., 0]), format="JPEG")
         return found
-    for image in (Image.fromarray(rgb), Image.fromarray(rgb[..., 0]), Image.fromarray(rgb).quantize(8),
-                  Image.fromarray(rgb[..., 0] > 127), Image.fromarray(np.dstack([rgb, rgb[..., :1]]))):
+    for image in (
+        Image.fromarray(rgb),
+        Image.fromarray(rgb[..., 0]),
+        Image.fromarray(rgb).quantize(8),
+        Image.fromarray(rgb[..., 0] > 127),
+        Image.fromarray(np.dstack([rgb, rgb[..., :1]])),
+    ):
         saved(image, format="PNG")
     saved(Image.fromarray(rgb), format="PNG", transparency=(1, 2, 3))
     for colour, channels in ((0, 1), (2, 3), (6, 4)):
-        lines = b"".join(b"\1" + line.tobytes() for line in random.integers(0, 256, (7, 18 * channels), np.uint8))
-        found.append(picture_mutations.png_of([(b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
-                                       (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]))
+        lines = b"".join(
+            b"\1" + line.tobytes() for line in random.integers(0, 256, (7, 18 * channels), np.uint8)
+        )
+        found.append(
+            picture_mutations.png_of(
+                [
+                    (b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
+                    (b"IDAT", zlib.compress(lines)),
+                    (b"IEND", b""),
+                ]
+            )
+        )
     return found
 
 
@@ -143,9 +263,14 @@ def write_foreign_exr(path, random):
     import OpenEXR
 
     names = ("R", "G", "B", "A", "depth.T", "normal.X")
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage,
-              "chromaticities": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)}
-    OpenEXR.File(header, {name: random.random((7, 9), np.float32) for name in names}).write(str(path))
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "chromaticities": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
+    }
+    OpenEXR.File(header, {name: random.random((7, 9), np.float32) for name in names}).write(
+        str(path)
+    )
 
 
 def good_tiffs(reader, random):
@@ -160,14 +285,22 @@ def good_tiffs(reader, random):
     rgb = random.integers(0, 65536, (40, 30, 3), np.uint16)
     if reader == "planes":
         planes = rgb.transpose(2, 0, 1)
-        return [saved(planes, photometric="minisblack"), saved(planes, photometric="minisblack", compression="zlib"),
-                saved(rgb, photometric="minisblack", planarconfig="contig"),
-                saved(planes / 65536, photometric="minisblack", planarconfig="separate")]
-    return [saved(rgb, photometric="rgb", rowsperstrip=9, compression=packed, predictor=packed is not None)
-            for packed in (None, "zlib", "lzw", "packbits")] + [
+        return [
+            saved(planes, photometric="minisblack"),
+            saved(planes, photometric="minisblack", compression="zlib"),
+            saved(rgb, photometric="minisblack", planarconfig="contig"),
+            saved(planes / 65536, photometric="minisblack", planarconfig="separate"),
+        ]
+    return [
+        saved(
+            rgb, photometric="rgb", rowsperstrip=9, compression=packed, predictor=packed is not None
+        )
+        for packed in (None, "zlib", "lzw", "packbits")
+    ] + [
         saved(rgb[..., 0].astype(np.uint8), photometric="miniswhite", tile=(16, 16)),
         saved(rgb.astype(np.float32), photometric="rgb", compression="zlib", predictor=3),
-        saved(np.dstack([rgb, rgb[..., :1]]), photometric="rgb", extrasamples=["unassalpha"])]
+        saved(np.dstack([rgb, rgb[..., :1]]), photometric="rgb", extrasamples=["unassalpha"]),
+    ]
 
 
 def good_texts(reader):
@@ -178,23 +311,30 @@ def good_texts(reader):
         return CALIBRATIONS, []
     root = next(folder for folder in Path(__file__).parents if (folder / "README.md").is_file())
     blocks = re.findall(r"```toml\n(.*?)```", (root / "docs" / "cameras.md").read_text(), re.S)
-    return ([(root / f"gpusim/data/cameras/{name}.toml").read_bytes() for name in camera_names()]
-            + [block.encode() for block in blocks], "\n".join(blocks).split("\n"))
+    return (
+        [(root / f"gpusim/data/cameras/{name}.toml").read_bytes() for name in camera_names()]
+        + [block.encode() for block in blocks],
+        "\n".join(blocks).split("\n"),
+    )
 
 
-CALIBRATIONS = [text.encode() for text in (
-    "image_width: 640\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
-    "  data: [500.1, 0, 320.5, 0, 501.2, 240.5, 0, 0, 1]\ndistortion_model: plumb_bob\ndistortion_coefficients:\n"
-    "  rows: 1\n  cols: 5\n  data: [-0.2, 0.05, 0.001, 0.002, 0.0]\n",
-    "cam0:\n  camera_model: pinhole\n  intrinsics: [461.6, 460.3, 363.0, 248.1]\n  distortion_model: equidistant\n"
-    "  distortion_coeffs: [-0.01, 0.02, -0.01, 0.003]\n  resolution: [752, 480]\n",
-    "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
-    "   dt: d\n   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]\n",
-    '<?xml version="1.0"?>\n<opencv_storage>\n<image_width>640</image_width>\n<image_height>480</image_height>\n'
-    '<camera_matrix type_id="opencv-matrix">\n<rows>3</rows>\n<cols>3</cols>\n<dt>d</dt>\n'
-    "<data>500. 0. 320. 0. 500. 240. 0. 0. 1.</data></camera_matrix>\n</opencv_storage>\n",
-    '{"image_width": 640,\n"image_height": 480,\n"camera_matrix": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],\n'
-    '"distortion_coefficients": [0.1, 0.2, 0, 0, 0]}')]
+CALIBRATIONS = [
+    text.encode()
+    for text in (
+        "image_width: 640\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+        "  data: [500.1, 0, 320.5, 0, 501.2, 240.5, 0, 0, 1]\ndistortion_model: plumb_bob\ndistortion_coefficients:\n"
+        "  rows: 1\n  cols: 5\n  data: [-0.2, 0.05, 0.001, 0.002, 0.0]\n",
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [461.6, 460.3, 363.0, 248.1]\n  distortion_model: equidistant\n"
+        "  distortion_coeffs: [-0.01, 0.02, -0.01, 0.003]\n  resolution: [752, 480]\n",
+        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+        "   dt: d\n   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]\n",
+        '<?xml version="1.0"?>\n<opencv_storage>\n<image_width>640</image_width>\n<image_height>480</image_height>\n'
+        '<camera_matrix type_id="opencv-matrix">\n<rows>3</rows>\n<cols>3</cols>\n<dt>d</dt>\n'
+        "<data>500. 0. 320. 0. 500. 240. 0. 0. 1.</data></camera_matrix>\n</opencv_storage>\n",
+        '{"image_width": 640,\n"image_height": 480,\n"camera_matrix": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],\n'
+        '"distortion_coefficients": [0.1, 0.2, 0, 0, 0]}',
+    )
+]
 
 
 class Inputs:
@@ -224,7 +364,10 @@ class Inputs:
     def make(self, seed, number) -> bytes:
         random = np.random.default_rng((seed, READERS.index(self.reader), number))
         data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
-        if random.random() < 0.3 and self.reader not in ("fields", "sheet"):  # which nobody reads as bytes
+        if random.random() < 0.3 and self.reader not in (
+            "fields",
+            "sheet",
+        ):  # which nobody reads as bytes
             return mutations.damaged(data, other, random)
         if self.arrays:
             return mutations.archive(mutations.pick(random, self.arrays), random)
@@ -294,8 +437,11 @@ def estimates():
         asked.append(needed)
         require_memory(what, needed)
 
-    users = [module for name, module in sys.modules.items()
-             if name.startswith("gpusim") and vars(module).get("require_memory") is require_memory]
+    users = [
+        module
+        for name, module in sys.modules.items()
+        if name.startswith("gpusim") and vars(module).get("require_memory") is require_memory
+    ]
     for module in users:
         module.require_memory = require
     try:
@@ -311,8 +457,18 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
     An input is wrong that ends in no result and no GpusimError, or takes too long, or more than twice the memory that
     its reader estimated.
     """
-    row = {"reader": reader, "seed": seed, "mutated": 0, "accepted": 0, "refused": 0, "wrong": 0, "examples": [],
-           "slowest_s": 0.0, "slowest": None, "unaccounted_mib": 0.0}
+    row = {
+        "reader": reader,
+        "seed": seed,
+        "mutated": 0,
+        "accepted": 0,
+        "refused": 0,
+        "wrong": 0,
+        "examples": [],
+        "slowest_s": 0.0,
+        "slowest": None,
+        "unaccounted_mib": 0.0,
+    }
     with tempfile.TemporaryDirectory() as folder, estimates() as asked:
         inputs, (path, read) = Inputs(reader, Path(folder)), reading(reader, Path(folder))
         peak, longest, unaccounted = 0, LONGEST, UNACCOUNTED
@@ -324,7 +480,9 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
                 read(path)
             except GpusimError as error:
                 if reader != "camera":  # the documentation's second block is no whole file
-                    raise AssertionError(f"the unharmed {path.name} was refused: {error}") from error
+                    raise AssertionError(
+                        f"the unharmed {path.name} was refused: {error}"
+                    ) from error
         for number in range(first, first + count):
             data = inputs.make(seed, number)
             path.write_bytes(data)
@@ -349,9 +507,13 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
                 problem = problem or f"took {took:.1f} s"
             taken = memory("VmHWM") - held
             peak = max(peak, held + taken)
-            row["unaccounted_mib"] = max(row["unaccounted_mib"], round((taken - 2 * sum(asked)) / 2**20, 1))
+            row["unaccounted_mib"] = max(
+                row["unaccounted_mib"], round((taken - 2 * sum(asked)) / 2**20, 1)
+            )
             if taken > 2 * sum(asked) + unaccounted:
-                problem = problem or f"took {taken / 2**20:.0f} MiB, asked for {sum(asked) / 2**20:.1f}"
+                problem = (
+                    problem or f"took {taken / 2**20:.0f} MiB, asked for {sum(asked) / 2**20:.1f}"
+                )
             if problem:
                 row["wrong"] += 1
                 row["examples"] = [*row["examples"], f"{number}: {problem}"][:30]
@@ -374,7 +536,16 @@ def memory(key):
 
 def in_a_process(reader, seed, count) -> dict:
     """Row of `fuzz` in a process of its own, whose memory is limited."""
-    command = [sys.executable, __file__, "--reader", reader, "--seed", str(seed), "--count", str(count)]
+    command = [
+        sys.executable,
+        __file__,
+        "--reader",
+        reader,
+        "--seed",
+        str(seed),
+        "--count",
+        str(count),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout.splitlines()[-1])  # OpenEXR writes to standard output as well
@@ -393,7 +564,12 @@ def main():
     for reader in arguments.reader or READERS:
         fuzz(reader, arguments.seed, 0, 0)  # modules are loaded before memory is limited
         limit_memory()
-        print(json.dumps(fuzz(reader, arguments.seed, arguments.first, arguments.count, arguments.keep)), flush=True)
+        print(
+            json.dumps(
+                fuzz(reader, arguments.seed, arguments.first, arguments.count, arguments.keep)
+            ),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -24,8 +24,18 @@ CAMERAS = {  # name: base camera and settings
     "phone": ("phone", {}),
     "phone, coma": ("phone", {"seidel_waves": (0.0, 0.4, 0.0, 0.0, 0.0)}),
     "phone, defocus": ("phone", {"defocus_um": 9.0}),
-    "phone, patterns": ("phone", {"prnu": 0.01, "dsnu_e": 1.0, "hot_pixels": 1e-3, "hot_current_e_per_s": 500.0,
-                                  "telegraph_pixels": 0.01, "telegraph_e": 5.0, "defects": "known"}),
+    "phone, patterns": (
+        "phone",
+        {
+            "prnu": 0.01,
+            "dsnu_e": 1.0,
+            "hot_pixels": 1e-3,
+            "hot_current_e_per_s": 500.0,
+            "telegraph_pixels": 0.01,
+            "telegraph_e": 5.0,
+            "defects": "known",
+        },
+    ),
     "phone, best": ("phone", {"demosaic": "best", "denoise": 0.5}),
     "phone, binned": ("phone", {"binning": (2, 2)}),
     "figure8": ("figure8", {}),
@@ -52,8 +62,17 @@ def questions():
     for number, (camera, (base, changes)) in enumerate(CAMERAS.items()):
         for more in (0, 1):
             scene = list(SCENES)[(number + 2 * more) % len(SCENES)]
-            tolerance = None if "seidel_waves" in changes else tolerances[(number + more) % len(tolerances)]
-            yield f"{camera} | {scene} | {tolerance}", base, changes, scene, SCENES[scene], tolerance
+            tolerance = (
+                None if "seidel_waves" in changes else tolerances[(number + more) % len(tolerances)]
+            )
+            yield (
+                f"{camera} | {scene} | {tolerance}",
+                base,
+                changes,
+                scene,
+                SCENES[scene],
+                tolerance,
+            )
 
 
 def digest_frame(device, base, changes, name, settings, tolerance, seed=1) -> dict[str, str]:
@@ -61,35 +80,52 @@ def digest_frame(device, base, changes, name, settings, tolerance, seed=1) -> di
     import gpusim as gs
 
     scene = gs.chart(name, size=SIZE, **settings)
-    simulate = gs.Simulator(gs.open_camera(base).with_(**changes), device=device, tolerance=tolerance)
+    simulate = gs.Simulator(
+        gs.open_camera(base).with_(**changes), device=device, tolerance=tolerance
+    )
     frame = simulate(scene, seed=seed)
-    report = "\n".join(re.sub(r" +", " ", TIMES.sub("", line)) for line in str(frame.report).splitlines())
+    report = "\n".join(
+        re.sub(r" +", " ", TIMES.sub("", line)) for line in str(frame.report).splitlines()
+    )
     account = json.dumps(simulate.plan(scene).account.as_dict(), sort_keys=True)
-    arrays = {key: np.ascontiguousarray(getattr(frame, key)) for key in ("mean", "raw", "rgb")
-              if getattr(frame, key) is not None}
+    arrays = {
+        key: np.ascontiguousarray(getattr(frame, key))
+        for key in ("mean", "raw", "rgb")
+        if getattr(frame, key) is not None
+    }
     found = {key: hashlib.sha256(value.tobytes()).hexdigest()[:16] for key, value in arrays.items()}
     texts = {"account": account, "report": report}
-    return found | {key: hashlib.sha256(text.encode()).hexdigest()[:16] for key, text in texts.items()}
+    return found | {
+        key: hashlib.sha256(text.encode()).hexdigest()[:16] for key, text in texts.items()
+    }
 
 
 def digest_all(devices=DEVICES) -> dict[str, dict[str, str]]:
     """Digests of every question on every device."""
-    return {f"{device} | {name}": digest_frame(device, *question)
-            for device in devices for name, *question in questions()}
+    return {
+        f"{device} | {name}": digest_frame(device, *question)
+        for device in devices
+        for name, *question in questions()
+    }
 
 
 def differences(before, after) -> list[str]:
     """What differs, one line each."""
-    return [f"{name}: {key}" for name in sorted(before | after)
-            for key in sorted(before.get(name, {}) | after.get(name, {}))
-            if before.get(name, {}).get(key) != after.get(name, {}).get(key)]
+    return [
+        f"{name}: {key}"
+        for name in sorted(before | after)
+        for key in sorted(before.get(name, {}) | after.get(name, {}))
+        if before.get(name, {}).get(key) != after.get(name, {}).get(key)
+    ]
 
 
 def digests_of(commit: str) -> dict[str, dict[str, str]]:
     """Digests that another commit makes on this machine."""
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder, "tree")
-        subprocess.run(["git", "worktree", "add", "--detach", "-q", tree, commit], cwd=ROOT, check=True)
+        subprocess.run(
+            ["git", "worktree", "add", "--detach", "-q", tree, commit], cwd=ROOT, check=True
+        )
         try:
             return digests_in(tree, Path(folder, "digests.json"))
         finally:
@@ -98,7 +134,11 @@ def digests_of(commit: str) -> dict[str, dict[str, str]]:
 
 def digests_in(tree, out) -> dict[str, dict[str, str]]:
     """Digests that the gpusim in a folder makes, by a process of its own."""
-    subprocess.run([sys.executable, __file__, "--out", out], check=True, env=os.environ | {"PYTHONPATH": str(tree)})
+    subprocess.run(
+        [sys.executable, __file__, "--out", out],
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(tree)},
+    )
     return json.loads(Path(out).read_text())
 
 

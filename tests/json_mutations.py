@@ -11,31 +11,120 @@ from gpusim.apps.preview.controls import BEYOND, BEYOND_LOG, CONTROLS, LIGHTS, T
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData
 
-STATES = [State("phone"), State("mono", {"optics.f_number": 2.0, "sensor.bits": 12}, "D65", 100.0, "1e-2", "raw"),
-          State("machine-vision", {"processor.tone": "contrast", "optics.zernike_waves.7": 0.2}, seed=3, frame=7,
-                against={"camera": "phone", "changes": {"noise.read_e": 3.0}}, split=0.25)]
-VIDEO = {"gpusim": "0.1", "camera": "abc", "scenes": ["a.png", "b.png"], "frames": 3,
-         "loops": {"seconds": [0.01, 0.02, 0.03], "white": [[1.0, 0.5, 0.7]] * 3, "focus": None}}
+STATES = [
+    State("phone"),
+    State("mono", {"optics.f_number": 2.0, "sensor.bits": 12}, "D65", 100.0, "1e-2", "raw"),
+    State(
+        "machine-vision",
+        {"processor.tone": "contrast", "optics.zernike_waves.7": 0.2},
+        seed=3,
+        frame=7,
+        against={"camera": "phone", "changes": {"noise.read_e": 3.0}},
+        split=0.25,
+    ),
+]
+VIDEO = {
+    "gpusim": "0.1",
+    "camera": "abc",
+    "scenes": ["a.png", "b.png"],
+    "frames": 3,
+    "loops": {"seconds": [0.01, 0.02, 0.03], "white": [[1.0, 0.5, 0.7]] * 3, "focus": None},
+}
 MANIFEST = VIDEO | {"plans": {"plan a": [[0, 1]], "plan b": [[2, 2]]}}
-SHEET = {"pixel_pitch": 3.45e-6, "quantum_efficiency": 0.6, "wavelength": 525.0, "gain": 0.4, "bits": 12,
-         "saturation_capacity": 8000.0, "dark_noise": 5.0}
-SHEETS = [SHEET, SHEET | {"dark_noise": None, "dark_noise_dn": 2.1, "prnu": 0.8, "prnu_row": 0.3, "dsnu": 2.0,
-                          "dsnu_column": 1.0, "channels": ["R"], "cfa": ["R"], "black_level": 64},
-          SHEET | {"snr_max_db": 39.03, "dark_current": 3.0, "dark_current_doubling": 7.0, "seed": 3}]
+SHEET = {
+    "pixel_pitch": 3.45e-6,
+    "quantum_efficiency": 0.6,
+    "wavelength": 525.0,
+    "gain": 0.4,
+    "bits": 12,
+    "saturation_capacity": 8000.0,
+    "dark_noise": 5.0,
+}
+SHEETS = [
+    SHEET,
+    SHEET
+    | {
+        "dark_noise": None,
+        "dark_noise_dn": 2.1,
+        "prnu": 0.8,
+        "prnu_row": 0.3,
+        "dsnu": 2.0,
+        "dsnu_column": 1.0,
+        "channels": ["R"],
+        "cfa": ["R"],
+        "black_level": 64,
+    },
+    SHEET | {"snr_max_db": 39.03, "dark_current": 3.0, "dark_current_doubling": 7.0, "seed": 3},
+]
 SLOW = {name for name in CONTROLS if name.startswith(("optics.defocus", "optics.zernike"))}
-VALUES = (None, True, False, 0, 1, -1, 2, 3, 7, 0.5, -0.5, 1e-300, 1e300, 10**40, 10**400, float("nan"), float("inf"),
-          -float("inf"), "", "x", "phone", "raw", "x" * 3000, "../a.toml", "/dev/zero", "\0", "\ud800", "é", [], [[]],
-          {}, [1, 2, 3], [1.0, "x"], [[0, 1]], [[0, 10**30]], [[1, 0]], {"a": 1}, {"camera": "phone"}, [0.0] * 999)
-TEXTS = ("[" * 50_000, "[" * 900 + "]" * 900, '{"a":' * 900 + "1" + "}" * 900, "9" * 4200, "9" * 5000, "1e999", "-0",
-         '"\\ud800"', "'x'", "", "{", "NaN")
+VALUES = (
+    None,
+    True,
+    False,
+    0,
+    1,
+    -1,
+    2,
+    3,
+    7,
+    0.5,
+    -0.5,
+    1e-300,
+    1e300,
+    10**40,
+    10**400,
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    "",
+    "x",
+    "phone",
+    "raw",
+    "x" * 3000,
+    "../a.toml",
+    "/dev/zero",
+    "\0",
+    "\ud800",
+    "é",
+    [],
+    [[]],
+    {},
+    [1, 2, 3],
+    [1.0, "x"],
+    [[0, 1]],
+    [[0, 10**30]],
+    [[1, 0]],
+    {"a": 1},
+    {"camera": "phone"},
+    [0.0] * 999,
+)
+TEXTS = (
+    "[" * 50_000,
+    "[" * 900 + "]" * 900,
+    '{"a":' * 900 + "1" + "}" * 900,
+    "9" * 4200,
+    "9" * 5000,
+    "1e999",
+    "-0",
+    '"\\ud800"',
+    "'x'",
+    "",
+    "{",
+    "NaN",
+)
 
 
 def good(reader):
     """Texts that a reader takes."""
-    return [text.encode() for text in {
-        "link": [state.link() for state in STATES], "fields": [_quick(state).link() for state in STATES],
-        "manifest": [json.dumps(MANIFEST, indent=2) + "\n", json.dumps(VIDEO)],
-        "sheet": [json.dumps(sheet) for sheet in SHEETS]}[reader]]
+    return [
+        text.encode()
+        for text in {
+            "link": [state.link() for state in STATES],
+            "fields": [_quick(state).link() for state in STATES],
+            "manifest": [json.dumps(MANIFEST, indent=2) + "\n", json.dumps(VIDEO)],
+            "sheet": [json.dumps(sheet) for sheet in SHEETS],
+        }[reader]
+    ]
 
 
 def changed(text: bytes, random) -> bytes:
@@ -64,7 +153,9 @@ def manifest(text: bytes, random) -> bytes:
     whole = json.loads(text)
     if "plans" not in whole or random.random() < 0.4:
         return changed(text, random)
-    plans = json.dumps({"plans": whole.pop("plans") if random.random() < 0.8 else pick(random, VALUES)})
+    plans = json.dumps(
+        {"plans": whole.pop("plans") if random.random() < 0.8 else pick(random, VALUES)}
+    )
     return json.dumps(whole).encode()[:-1] + b", " + changed(plans.encode(), random)[1:]
 
 
@@ -74,8 +165,22 @@ def _change(place, key, random):
     if kind == 0:
         del place[key]
     elif kind == 1 and isinstance(place, dict):
-        place[pick(random, ("x", "", "camera", "changes", "view", "optics.f_number", "plans", "gain", "y" * 999))] = (
-            place.pop(key))
+        place[
+            pick(
+                random,
+                (
+                    "x",
+                    "",
+                    "camera",
+                    "changes",
+                    "view",
+                    "optics.f_number",
+                    "plans",
+                    "gain",
+                    "y" * 999,
+                ),
+            )
+        ] = place.pop(key)
     elif kind == 2 and isinstance(place, list):
         place += place * int(random.integers(1, 9))
     elif kind == 3 and type(place[key]) in (int, float):
@@ -99,20 +204,44 @@ def fields(text: bytes, random) -> bytes:
     changes = dict(state.changes)
     for _ in range(int(random.integers(1, 7))):
         control = CONTROLS[pick(random, [name for name in CONTROLS if name not in SLOW])]
-        low, high = ((control.low / BEYOND_LOG, control.high * BEYOND_LOG) if control.is_log else
-                     (min(control.low, 0) * BEYOND, control.high * BEYOND))
+        low, high = (
+            (control.low / BEYOND_LOG, control.high * BEYOND_LOG)
+            if control.is_log
+            else (min(control.low, 0) * BEYOND, control.high * BEYOND)
+        )
         part = pick(random, (0.0, 1.0, random.random(), random.random()))
         value = low * (high / low) ** part if control.is_log else low + (high - low) * part
-        values = [*control.choices] or [float(value)] * 6 + [control.low, control.high, value * 1e3, -1.0, 0.0]
-        changes[control.name] = control.off if control.off is not None and random.random() < 0.1 else pick(
-            random, values)
-    return replace(state, changes=changes, light=pick(random, (None, *LIGHTS)), view=pick(random, VIEWS),
-                   luminance=pick(random, (None, float(10 ** random.uniform(-6, 6)))), seed=int(random.integers(2**32)),
-                   tolerance=pick(random, TOLERANCES)).link().encode()
+        values = [*control.choices] or [float(value)] * 6 + [
+            control.low,
+            control.high,
+            value * 1e3,
+            -1.0,
+            0.0,
+        ]
+        changes[control.name] = (
+            control.off
+            if control.off is not None and random.random() < 0.1
+            else pick(random, values)
+        )
+    return (
+        replace(
+            state,
+            changes=changes,
+            light=pick(random, (None, *LIGHTS)),
+            view=pick(random, VIEWS),
+            luminance=pick(random, (None, float(10 ** random.uniform(-6, 6)))),
+            seed=int(random.integers(2**32)),
+            tolerance=pick(random, TOLERANCES),
+        )
+        .link()
+        .encode()
+    )
 
 
 def _quick(state):
-    return replace(state, changes={name: value for name, value in state.changes.items() if name not in SLOW})
+    return replace(
+        state, changes={name: value for name, value in state.changes.items() if name not in SLOW}
+    )
 
 
 def read_link(path):
@@ -132,7 +261,9 @@ def read_fields(path):
     from gpusim.data.charts import chart
 
     state = State.of_link(path.read_text("utf-8", "replace"), "phone")
-    return Producer(Still(chart("deadleaves", size=(48, 32)), 1), open_device("numpy")).picture(state, 0)
+    return Producer(Still(chart("deadleaves", size=(48, 32)), 1), open_device("numpy")).picture(
+        state, 0
+    )
 
 
 def read_manifest(path):
@@ -156,6 +287,8 @@ def read_sheet(path):
     try:
         return sensor_from_emva1288(**figures)
     except TypeError as error:
-        if "sensor_from_emva1288() " in str(error):  # an argument that is missing or unknown, as Python has it
+        if "sensor_from_emva1288() " in str(
+            error
+        ):  # an argument that is missing or unknown, as Python has it
             raise BadData("not the function's arguments") from None
         raise

@@ -54,8 +54,20 @@ def radiance(name: str, shape=(32, 48)) -> np.ndarray:
     }[name]()
 
 
-LIGHTS = ("plain", "filament", "sun", "bright", "lamp of 9e19", "lamp of 9e21", "star", "star on 1e-7", "dark",
-          "denormal", "half plane of 1e12:1", "point of 1e12:1")
+LIGHTS = (
+    "plain",
+    "filament",
+    "sun",
+    "bright",
+    "lamp of 9e19",
+    "lamp of 9e21",
+    "star",
+    "star on 1e-7",
+    "dark",
+    "denormal",
+    "half plane of 1e12:1",
+    "point of 1e12:1",
+)
 
 
 def scene_of(values, form="cube", border="edge", wavelengths=WAVELENGTHS) -> Scene:
@@ -65,7 +77,9 @@ def scene_of(values, form="cube", border="edge", wavelengths=WAVELENGTHS) -> Sce
     kind = (x // 7 + y // 5) % 3
     each = (kind == np.arange(3)[:, None, None]).astype(np.float32)
     if form == "cube":
-        content = Cube(wavelengths, np.moveaxis(spectra[kind] * values[..., None], -1, 0).astype(np.float32))
+        content = Cube(
+            wavelengths, np.moveaxis(spectra[kind] * values[..., None], -1, 0).astype(np.float32)
+        )
     elif form == "basis":
         content = Basis(wavelengths, (each * values).astype(np.float32), spectra)
     elif form == "materials":
@@ -91,8 +105,13 @@ def _gaussian(width):
 
 def _measured(**more):
     ends, heights = np.array([400.0, 700.0]), more.get("heights", np.zeros(1))
-    values = np.stack([np.stack([_gaussian(0.9 + 0.3 * h), _gaussian(1.1 + 0.3 * h)]) for h in heights])
-    return {"model": "measured", "psf": PointSpread(ends, values if more else values[0], 0.25e-6, **more)}
+    values = np.stack(
+        [np.stack([_gaussian(0.9 + 0.3 * h), _gaussian(1.1 + 0.3 * h)]) for h in heights]
+    )
+    return {
+        "model": "measured",
+        "psf": PointSpread(ends, values if more else values[0], 0.25e-6, **more),
+    }
 
 
 LENSES = {
@@ -106,7 +125,9 @@ LENSES = {
     "distorted": {"distortion": RadialPolynomial(0.05, 0.0, 30e-6)},
     "f/1000": {"f_number": 1000.0},
     "coma": {"wavefront": Wavefront(seidel=(0, 0.5, 0, 0, 0))},
-    "lateral colour": {"lateral_color": Spectrum(np.array([400.0, 700.0]), np.array([-0.02, 0.02]))},
+    "lateral colour": {
+        "lateral_color": Spectrum(np.array([400.0, 700.0]), np.array([-0.02, 0.02]))
+    },
     "measured over heights": _measured(heights=np.array([0.0, 0.5, 1.0])),
 }
 VARYING = ("coma", "lateral colour", "measured over heights")
@@ -114,4 +135,6 @@ VARYING = ("coma", "lateral colour", "measured over heights")
 
 def camera_with_lens(name: str, **sensor):
     """The phone behind a lens of LENSES."""
-    return replace(PHONE, optics=replace(PHONE.optics, **LENSES[name]), sensor=replace(PHONE.sensor, **sensor))
+    return replace(
+        PHONE, optics=replace(PHONE.optics, **LENSES[name]), sensor=replace(PHONE.sensor, **sensor)
+    )

@@ -13,21 +13,75 @@ from mutations import WORDS, damaged, pick
 
 RANDOM = np.random.default_rng(7)
 WAVES, CUBE = np.array([400.0, 500.0, 650.0]), RANDOM.uniform(1, 2, (6, 5, 3))
-LAMP = {"type": "illuminant", "name": "lamp", "data": {"photons": np.ones(3)}, "spectrum": {"wave": WAVES}}
-SCENE = {"type": "scene", "name": "wall", "data": {"photons": CUBE.astype(np.float32)}, "spectrum": {"wave": WAVES},
-         "illuminant": LAMP, "wAngular": 10.0, "depthMap": CUBE[..., 0]}
+LAMP = {
+    "type": "illuminant",
+    "name": "lamp",
+    "data": {"photons": np.ones(3)},
+    "spectrum": {"wave": WAVES},
+}
+SCENE = {
+    "type": "scene",
+    "name": "wall",
+    "data": {"photons": CUBE.astype(np.float32)},
+    "spectrum": {"wave": WAVES},
+    "illuminant": LAMP,
+    "wAngular": 10.0,
+    "depthMap": CUBE[..., 0],
+}
 CODES = {"photons": (CUBE * 9999).astype(np.uint16), "dmin": 1.0, "dmax": 2.0, "bitDepth": 16.0}
-GOOD = [{"scene": SCENE}, {"x": 1.0, "mine": SCENE | {"data": CODES, "illuminant": LAMP | {"data": {"photons": CUBE}}}},
-        {"oi": {"type": "opticalimage", "data": {"photons": CUBE}, "spectrum": {"wave": WAVES},
-                "optics": {"fNumber": 4.0}}},
-        {"mcCOEF": CUBE, "basis": {"basis": np.eye(3), "wave": WAVES}, "imgMean": np.ones(3), "comment": "text",
-         "illuminant": {"data": np.ones(3), "wavelength": WAVES}, "fov": 9.0},
-        {"photons": CUBE, "wave": WAVES, "illuminant": LAMP, "name": "a"}]
-VALUES = (0.0, -1.0, 1e300, np.nan, np.inf, "", "x", "sensor", "y" * 5000, "窓\n", np.zeros((0, 0)),
-          np.zeros((0, 3, 2)), np.ones((2, 2, 2, 2)), 1j, np.ones((3, 1)), np.arange(9), np.full((6, 5, 3), 1e39), True,
-          np.float32(3), {}, {"photons": 1.0}, {"data": CUBE}, np.zeros((6, 5, 3), np.int8), WAVES[::-1],
-          np.full((6, 5, 3), 7, np.uint32), np.array([400.0, 400.0, 500.0]), np.ones((6, 5)), -CUBE,
-          np.zeros((6, 5, 3)), np.zeros((99, 99, 3)))
+GOOD = [
+    {"scene": SCENE},
+    {"x": 1.0, "mine": SCENE | {"data": CODES, "illuminant": LAMP | {"data": {"photons": CUBE}}}},
+    {
+        "oi": {
+            "type": "opticalimage",
+            "data": {"photons": CUBE},
+            "spectrum": {"wave": WAVES},
+            "optics": {"fNumber": 4.0},
+        }
+    },
+    {
+        "mcCOEF": CUBE,
+        "basis": {"basis": np.eye(3), "wave": WAVES},
+        "imgMean": np.ones(3),
+        "comment": "text",
+        "illuminant": {"data": np.ones(3), "wavelength": WAVES},
+        "fov": 9.0,
+    },
+    {"photons": CUBE, "wave": WAVES, "illuminant": LAMP, "name": "a"},
+]
+VALUES = (
+    0.0,
+    -1.0,
+    1e300,
+    np.nan,
+    np.inf,
+    "",
+    "x",
+    "sensor",
+    "y" * 5000,
+    "窓\n",
+    np.zeros((0, 0)),
+    np.zeros((0, 3, 2)),
+    np.ones((2, 2, 2, 2)),
+    1j,
+    np.ones((3, 1)),
+    np.arange(9),
+    np.full((6, 5, 3), 1e39),
+    True,
+    np.float32(3),
+    {},
+    {"photons": 1.0},
+    {"data": CUBE},
+    np.zeros((6, 5, 3), np.int8),
+    WAVES[::-1],
+    np.full((6, 5, 3), 7, np.uint32),
+    np.array([400.0, 400.0, 500.0]),
+    np.ones((6, 5)),
+    -CUBE,
+    np.zeros((6, 5, 3)),
+    np.zeros((99, 99, 3)),
+)
 HDF5 = b"\x89HDF|TREE|SNOD|HEAP|GCOL|OHDR|OCHK|FRHP|BTHD|FADB|deflate"
 
 
@@ -45,12 +99,15 @@ def changed(variables, random):
     if kind == 0 and len(place) > 1:
         del place[name]
     elif kind == 1:
-        place[pick(random, ("wave", "data", "basis", "photons", "min", "scene", "a" * 31))] = place.pop(name)
+        place[pick(random, ("wave", "data", "basis", "photons", "min", "scene", "a" * 31))] = (
+            place.pop(name)
+        )
     elif kind == 2 and isinstance(value, np.ndarray):
         value = value.copy()
         with np.errstate(all="ignore"):
             value.reshape(-1)[int(random.integers(value.size))] = np.array(
-                pick(random, (0, -1, 1e9, 1e38, 1e300, np.nan, np.inf, 1e-300))).astype(value.dtype)
+                pick(random, (0, -1, 1e9, 1e38, 1e300, np.nan, np.inf, 1e-300))
+            ).astype(value.dtype)
         place[name] = value
     elif kind == 3 and isinstance(value, np.ndarray):
         place[name] = np.resize(value, tuple(random.integers(0, 7, int(random.integers(2, 4)))))
@@ -97,7 +154,11 @@ def _variables(data):
     at = 128
     while at + 8 <= len(data):
         kind, length = struct.unpack_from("<II", data, at)
-        yield zlib.decompress(data[at + 8:at + 8 + length]) if kind == 15 else data[at:at + 8 + length]
+        yield (
+            zlib.decompress(data[at + 8 : at + 8 + length])
+            if kind == 15
+            else data[at : at + 8 + length]
+        )
         at += 8 + length
 
 
@@ -122,7 +183,7 @@ def _reworded(variable, random):
         at += 4 * int(random.integers(5))
     at, wide = at + int(random.integers(4)) * 4, pick(random, (1, 2, 4, 4, 4))
     number = pick(random, (*WORDS, *range(2, 18), 24, 32, 64, int(random.integers(10**6))))
-    data[at:at + wide] = (number % 256**wide).to_bytes(wide, "little")
+    data[at : at + wide] = (number % 256**wide).to_bytes(wide, "little")
     return bytes(data)
 
 
@@ -148,13 +209,34 @@ def version_7_3(data: bytes, random) -> bytes:
         else:  # a number of 8 bytes that is an address or a size
             at = 8 * int(random.integers(64, max(len(data) // 8, 65)))
         wide = pick(random, (1, 1, 2, 4, 8))
-        number = pick(random, (*WORDS, 2, 3, 4, 5, 6, 8, 9, 11, 12, 16, 17, 24, 512, int(random.integers(len(data))),
-                               int(random.integers(10**6))))
-        if random.random() < 0.3:  # an address, counted from the user block on; of something else, or of itself
+        number = pick(
+            random,
+            (
+                *WORDS,
+                2,
+                3,
+                4,
+                5,
+                6,
+                8,
+                9,
+                11,
+                12,
+                16,
+                17,
+                24,
+                512,
+                int(random.integers(len(data))),
+                int(random.integers(10**6)),
+            ),
+        )
+        if (
+            random.random() < 0.3
+        ):  # an address, counted from the user block on; of something else, or of itself
             number, wide = max(pick(random, places) - 512, 0), 8
         if random.random() < 0.3 and at < len(data):
             number, wide = data[at] ^ (1 << int(random.integers(8))), 1
-        data[at:at + wide] = (number % 256**wide).to_bytes(wide, "little")
+        data[at : at + wide] = (number % 256**wide).to_bytes(wide, "little")
     return bytes(data)
 
 
@@ -170,4 +252,6 @@ def good(reader):
     """Bytes of files that the reader takes."""
     if reader == "mat":
         return [saved_5(variables, packed) for variables in GOOD for packed in (False, True)]
-    return [saved_73(variables, compression) for variables in GOOD for compression in ("gzip", None)]
+    return [
+        saved_73(variables, compression) for variables in GOOD for compression in ("gzip", None)
+    ]

@@ -52,7 +52,9 @@ class _Writer:
             made = group.create_dataset(name, data=np.array(shape, np.uint64))
             made.attrs["MATLAB_empty"] = np.uint8(1)
             return made
-        return group.create_dataset(name, data=stored, compression=self.compression if stored.size > 8 else None)
+        return group.create_dataset(
+            name, data=stored, compression=self.compression if stored.size > 8 else None
+        )
 
     def references(self, group, name, values):
         kept = self.file.require_group("#refs#")
@@ -61,4 +63,6 @@ class _Writer:
             label = f"a{len(kept)}"
             self.put(kept, label, value)
             found.append(kept[label].ref)
-        return group.create_dataset(name, data=np.array(found, h5py.ref_dtype)[:, None], dtype=h5py.ref_dtype)
+        return group.create_dataset(
+            name, data=np.array(found, h5py.ref_dtype)[:, None], dtype=h5py.ref_dtype
+        )

@@ -17,6 +17,7 @@ WAVES = np.array([400.0, 500.0, 650.0])
 @contextlib.contextmanager
 def refused(*parts, error=GpusimError, seconds=5):
     """Expect an error in one short line that holds all `parts`, in time."""
+
     def late(number, frame):
         raise TimeoutError("still reading")
 
@@ -29,7 +30,11 @@ def refused(*parts, error=GpusimError, seconds=5):
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
     text = str(caught.value)
-    assert len(text) < fuzz.LONGEST_MESSAGE and text.isprintable() and all(str(part) in text for part in parts), text
+    assert (
+        len(text) < fuzz.LONGEST_MESSAGE
+        and text.isprintable()
+        and all(str(part) in text for part in parts)
+    ), text
 
 
 @contextlib.contextmanager

@@ -16,8 +16,15 @@ import gpusim as gs
 # ---------
 # A monochrome sensor as a manufacturer would tell of it.
 
-sheet = {"quantum_efficiency": 0.65, "gain": 0.4, "dark_noise": 5.0, "saturation_capacity": 9000.0, "dsnu": 2.0,
-         "prnu": 0.8, "dark_current": 30.0}
+sheet = {
+    "quantum_efficiency": 0.65,
+    "gain": 0.4,
+    "dark_noise": 5.0,
+    "saturation_capacity": 9000.0,
+    "dsnu": 2.0,
+    "prnu": 0.8,
+    "dark_current": 30.0,
+}
 known = {"pixel_pitch": 3.45e-6, "wavelength": 535.0, "bits": 12, "black_level": 64}
 sensor = gs.sensor_from_emva1288(**sheet, **known)
 
@@ -35,21 +42,35 @@ numbers = iter(range(10**6))  # each frame has noise of its own
 def frames(count, photons, seconds=1e-3):
     """Frames of 128 x 192 pixels on which so many photons fall."""
     mean = np.full((128, 192), sheet["quantum_efficiency"] * photons, np.float32)
-    return np.stack([readout.draw_electrons(mean, seconds, seed=1, frame=next(numbers)) for _ in range(count)])
+    return np.stack(
+        [readout.draw_electrons(mean, seconds, seed=1, frame=next(numbers)) for _ in range(count)]
+    )
 
 
 half = 0.5 * sheet["saturation_capacity"] / sheet["quantum_efficiency"]
-found = gs.photon_transfer([frames(2, level) for level in photons], frames(2, 0), photons, dark_stack=frames(16, 0),
-                           bright_stack=frames(16, half),
-                           dark_series={seconds: frames(2, 0, seconds) for seconds in (0.1, 0.7, 1.4, 2.0, 3.0)})
+found = gs.photon_transfer(
+    [frames(2, level) for level in photons],
+    frames(2, 0),
+    photons,
+    dark_stack=frames(16, 0),
+    bright_stack=frames(16, half),
+    dark_series={seconds: frames(2, 0, seconds) for seconds in (0.1, 0.7, 1.4, 2.0, 3.0)},
+)
 
 # %%
 # What came back
 # --------------
 # The measurement scatters as one with so many pixels does: gain by 0.3 %, dark current by 2 %.
 
-units = {"quantum_efficiency": "", "gain": "DN/e⁻", "dark_noise": "e⁻", "saturation_capacity": "e⁻", "dsnu": "e⁻",
-         "prnu": "%", "dark_current": "e⁻/s"}
+units = {
+    "quantum_efficiency": "",
+    "gain": "DN/e⁻",
+    "dark_noise": "e⁻",
+    "saturation_capacity": "e⁻",
+    "dsnu": "e⁻",
+    "prnu": "%",
+    "dark_current": "e⁻/s",
+}
 for name, value in sheet.items():
     print(f"{name:20s} {value:8.4g} {found.figures[name]:8.4g} {units[name]}")
 
@@ -62,8 +83,13 @@ electrons = sheet["quantum_efficiency"] * photons
 ratio = found.signal / np.sqrt(found.variance + found.dark_noise_dn**2)
 below = slice(found.saturation_level)
 right.semilogx(photons[below], 20 * np.log10(ratio[below]), ".", label="frames")
-right.semilogx(photons, 20 * np.log10(electrons / np.sqrt(electrons + sheet["dark_noise"] ** 2)), "k", linewidth=0.8,
-               label="the sheet")
+right.semilogx(
+    photons,
+    20 * np.log10(electrons / np.sqrt(electrons + sheet["dark_noise"] ** 2)),
+    "k",
+    linewidth=0.8,
+    label="the sheet",
+)
 right.set(xlabel="photons on a pixel", ylabel="signal to noise [dB]", title="signal to noise")
 right.legend(frameon=False)
 

@@ -22,7 +22,11 @@ from gpusim.measure import ciede2000
 
 camera = gs.open_camera("phone").with_(scaling="normalised")
 simulate = gs.Simulator(camera)
-lights = {"blackbody-1900K": "taken for a candle", "A": "known: a lamp of 2856 K", "D65": "taken for daylight"}
+lights = {
+    "blackbody-1900K": "taken for a candle",
+    "A": "known: a lamp of 2856 K",
+    "D65": "taken for daylight",
+}
 scenes = {light: gs.chart("colorchecker", size=(240, 160), light=light) for light in lights}
 exposure = simulate.expose(scenes["A"])
 raw = simulate.draw(exposure, seed=1)
@@ -41,7 +45,12 @@ for axis, (light, title) in zip(axes, lights.items(), strict=True):
 # The right transform still errs: three filters cannot tell all spectra apart as the eye does. A camera that estimates
 # the light does so from the picture alone; on a chart of many colours the mean of all is nearly grey.
 
-names = {"known": "illuminant", "gray world": "gray-world", "brightest": "max-rgb", "assumed daylight": "none"}
+names = {
+    "known": "illuminant",
+    "gray world": "gray-world",
+    "brightest": "max-rgb",
+    "assumed daylight": "none",
+}
 figure, axis = plt.subplots(figsize=(8, 3.2), layout="constrained")
 kinds = ("D65", "A", "FL11", "LED-B1")
 for number, (label, method) in enumerate(names.items()):

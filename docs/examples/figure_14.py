@@ -29,9 +29,13 @@ from gpusim.measure import snr
 
 sensitivity = curve("mt9v024")  # R, G, B and clear
 cut = curve("ir-cut-phone").at(sensitivity.wavelengths)
-columns = np.vstack([sensitivity.wavelengths, sensitivity.values * cut, 0.3 * sensitivity.values[3] * cut])
+columns = np.vstack(
+    [sensitivity.wavelengths, sensitivity.values * cut, 0.3 * sensitivity.values[3] * cut]
+)
 folder = Path(tempfile.mkdtemp())
-np.savetxt(folder / "filters.csv", columns.T, "%.5f", ",", header="wavelength_nm,R,G,B,W,N", comments="")
+np.savetxt(
+    folder / "filters.csv", columns.T, "%.5f", ",", header="wavelength_nm,R,G,B,W,N", comments=""
+)
 
 mosaics = {"RGB": ["RG", "GB"], "RGBW": ["RG", "WB"], "RGBN": ["RG", "NB"]}
 cameras = {}
@@ -59,8 +63,10 @@ exposure_time_ms = 100
 # Ten generated scenes, each at eight strengths of light. ``gpusim train-l3`` takes thirty, and writes the table to a
 # file. A learned table knows the mosaic, the noise and the blur of its camera.
 
-learned = {name: camera.with_(demosaic="learned", table=train(camera, generated=10)) for name, camera in
-           cameras.items()}
+learned = {
+    name: camera.with_(demosaic="learned", table=train(camera, generated=10))
+    for name, camera in cameras.items()
+}
 
 # %%
 # The figure

@@ -34,7 +34,9 @@ def lens_and_pixel(per_mm, defocus_um, waves=0.55):
     path = defocus_um / (8 * 2.4**2 * waves)  # [wave] at the pupil's edge
     u = (1 - s) * (np.arange(2000) + 0.5) / 2000
     overlap = np.sqrt(np.maximum(1 - (u + s) ** 2, 0)) * np.cos(8 * np.pi * path * s * u)
-    return np.abs(4 / np.pi * (1 - s[:, 0]) * overlap.mean(axis=1)) * np.sinc(per_mm * 1.4e-3 * np.sqrt(0.75))
+    return np.abs(4 / np.pi * (1 - s[:, 0]) * overlap.mean(axis=1)) * np.sinc(
+        per_mm * 1.4e-3 * np.sqrt(0.75)
+    )
 
 
 figure, axes = plt.subplots(2, 3, figsize=(10, 6.4), height_ratios=(1.3, 1), layout="constrained")
@@ -46,7 +48,12 @@ for defocus, (above, below) in zip((0, 10, 40), axes.T, strict=True):
     response = sfr(linear @ luminance, pitch=1.4e-6)
     within = response.frequencies <= 0.5
     below.plot(response.per_mm[within], response.response[within], "k")
-    below.plot(response.per_mm[within], lens_and_pixel(response.per_mm[within], defocus), "k--", linewidth=0.8)
+    below.plot(
+        response.per_mm[within],
+        lens_and_pixel(response.per_mm[within], defocus),
+        "k--",
+        linewidth=0.8,
+    )
     below.axhline(0.5, color="0.8", zorder=0)
     below.text(0.32, 0.88, f"50 % at {mtf50(response):.0f} cycles/mm", transform=below.transAxes)
     below.set(xlabel="cycles/mm on the sensor", ylim=(0, 1.05))
@@ -60,7 +67,9 @@ axes[1, 0].set_ylabel("contrast")
 distances = np.array([0, 2.5, 5, 10, 15, 20, 30, 40])
 found = []
 for distance in distances:
-    stacked = silent.with_(defocus_um=float(distance), stacked=True)  # all colours in each pixel: no demosaicking
+    stacked = silent.with_(
+        defocus_um=float(distance), stacked=True
+    )  # all colours in each pixel: no demosaicking
     found.append(mtf50(sfr(gs.Simulator(stacked)(edge).mean[1], pitch=1.4e-6)))
 
 figure, axis = plt.subplots(figsize=(6, 3.2), layout="constrained")

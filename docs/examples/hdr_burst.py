@@ -58,7 +58,9 @@ for axis in axes.flat:
 # drowns dark parts in noise, the longest is full in bright ones.
 
 ramp = gs.chart("ramp", size=(256, 64), decades=5, luminance=3e4)
-silent = gs.Simulator(camera.with_(photon="none", read_e=0, dark_current_e_per_s=0, prnu=0, dsnu_e=0))
+silent = gs.Simulator(
+    camera.with_(photon="none", read_e=0, dark_current_e_per_s=0, prnu=0, dsnu_e=0)
+)
 taken = gs.bracket(simulate, ramp, (0, 4, 8), seed=3)
 true = silent.expose(ramp, taken[-1].exposure_time)
 rates = np.asarray(silent.device.numpy(true.mean)) / true.exposure_time
@@ -66,11 +68,20 @@ sensor = camera.sensor
 
 figure, axis = plt.subplots(figsize=(8, 3.4), layout="constrained")
 together = gs.merge_bracket(simulate, taken)
-curves = [((frame.raw.astype(float) - sensor.black_level) / sensor.gain_dn_per_electron / frame.exposure_time,
-           f"{1e3 * frame.exposure_time:.3g} ms") for frame in (taken[0], taken[-1])]
+curves = [
+    (
+        (frame.raw.astype(float) - sensor.black_level)
+        / sensor.gain_dn_per_electron
+        / frame.exposure_time,
+        f"{1e3 * frame.exposure_time:.3g} ms",
+    )
+    for frame in (taken[0], taken[-1])
+]
 for found, label in (*curves, (together.mean / together.exposure_time, "three, merged")):
     axis.semilogx(rates[::2, ::2].mean(0), (found / rates)[::2, ::2].mean(0), label=label)
-axis.set(xlabel="electrons per second", ylabel="found over true, mean of 32 pixels", ylim=(0.5, 1.5))
+axis.set(
+    xlabel="electrons per second", ylabel="found over true, mean of 32 pixels", ylim=(0.5, 1.5)
+)
 axis.legend(frameon=False)
 
 # %%
@@ -86,8 +97,15 @@ slow = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=40, scaling="
 blurred = next(slow.shoot(gs.expose_motion(slow, dim, hand), seed=4))
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
-for axis, (frame, title) in zip(axes, ((burst[0], "one of 5 ms"), (blurred, "one of 40 ms"),
-                                       (gs.merge_burst(steady, burst), "eight of 5 ms, merged")), strict=True):
+for axis, (frame, title) in zip(
+    axes,
+    (
+        (burst[0], "one of 5 ms"),
+        (blurred, "one of 40 ms"),
+        (gs.merge_burst(steady, burst), "eight of 5 ms, merged"),
+    ),
+    strict=True,
+):
     axis.imshow(frame.rgb)
     axis.set_title(title)
     axis.set_axis_off()

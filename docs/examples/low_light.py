@@ -23,10 +23,14 @@ photograph = data.astronaut()[:256, 90:346]
 simulate = gs.Simulator(camera, tolerance="video")
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained")
-for axis, luminance, where in zip(axes, (100, 10, 1), ("an office", "a dim room", "a street at night"), strict=True):
+for axis, luminance, where in zip(
+    axes, (100, 10, 1), ("an office", "a dim room", "a street at night"), strict=True
+):
     frame = simulate(gs.scene_from(photograph, luminance=luminance), seed=1)
     axis.imshow(frame.rgb)
-    axis.set_title(f"{where}: white {luminance} cd/m²,\n{frame.mean.mean():.0f} e⁻ in a pixel on average")
+    axis.set_title(
+        f"{where}: white {luminance} cd/m²,\n{frame.mean.mean():.0f} e⁻ in a pixel on average"
+    )
     axis.set_axis_off()
 
 # %%
@@ -38,9 +42,11 @@ for axis, luminance, where in zip(axes, (100, 10, 1), ("an office", "a dim room"
 dim, motion = gs.scene_from(photograph, luminance=3), gs.Motion(shake=1.5, seed=4)
 views = [dim.viewed(motion.at(number / 30)) for number in range(8)]
 frames = gs.burst(simulate, views, seed=2)
-shown = {"one frame": frames[0],
-         "denoised": gs.Simulator(camera.with_(denoise=1.0), tolerance="video")(views[0], seed=2),
-         "eight frames": gs.merge_burst(simulate, frames)}
+shown = {
+    "one frame": frames[0],
+    "denoised": gs.Simulator(camera.with_(denoise=1.0), tolerance="video")(views[0], seed=2),
+    "eight frames": gs.merge_burst(simulate, frames),
+}
 
 silent = camera.with_(photon="none", read_e=0, dark_current_e_per_s=0, prnu=0, dsnu_e=0)
 truth = gs.Simulator(silent)(views[0])

@@ -24,21 +24,30 @@ from gpusim.measure import sfr
 # at 360 nm; its energy is scaled to one. gpusim interpolates between wavelengths and heights. Photographs have light
 # from 360 to 780 nm, so the tables reach as far.
 
-spacing, wavelengths, heights = 0.3, (360.0, 550.0, 780.0), (0.0, 0.5, 1.0)  # [µm], [nm], 1: the frame's corner
+spacing, wavelengths, heights = (
+    0.3,
+    (360.0, 550.0, 780.0),
+    (0.0, 0.5, 1.0),
+)  # [µm], [nm], 1: the frame's corner
 y, x = (np.mgrid[:61, :61] - 30) * spacing  # [µm]; the corner lies towards +x
 
 
 def spot(wavelength, height):
     """A core of 1 µm, and a tail: cores ever wider and farther out."""
     width = 1.0 * (wavelength / 550) ** 0.5
-    return sum(np.exp(-((x - 4 * height * part**2) ** 2 + y**2) / (2 * (width * (1 + height * part)) ** 2))
-               / (1 + height * part) ** 3 for part in np.linspace(0, 1, 12))
+    return sum(
+        np.exp(-((x - 4 * height * part**2) ** 2 + y**2) / (2 * (width * (1 + height * part)) ** 2))
+        / (1 + height * part) ** 3
+        for part in np.linspace(0, 1, 12)
+    )
 
 
 values = np.array([[spot(wavelength, height) for wavelength in wavelengths] for height in heights])
 folder = Path(tempfile.mkdtemp())
-gs.write_psf(folder / "lens.npz", gs.PointSpread(np.array(wavelengths), values, spacing * 1e-6,
-                                                 heights=np.array(heights)))
+gs.write_psf(
+    folder / "lens.npz",
+    gs.PointSpread(np.array(wavelengths), values, spacing * 1e-6, heights=np.array(heights)),
+)
 
 # %%
 # The camera
@@ -57,8 +66,11 @@ figure, axes = plt.subplots(1, 3, figsize=(11, 2.7), layout="constrained")
 gs.plot.psf(diffraction, 550, axes[0])
 gs.plot.psf(camera, 550, axes[1])
 gs.plot.psf(camera, 550, axes[2], place=(0.0, 0.9))
-for axis, title in zip(axes, ("diffraction at f/1.8", "measured, on the axis", "measured, near the corner"),
-                       strict=True):
+for axis, title in zip(
+    axes,
+    ("diffraction at f/1.8", "measured, on the axis", "measured, near the corner"),
+    strict=True,
+):
     axis.set_title(title)
 
 # %%
@@ -68,7 +80,9 @@ for axis, title in zip(axes, ("diffraction at f/1.8", "measured, on the axis", "
 
 scene = gs.scene_from(data.astronaut()[:400], luminance=200)
 figure, axes = plt.subplots(2, 2, figsize=(8, 8.4), layout="constrained")
-for (whole, corner), one, title in zip(axes.T, (diffraction, camera), ("diffraction", "measured"), strict=True):
+for (whole, corner), one, title in zip(
+    axes.T, (diffraction, camera), ("diffraction", "measured"), strict=True
+):
     picture = gs.Simulator(one)(scene, seed=1).rgb
     whole.imshow(picture)
     whole.set_title(title)
@@ -88,7 +102,9 @@ gs.write_psf(folder / "axis.npz", gs.PointSpread(np.array(wavelengths), values[0
 base = "phone"
 optics = {psf = "axis.npz"}
 """)
-silent = gs.open_camera(folder / "axis.toml").with_(photon="none", read_e=0, prnu=0, dsnu_e=0, stacked=True)
+silent = gs.open_camera(folder / "axis.toml").with_(
+    photon="none", read_e=0, prnu=0, dsnu_e=0, stacked=True
+)
 edge = gs.chart("slanted-edge", size=(240, 160), samples_per_pixel=4)
 pitch = camera.sensor.pixel_pitch
 found = sfr(gs.Simulator(silent)(edge).mean[1], pitch=pitch)
@@ -97,7 +113,9 @@ at = found.per_mm[found.frequencies <= 0.5]
 transfer = np.abs(np.exp(-2j * np.pi * at[:, None] * x[0] * 1e-3) @ line) / line.sum()
 
 figure, axis = plt.subplots(figsize=(7, 3.4), layout="constrained")
-axis.plot(at, transfer * np.sinc(at * pitch * 1e3), "k--", label="the table's transform, and the pixel")
+axis.plot(
+    at, transfer * np.sinc(at * pitch * 1e3), "k--", label="the table's transform, and the pixel"
+)
 axis.plot(at, found.response[: len(at)], "g", label="slanted edge, green")
 axis.set(xlabel="cycles/mm on the sensor", ylabel="contrast", ylim=(0, 1.05))
 axis.legend(frameon=False)

@@ -23,8 +23,14 @@ from gpusim.measure import ciede2000, mtf50, sfr, snr
 folder = Path(tempfile.mkdtemp())
 waves = np.arange(400, 701, 10)
 filters = [0.55 * np.exp(-(((waves - middle) / 45) ** 2)) for middle in (600, 540, 455)]
-np.savetxt(folder / "filters.csv", np.column_stack([waves, *filters]), "%.4f", ",", header="wavelength_nm,R,G,B",
-           comments="")
+np.savetxt(
+    folder / "filters.csv",
+    np.column_stack([waves, *filters]),
+    "%.4f",
+    ",",
+    header="wavelength_nm,R,G,B",
+    comments="",
+)
 (folder / "mine.toml").write_text("""
 base = "phone"
 
@@ -75,7 +81,8 @@ for axis in axes[1:]:
 # Frequencies are those on the sensor.
 
 edge = gs.Simulator(camera.with_(read_e=0, prnu=0, photon="none"))(
-    gs.chart("slanted-edge", size=(240, 160), samples_per_pixel=2))
+    gs.chart("slanted-edge", size=(240, 160), samples_per_pixel=2)
+)
 response = sfr(edge.linear, pitch=camera.sensor.pixel_pitch)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
@@ -97,12 +104,16 @@ card = gs.chart("flat", size=(96, 64), luminance=50)
 ratios, lines = [], []
 for seconds in times:
     pair = list(gs.Simulator(camera.with_(exposure_time_ms=1e3 * seconds)).frames(card, 2, seed=2))
-    green = np.s_[24:40:2, 36:60:2]  # of one colour, in the middle, where the lens's fall-off is none
+    green = np.s_[
+        24:40:2, 36:60:2
+    ]  # of one colour, in the middle, where the lens's fall-off is none
     raws = [frame.raw[green].astype(float) - camera.sensor.black_level for frame in pair]
     ratios.append(snr(*raws))
     electrons = pair[0].mean[green].mean()
     lines.append(20 * np.log10(electrons / np.sqrt(electrons + 2.5**2)))
 right.semilogx(1e3 * times, lines, "0.6", label="electrons and read noise")
 right.semilogx(1e3 * times, ratios, "o", color="g", label="measured in the frames")
-right.set(xlabel="exposure time [ms], grey card in white of 50 cd/m²", ylabel="signal to noise [dB]")
+right.set(
+    xlabel="exposure time [ms], grey card in white of 50 cd/m²", ylabel="signal to noise [dB]"
+)
 right.legend(frameon=False)

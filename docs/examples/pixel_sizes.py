@@ -18,8 +18,10 @@ from skimage import data
 import gpusim as gs
 from gpusim.measure import mtf50, sfr, snr
 
-cameras = {pitch: gs.open_camera("phone").with_(pixel_pitch_um=pitch, full_well_e=3000 * pitch**2)
-           for pitch in (1.0, 2.0)}
+cameras = {
+    pitch: gs.open_camera("phone").with_(pixel_pitch_um=pitch, full_well_e=3000 * pitch**2)
+    for pitch in (1.0, 2.0)
+}
 colors = dict(zip(cameras, ("tab:blue", "tab:orange"), strict=True))
 
 # %%
@@ -33,13 +35,18 @@ photograph = data.astronaut()[:440, 40:480]
 frames = {}
 for pitch, camera in cameras.items():
     scene = gs.scene_from(photograph, luminance=20, samples_per_pixel=2 * pitch)
-    frames[pitch] = gs.Simulator(camera.with_(exposure_time_ms=1000 / 30, scaling="normalised"))(scene, seed=1)
+    frames[pitch] = gs.Simulator(camera.with_(exposure_time_ms=1000 / 30, scaling="normalised"))(
+        scene, seed=1
+    )
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.7), layout="constrained")
 for axis, (pitch, frame) in zip(axes, frames.items(), strict=True):
     axis.imshow(frame.rgb, interpolation="nearest")
-    axis.set_title(f"{pitch:.1f} µm: {frame.raw.shape[1]} x {frame.raw.shape[0]} pixels, {frame.mean.mean():.0f} e⁻ on "
-                   "average", fontsize=10)
+    axis.set_title(
+        f"{pitch:.1f} µm: {frame.raw.shape[1]} x {frame.raw.shape[0]} pixels, {frame.mean.mean():.0f} e⁻ on "
+        "average",
+        fontsize=10,
+    )
     axis.set_axis_off()
 
 # %%
@@ -54,8 +61,12 @@ for pitch, camera in cameras.items():
     edge = simulate(gs.chart("slanted-edge", size=(160, 120), samples_per_pixel=3)).mean[1]
     response = sfr(edge, pitch=camera.sensor.pixel_pitch)
     within = response.frequencies <= 0.5  # up to what the pixels sample
-    left.plot(response.per_mm[within], response.response[within], color=colors[pitch],
-              label=f"{pitch:.1f} µm, MTF50 {mtf50(response):.0f} /mm")
+    left.plot(
+        response.per_mm[within],
+        response.response[within],
+        color=colors[pitch],
+        label=f"{pitch:.1f} µm, MTF50 {mtf50(response):.0f} /mm",
+    )
 left.axhline(0.5, color="gray", linewidth=0.5)
 left.set(xlabel="cycles/mm on the sensor", ylabel="contrast", ylim=(0, 1.05))
 left.legend()
@@ -72,11 +83,19 @@ for pitch, camera in cameras.items():
     simulate = gs.Simulator(camera.with_(stacked=True, exposure_time_ms=10))
     found = []
     for luminance in luminances:
-        pair = [frame.raw[1].astype(float) - camera.sensor.black_level
-                for frame in simulate.frames(gs.chart("flat", size=(64, 64), luminance=luminance), 2)]
+        pair = [
+            frame.raw[1].astype(float) - camera.sensor.black_level
+            for frame in simulate.frames(gs.chart("flat", size=(64, 64), luminance=luminance), 2)
+        ]
         found.append(snr(*pair))
     right.semilogx(luminances, found, "o-", color=colors[pitch], label=f"a pixel of {pitch:.1f} µm")
     if pitch == 1:
-        right.semilogx(luminances, np.add(found, 20 * np.log10(2)), "--", color=colors[pitch], label="four of 1.0 µm")
+        right.semilogx(
+            luminances,
+            np.add(found, 20 * np.log10(2)),
+            "--",
+            color=colors[pitch],
+            label="four of 1.0 µm",
+        )
 right.set(xlabel="luminance of white [cd/m²], 10 ms", ylabel="signal to noise [dB]")
 right.legend()

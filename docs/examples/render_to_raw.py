@@ -22,8 +22,11 @@ folder = Path(tempfile.mkdtemp())
 size, fov = (192, 128), 40  # columns and rows, horizontal field of view [degree]
 bands = np.arange(400, 701, 50)  # [nm]
 sky = 0.002  # [W m⁻² sr⁻¹ nm⁻¹], some 140 cd/m²
-balls = [((-0.12, 0.08, 0.6), 0.08, (620, "red")), ((0.2, 0.15, 1.2), 0.15, (540, "green")),
-         ((-0.6, 0.3, 2.8), 0.3, (450, "blue"))]  # middle [m], radius [m], where they reflect most [nm]
+balls = [
+    ((-0.12, 0.08, 0.6), 0.08, (620, "red")),
+    ((0.2, 0.15, 1.2), 0.15, (540, "green")),
+    ((-0.6, 0.3, 2.8), 0.3, (450, "blue")),
+]  # middle [m], radius [m], where they reflect most [nm]
 
 
 def paint(middle):
@@ -45,27 +48,64 @@ def by_mitsuba():
 
     mi.set_variant("scalar_spectral")
     to, nodes = mi.ScalarTransform4f(), ", ".join(map(str, bands))
-    triangles = {f"band{nm}": {"type": "irregular", "wavelengths": f"{nm - 50}, {nm}, {nm + 50}",
-                               "values": "0, 0.02, 0"} for nm in bands}
-    objects = {name: {"type": "sphere", "center": list(middle), "radius": radius, "bsdf": {
-        "type": "diffuse", "reflectance": {"type": "irregular", "wavelengths": nodes,
-                                           "values": ", ".join(map(str, paint(nm)))}}}
-               for middle, radius, (nm, name) in balls}
+    triangles = {
+        f"band{nm}": {
+            "type": "irregular",
+            "wavelengths": f"{nm - 50}, {nm}, {nm + 50}",
+            "values": "0, 0.02, 0",
+        }
+        for nm in bands
+    }
+    objects = {
+        name: {
+            "type": "sphere",
+            "center": list(middle),
+            "radius": radius,
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": {
+                    "type": "irregular",
+                    "wavelengths": nodes,
+                    "values": ", ".join(map(str, paint(nm))),
+                },
+            },
+        }
+        for middle, radius, (nm, name) in balls
+    }
     squares = {"type": "checkerboard", "to_uv": to.scale(50), "color0": 0.15, "color1": 0.6}
-    objects |= {"sky": {"type": "constant", "radiance": {"type": "uniform", "value": sky}},
-                "floor": {"type": "rectangle", "to_world": to.rotate([1, 0, 0], -90).scale(10),
-                          "bsdf": {"type": "diffuse", "reflectance": squares}}}
+    objects |= {
+        "sky": {"type": "constant", "radiance": {"type": "uniform", "value": sky}},
+        "floor": {
+            "type": "rectangle",
+            "to_world": to.rotate([1, 0, 0], -90).scale(10),
+            "bsdf": {"type": "diffuse", "reflectance": squares},
+        },
+    }
 
     def seen(integrator, film, rays):
-        sensor = {"type": "perspective", "fov": fov, "near_clip": 0.001, "sampler": {"type": "independent"},
-                  "to_world": to.look_at([0, 0.25, 0], [0, 0.13, 1], [0, 1, 0]),
-                  "film": {"width": size[0], "height": size[1], "rfilter": {"type": "box"},
-                           "component_format": "float32"} | film}
-        scene = mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor} | objects)
+        sensor = {
+            "type": "perspective",
+            "fov": fov,
+            "near_clip": 0.001,
+            "sampler": {"type": "independent"},
+            "to_world": to.look_at([0, 0.25, 0], [0, 0.13, 1], [0, 1, 0]),
+            "film": {
+                "width": size[0],
+                "height": size[1],
+                "rfilter": {"type": "box"},
+                "component_format": "float32",
+            }
+            | film,
+        }
+        scene = mi.load_dict(
+            {"type": "scene", "integrator": integrator, "sensor": sensor} | objects
+        )
         return np.array(mi.render(scene, spp=rays))
 
-    return (seen({"type": "path", "max_depth": 4}, {"type": "specfilm"} | triangles, 64),
-            seen({"type": "aov", "aovs": "away:depth"}, {"type": "hdrfilm"}, 1)[..., -1])
+    return (
+        seen({"type": "path", "max_depth": 4}, {"type": "specfilm"} | triangles, 64),
+        seen({"type": "aov", "aovs": "away:depth"}, {"type": "hdrfilm"}, 1)[..., -1],
+    )
 
 
 # %%
@@ -75,9 +115,13 @@ def by_mitsuba():
 
 def by_hand():
     """The same scene without bounces."""
-    y, x = ((np.indices(size[::-1]) + 0.5 - np.array(size[::-1])[:, None, None] / 2)
-            * (2 * np.tan(np.radians(fov / 2)) / size[0]))
-    forward, up = np.array([0, -0.12, 1]) / np.hypot(0.12, 1), np.array([0, 1, 0.12]) / np.hypot(0.12, 1)
+    y, x = (np.indices(size[::-1]) + 0.5 - np.array(size[::-1])[:, None, None] / 2) * (
+        2 * np.tan(np.radians(fov / 2)) / size[0]
+    )
+    forward, up = (
+        np.array([0, -0.12, 1]) / np.hypot(0.12, 1),
+        np.array([0, 1, 0.12]) / np.hypot(0.12, 1),
+    )
     ray = forward - y[..., None] * up - x[..., None] * np.array([1, 0, 0])
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     eye = np.array([0, 0.25, 0])
@@ -102,9 +146,14 @@ def by_hand():
 
 renderer = by_mitsuba if find_spec("mitsuba") else by_hand
 radiance, away = renderer()
-channels = {f"band{nm}": np.ascontiguousarray(radiance[..., number], np.float32) for number, nm in enumerate(bands)}
-OpenEXR.File({"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION},
-             channels | {"depth.T": away.astype(np.float32)}).write(str(folder / "render.exr"))
+channels = {
+    f"band{nm}": np.ascontiguousarray(radiance[..., number], np.float32)
+    for number, nm in enumerate(bands)
+}
+OpenEXR.File(
+    {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION},
+    channels | {"depth.T": away.astype(np.float32)},
+).write(str(folder / "render.exr"))
 print("rendered", renderer.__name__.replace("_", " "))
 
 # %%
@@ -113,8 +162,9 @@ print("rendered", renderer.__name__.replace("_", " "))
 # The names of the channels say nothing of wavelengths, so they are told. Distances are along rays; with the field of
 # view they become distances along the axis. Light of every layer is blurred by its own defocus.
 
-scene = gs.open_scene(folder / "render.exr", bands={f"band{nm}": nm for nm in bands}, depth="ray",
-                      fov=np.radians(fov))
+scene = gs.open_scene(
+    folder / "render.exr", bands={f"band{nm}": nm for nm in bands}, depth="ray", fov=np.radians(fov)
+)
 camera = gs.open_camera("phone").with_(exposure_time_ms=20)
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
@@ -134,9 +184,14 @@ for axis in axes:
 # ordinary video file; where PyAV is not installed, numbered DNG files hold the same.
 
 video = "-o focus.mkv --codec ffv1-raw" if find_spec("av") else "-o focus.dng"
-command = (f"video render.exr --depth ray --fov {fov} " + " ".join(f"--band band{nm}={nm}" for nm in bands)
-           + f" --camera phone --exposure 20ms --ramp focus=0.55..2.6 --frames 4 {video}")
-subprocess.run([sys.executable, "-m", "gpusim", *command.split()], cwd=folder, check=True, capture_output=True)
+command = (
+    f"video render.exr --depth ray --fov {fov} "
+    + " ".join(f"--band band{nm}={nm}" for nm in bands)
+    + f" --camera phone --exposure 20ms --ramp focus=0.55..2.6 --frames 4 {video}"
+)
+subprocess.run(
+    [sys.executable, "-m", "gpusim", *command.split()], cwd=folder, check=True, capture_output=True
+)
 print("gpusim", command)
 
 if find_spec("av"):

@@ -58,7 +58,10 @@ patient = camera.with_(exposure_time_ms=1000 / 15, scaling="normalised")
 night = gs.Simulator(patient, tolerance="video")(dim, seed=1)
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
-for axis, each, title in ((axes[0], frame, "daylight, automatic exposure"), (axes[1], night, "5 cd/m², 1/15 s")):
+for axis, each, title in (
+    (axes[0], frame, "daylight, automatic exposure"),
+    (axes[1], night, "5 cd/m², 1/15 s"),
+):
     axis.imshow(each.rgb)
     axis.set_title(f"{title}: up to {each.mean.max():.0f} e⁻ in a pixel")
     axis.set_axis_off()

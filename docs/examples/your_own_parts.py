@@ -44,7 +44,9 @@ for shape in ((1, 1), (3, 5), (64, 96)):
     inputs = {"mean": random.uniform(0, 6000, shape).astype(np.float32), "part": 0.03}
     case = Case(f"{shape}", inputs, 6 * 2.0**-24, "five products and four sums in float32")
     error = case.error(crosstalk(**inputs), crosstalk_reference(**inputs))
-    print(f"{case.name:10s} error {error:.1e} of {case.tolerance:.1e}: {'ok' if error <= case.tolerance else 'FAIL'}")
+    print(
+        f"{case.name:10s} error {error:.1e} of {case.tolerance:.1e}: {'ok' if error <= case.tolerance else 'FAIL'}"
+    )
 
 # %%
 # In the chain
@@ -126,7 +128,9 @@ class Diary(Device):
 small = gs.chart("colorchecker", size=(48, 32))
 diary = Diary()
 slow, fast = gs.Simulator(phone, device=diary)(small, seed=1), gs.Simulator(phone)(small, seed=1)
-print(f"mean electrons differ by {np.abs(slow.mean / fast.mean - 1).max():.1e}, the picture in "
-      f"{(slow.rgb != fast.rgb).sum()} of {slow.rgb.size} codes")
+print(
+    f"mean electrons differ by {np.abs(slow.mean / fast.mean - 1).max():.1e}, the picture in "
+    f"{(slow.rgb != fast.rgb).sum()} of {slow.rgb.size} codes"
+)
 for stage, times in diary.ran.items():
     print(f"{stage:22s} {times}")

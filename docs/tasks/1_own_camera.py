@@ -1,4 +1,5 @@
 """Your own camera: its MTF50, and its signal-to-noise ratio against light."""
+
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -12,5 +13,7 @@ sensor = {pixel_pitch_um = 2.2, full_well_e = 9000, bits = 12}
 noise = {read_e = 2.5, prnu = 0}
 """)
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-gs.plot.sfr(gs.open_camera("mine.toml"), left)  # a slanted edge through lens, pixel, mosaic and processor
+gs.plot.sfr(
+    gs.open_camera("mine.toml"), left
+)  # a slanted edge through lens, pixel, mosaic and processor
 gs.plot.snr(gs.open_camera("mine.toml"), right)

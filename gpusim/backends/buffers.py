@@ -6,7 +6,9 @@ import numpy as np
 
 from gpusim.domain.foreign import CPU
 
-FREE_BLOCKS = 32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
+FREE_BLOCKS = (
+    32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
+)
 VECTOR = 16  # [byte] at which memory of the host must begin for kernels to use it where it is
 
 
@@ -21,7 +23,12 @@ class OpenCLArray:
     """
 
     def __init__(self, device, buffer, shape, dtype, host=None, owner=None, region=None):
-        self.device, self.buffer, self.shape, self.dtype = device, buffer, tuple(shape), np.dtype(dtype)
+        self.device, self.buffer, self.shape, self.dtype = (
+            device,
+            buffer,
+            tuple(shape),
+            np.dtype(dtype),
+        )
         self.host, self.owner, self.region = host, owner, region or (buffer, 0)
         self.nbytes = prod(self.shape) * self.dtype.itemsize
 
@@ -49,7 +56,9 @@ class OpenCLArray:
 
     def __array__(self, dtype=None, copy=None):
         if self.host is None and copy is False:
-            raise ValueError(f"the values of an array of {self.device.name} cannot be had without a copy")
+            raise ValueError(
+                f"the values of an array of {self.device.name} cannot be had without a copy"
+            )
         values = self.numpy()
         return np.array(values, dtype, copy=copy if self.host is not None else None)
 
@@ -59,11 +68,15 @@ class OpenCLArray:
 
     def __dlpack__(self, *, stream=None, max_version=None, dl_device=None, copy=None):
         self._require_host()
-        return self.numpy().__dlpack__(stream=stream, max_version=max_version, dl_device=dl_device, copy=copy)
+        return self.numpy().__dlpack__(
+            stream=stream, max_version=max_version, dl_device=dl_device, copy=copy
+        )
 
     def _require_host(self):
         if self.host is None:
-            raise BufferError(f"{self.device.name}: OpenCL memory cannot be shared: use np.asarray(x), or device warp")
+            raise BufferError(
+                f"{self.device.name}: OpenCL memory cannot be shared: use np.asarray(x), or device warp"
+            )
 
     def __getitem__(self, key):
         if not self.shape:
@@ -78,8 +91,10 @@ class OpenCLArray:
         try:
             index = key.__index__()
         except AttributeError:
-            raise TypeError("arrays of OpenCL devices are indexed along the first axis, by whole numbers and slices: "
-                            "for more, index np.asarray(x)") from None
+            raise TypeError(
+                "arrays of OpenCL devices are indexed along the first axis, by whole numbers and slices: "
+                "for more, index np.asarray(x)"
+            ) from None
         if not -count <= index < count:
             raise IndexError(f"index {index} is out of bounds for an axis of {count}")
         return self._part(index % count, self.shape[1:])
@@ -90,11 +105,23 @@ class OpenCLArray:
         if not nbytes:
             return device.empty(shape, self.dtype)
         first = start * prod(self.shape[1:])
-        host = None if self.host is None else self.host.reshape(-1)[first : first + prod(shape)].reshape(shape)
+        host = (
+            None
+            if self.host is None
+            else self.host.reshape(-1)[first : first + prod(shape)].reshape(shape)
+        )
         root, begin = self.region
         begin += first * self.dtype.itemsize
         if begin % device.alignment == 0:
-            return OpenCLArray(device, root.get_sub_region(begin, nbytes), shape, self.dtype, host, self, (root, begin))
+            return OpenCLArray(
+                device,
+                root.get_sub_region(begin, nbytes),
+                shape,
+                self.dtype,
+                host,
+                self,
+                (root, begin),
+            )
         if host is not None and host.ctypes.data % VECTOR == 0:
             return OpenCLArray(device, device.wrapped(host), shape, self.dtype, host, self)
         return self._copied([(first, prod(shape))], shape)
@@ -118,7 +145,9 @@ class Block:
     def __init__(self, free, nbytes, buffer, host):
         self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host
         if host is not None:
-            self.__array_interface__ = host.__array_interface__  # np.asarray(block) keeps the block alive
+            self.__array_interface__ = (
+                host.__array_interface__
+            )  # np.asarray(block) keeps the block alive
 
     def __del__(self):
         if sum(map(len, list(self.free.values()))) < FREE_BLOCKS:  # a list: threads add sizes

@@ -19,11 +19,18 @@ from pathlib import Path
 from gpusim.domain.errors import DeviceError
 from gpusim.domain.leftovers import PREFIX, remove_leftovers, temporary_name
 
-ELF_TABLE = slice(40, 48), slice(58, 62)  # of the header: where the section table begins; its entries' size and count
+ELF_TABLE = (
+    slice(40, 48),
+    slice(58, 62),
+)  # of the header: where the section table begins; its entries' size and count
 ROOM = 2**25  # [byte] that must be free: what is compiled for a few cameras takes half of it
 LARGEST = 2**21  # [byte] that one file must be able to take, by a quota or a limit
 SUMS = "gpusim-sums.json"  # beside the files of a program
-CHANGING = SUMS, PREFIX, "last_accessed"  # beginnings of names of what is written without being built
+CHANGING = (
+    SUMS,
+    PREFIX,
+    "last_accessed",
+)  # beginnings of names of what is written without being built
 log = logging.getLogger(__name__)
 
 
@@ -43,8 +50,10 @@ def lent_folder() -> Path:
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
             if has_room(folder):
                 return folder
-    raise DeviceError(f"no room for compiled kernels: wanted {ROOM >> 20} MiB in the user's cache folder or in one of "
-                      f"{', '.join(places)}; free some, or set TMPDIR")
+    raise DeviceError(
+        f"no room for compiled kernels: wanted {ROOM >> 20} MiB in the user's cache folder or in one of "
+        f"{', '.join(places)}; free some, or set TMPDIR"
+    )
 
 
 def has_room(folder: Path) -> bool:
@@ -63,11 +72,15 @@ def prepare_opencl():
     folder = pocl_folder()
     if folder is None:  # nobody's home: PoCL takes the system's folder for temporary files
         return
-    strays = [path for path in folder.glob("??") if not path.is_dir()]  # in the place of a folder of programs
+    strays = [
+        path for path in folder.glob("??") if not path.is_dir()
+    ]  # in the place of a folder of programs
     if not has_room(folder) or not keep_sound([*strays, *folder.glob("*/*")]):
         os.environ["POCL_CACHE_DIR"] = str(lent_folder())
         return
-    weakref.finalize(log, lambda: [note(program) for program in folder.glob("*/*")])  # after the devices' own ends
+    weakref.finalize(
+        log, lambda: [note(program) for program in folder.glob("*/*")]
+    )  # after the devices' own ends
 
 
 def pocl_folder() -> Path | None:
@@ -81,12 +94,21 @@ def pocl_folder() -> Path | None:
 
 def keep_sound(programs) -> bool:
     """Remove damaged programs, folders of files, with a line in the log; False if one could not be removed."""
-    damaged = [program for program in programs if not (program.name.startswith("tempfile") or is_sound(program))]
+    damaged = [
+        program
+        for program in programs
+        if not (program.name.startswith("tempfile") or is_sound(program))
+    ]
     for program in damaged:
         remove(program)
     if damaged:
-        log.warning("gpusim: %d compiled program%s in %s %s damaged, and built again", len(damaged),
-                    "s" if len(damaged) > 1 else "", damaged[0].parent, "were" if len(damaged) > 1 else "was")
+        log.warning(
+            "gpusim: %d compiled program%s in %s %s damaged, and built again",
+            len(damaged),
+            "s" if len(damaged) > 1 else "",
+            damaged[0].parent,
+            "were" if len(damaged) > 1 else "was",
+        )
     return not any(os.path.lexists(program) for program in damaged)
 
 
@@ -148,10 +170,16 @@ def _files(program):
     found = {}
     for folder, _, names in os.walk(program, onerror=_raise):
         for name in names:
-            if not name.startswith(CHANGING) and not name.endswith(".temp"):  # which another process writes just now
+            if not name.startswith(CHANGING) and not name.endswith(
+                ".temp"
+            ):  # which another process writes just now
                 path = os.path.join(folder, name)
                 state = os.stat(path)
-                found[os.path.relpath(path, program)] = [state.st_size, state.st_mtime_ns, state.st_ctime_ns]
+                found[os.path.relpath(path, program)] = [
+                    state.st_size,
+                    state.st_mtime_ns,
+                    state.st_ctime_ns,
+                ]
     return found
 
 
@@ -190,8 +218,13 @@ def _is_whole_elf(path):
     try:
         with open(path, "rb") as file:
             header = file.read(64)
-            (begin,), (entry, count) = (struct.unpack(form, header[part])
-                                        for form, part in zip(("<Q", "<HH"), ELF_TABLE, strict=True))
-            return header[:4] == b"\x7fELF" and begin + entry * count <= os.fstat(file.fileno()).st_size
+            (begin,), (entry, count) = (
+                struct.unpack(form, header[part])
+                for form, part in zip(("<Q", "<HH"), ELF_TABLE, strict=True)
+            )
+            return (
+                header[:4] == b"\x7fELF"
+                and begin + entry * count <= os.fstat(file.fileno()).st_size
+            )
     except (OSError, struct.error):
         return False

@@ -13,10 +13,18 @@ class Command:
     """
 
     def __init__(self, device, stage, name, kernel, pieces, args, spare):
-        self.device, self.stage, self.name, self.kernel, self.args = device, stage, name, kernel, args
+        self.device, self.stage, self.name, self.kernel, self.args = (
+            device,
+            stage,
+            name,
+            kernel,
+            args,
+        )
         self.spare = spare
-        self.pieces = [(size[::-1], block[::-1], offset[::-1] if any(offset) else None)
-                       for size, block, offset in pieces]
+        self.pieces = [
+            (size[::-1], block[::-1], offset[::-1] if any(offset) else None)
+            for size, block, offset in pieces
+        ]
         self.enqueue = device._cl.enqueue_nd_range_kernel
         for index, value in enumerate(args):
             self._set(index, value)
@@ -74,7 +82,11 @@ class Copy:
     def __init__(self, device, target, source, count, start, to):
         self.device, self.args, size = device, (target, source), source.dtype.itemsize
         self.stage, self.name = device._clock.charged or "copies", "copy"
-        self.range = {"byte_count": count * size, "src_offset": start * size, "dst_offset": to * size}
+        self.range = {
+            "byte_count": count * size,
+            "src_offset": start * size,
+            "dst_offset": to * size,
+        }
 
     def set(self, args):
         """Other arrays of the same kinds."""
@@ -83,7 +95,9 @@ class Copy:
     def start(self):
         device, clock, (target, source) = self.device, self.device._clock, self.args
         with device._lock:
-            event = device._cl.enqueue_copy(device.queue, target.buffer, source.buffer, **self.range)
+            event = device._cl.enqueue_copy(
+                device.queue, target.buffer, source.buffer, **self.range
+            )
             if clock.times is not None:
                 clock.events.append((self.stage, event))
             device._keep(self.args)

@@ -63,11 +63,15 @@ class Device:
     is_gpu = False
     has_fp64 = True
     group_limit = 1024  # work-items of a group at most
-    local_bytes = 48 * 1024  # local memory of a group that kernels may use: as every GPU of the last ten years has
+    local_bytes = (
+        48 * 1024
+    )  # local memory of a group that kernels may use: as every GPU of the last ten years has
 
     def __init__(self):
         self._clock = _Clock()
-        self._lock = threading.RLock()  # held while a kernel is built, or given its arguments and started
+        self._lock = (
+            threading.RLock()
+        )  # held while a kernel is built, or given its arguments and started
         if self.kind != "numpy":
             _in_use.add(self)
 
@@ -147,7 +151,9 @@ class Device:
     def mark(self):
         """A place in what was launched, for `send`."""
 
-    def launch(self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None):
+    def launch(
+        self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None
+    ):
         """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
 
         args: arrays of this device, ints and floats, in the kernel's order. defines: compile-time constants.
@@ -233,14 +239,18 @@ if hasattr(os, "register_at_fork"):
 def refuse_fork(name):
     """Raise DeviceError in a child process that was forked after a driver had started."""
     if _is_forked:
-        raise DeviceError(f"{name}: this process was forked from one that had used a device, which drivers do not "
-                          'survive; start it by "spawn" (multiprocessing.get_context("spawn"), '
-                          'DataLoader(multiprocessing_context="spawn")), or use devices in child processes alone')
+        raise DeviceError(
+            f"{name}: this process was forked from one that had used a device, which drivers do not "
+            'survive; start it by "spawn" (multiprocessing.get_context("spawn"), '
+            'DataLoader(multiprocessing_context="spawn")), or use devices in child processes alone'
+        )
 
 
 def kernel_folder() -> Path:
     """Return the folder of the kernels' files. Raises ImportError without one."""
-    spec = find_spec("gpusim.kernels.common")  # beside the package in a checkout, inside it when it is installed
+    spec = find_spec(
+        "gpusim.kernels.common"
+    )  # beside the package in a checkout, inside it when it is installed
     if spec is None or not spec.submodule_search_locations:
         raise ImportError("no kernels")
     return Path(spec.submodule_search_locations[0]).parent

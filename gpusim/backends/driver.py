@@ -19,7 +19,9 @@ def pyopencl():
     try:
         import pyopencl
     except ImportError as error:
-        raise DeviceError(f"OpenCL devices need pyopencl ({error}); pip install 'pyopencl[pocl]'") from error
+        raise DeviceError(
+            f"OpenCL devices need pyopencl ({error}); pip install 'pyopencl[pocl]'"
+        ) from error
     return pyopencl
 
 

@@ -40,7 +40,13 @@ float4 quad(const float2 a, const float2 b) { return make_float4(a.x, a.y, b.x, 
 """
 
 # Elements of arrays there and in Warp
-ELEMENTS = {"float2": "float", "float4": "float", "float": "float", "int": "int", "ushort": "wp.uint16"}
+ELEMENTS = {
+    "float2": "float",
+    "float4": "float",
+    "float": "float",
+    "int": "int",
+    "ushort": "wp.uint16",
+}
 
 
 def native_kernel(wp, stage, kernel, defines, ranks):
@@ -56,22 +62,36 @@ def native_kernel(wp, stage, kernel, defines, ranks):
     parameters = [p.split() for p in re.sub(r"//.*", "", parameters).replace("*", " * ").split(",")]
     names = [p[-1] for p in parameters]
     types = [next(t for t in ELEMENTS if t in p) for p in parameters]
-    calls = [f"({t} *){p[-1]}.data" if "*" in p else p[-1] for p, t in zip(parameters, types, strict=True)]
-    kinds = [f"wp.array(dtype={ELEMENTS[t]}, ndim={rank})" if "*" in p else t
-             for p, t, rank in zip(parameters, types, ranks, strict=True)]
+    calls = [
+        f"({t} *){p[-1]}.data" if "*" in p else p[-1]
+        for p, t in zip(parameters, types, strict=True)
+    ]
+    kinds = [
+        f"wp.array(dtype={ELEMENTS[t]}, ndim={rank})" if "*" in p else t
+        for p, t, rank in zip(parameters, types, ranks, strict=True)
+    ]
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     used = re.findall(r"#define (\w+)", macros + DIALECT + text)
-    snippet = (f"\n{macros}{DIALECT}{text}\n}};\nKernels().{kernel}({', '.join(calls)});\n"
-               + "".join(f"#undef {name}\n" for name in used))
+    snippet = (
+        f"\n{macros}{DIALECT}{text}\n}};\nKernels().{kernel}({', '.join(calls)});\n"
+        + "".join(f"#undef {name}\n" for name in used)
+    )
     signature = ", ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
     tile = f"    wp.tile_empty(shape={-(-defines.get('LOCAL_BYTES', 0) // 16)}, dtype=wp.vec4, storage='shared')\n"
-    source = (f"@wp.func_native(snippet)\ndef native({signature}): ...\n\n"
-              f"@wp.kernel(module='unique', enable_backward=False, cuda_max_registers={defines.get('REGISTERS')})\n"
-              f"def {kernel}({signature}):\n"
-              + (tile if "LOCAL_BYTES" in defines else "") +
-              f"    native({', '.join(names)})\n")
+    source = (
+        f"@wp.func_native(snippet)\ndef native({signature}): ...\n\n"
+        f"@wp.kernel(module='unique', enable_backward=False, cuda_max_registers={defines.get('REGISTERS')})\n"
+        f"def {kernel}({signature}):\n"
+        + (tile if "LOCAL_BYTES" in defines else "")
+        + f"    native({', '.join(names)})\n"
+    )
     file = f"<{stage} {kernel} {hash(snippet)}>"
-    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file  # Warp reads its kernels' source
+    linecache.cache[file] = (
+        len(source),
+        None,
+        source.splitlines(keepends=True),
+        file,
+    )  # Warp reads its kernels' source
     namespace = {"wp": wp, "snippet": snippet, "__name__": f"{__name__}.{kernel}"}
     exec(compile(source, file, "exec"), namespace)
     return namespace[kernel]

@@ -23,7 +23,12 @@ from gpusim.domain.memory import Pinned
 
 PAGE = 4096
 # Of memory, by drivers; a buffer's size is called invalid where it is more than one buffer may have
-REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
+REFUSALS = (
+    "MEM_OBJECT_ALLOCATION_FAILURE",
+    "OUT_OF_RESOURCES",
+    "OUT_OF_HOST_MEMORY",
+    "INVALID_BUFFER_SIZE",
+)
 # Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then what
 # remains. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
 CPU_GROUPS = (128, 8, 1)
@@ -45,12 +50,16 @@ class OpenCLDevice(Taped):
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
-        self.alignment = cl_device.mem_base_addr_align // 8  # [byte] at which buffers inside of others may begin
+        self.alignment = (
+            cl_device.mem_base_addr_align // 8
+        )  # [byte] at which buffers inside of others may begin
         self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
         # NVIDIA's takes 15 us for a launch where it records times
-        self._queues = cl.CommandQueue(self.context), cl.CommandQueue(
-            self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        self._queues = (
+            cl.CommandQueue(self.context),
+            cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE),
+        )
         self.queue, self._timing = self._queues[0], 0
         self._copies = None if self.on_host else cl.CommandQueue(self.context)  # beside the kernels
         self._kernels: dict = {}
@@ -63,7 +72,9 @@ class OpenCLDevice(Taped):
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
         # Python frees arrays in any order when it ends, and with the device: the driver must not write to them then
         self._waits: list = []  # one entry for each thread that waits in the driver
-        weakref.finalize(self, finish, self._lock, (*self._queues, self._copies), self._waits, os.getpid())
+        weakref.finalize(
+            self, finish, self._lock, (*self._queues, self._copies), self._waits, os.getpid()
+        )
 
     @property
     def memory(self):
@@ -82,11 +93,17 @@ class OpenCLDevice(Taped):
         result = self._empty(values.shape, dtype)
         if values.nbytes > SMALL:
             with self.waiting():
-                self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
+                self._cl.enqueue_copy(
+                    self.queue, result.buffer, values
+                )  # blocking, so `values` may go
         else:  # a blocking copy would wait for all that was launched before
             done = self._cl.command_execution_status.COMPLETE
             with self._lock:  # the queue stays
-                self._sent.append(self._cl.enqueue_copy(self.queue, result.buffer, values.copy(), is_blocking=False))
+                self._sent.append(
+                    self._cl.enqueue_copy(
+                        self.queue, result.buffer, values.copy(), is_blocking=False
+                    )
+                )
                 while self._sent and self._sent[0].command_execution_status == done:
                     self._sent.popleft()
         return result
@@ -128,10 +145,15 @@ class OpenCLDevice(Taped):
         if self.on_host:
             return super().pinned(shape, dtype)
         flags, dtype = self._cl.mem_flags, np.dtype(dtype)
-        buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.ALLOC_HOST_PTR,
-                                 max(prod(shape) * dtype.itemsize, 1))
+        buffer = self._cl.Buffer(
+            self.context,
+            flags.READ_WRITE | flags.ALLOC_HOST_PTR,
+            max(prod(shape) * dtype.itemsize, 1),
+        )
         both = self._cl.map_flags.READ | self._cl.map_flags.WRITE
-        values, _ = self._cl.enqueue_map_buffer(self.queue, buffer, both, 0, tuple(shape), dtype)  # it keeps the buffer
+        values, _ = self._cl.enqueue_map_buffer(
+            self.queue, buffer, both, 0, tuple(shape), dtype
+        )  # it keeps the buffer
         return values.view(Pinned)
 
     @refusable(of_values)
@@ -139,8 +161,13 @@ class OpenCLDevice(Taped):
         if self.on_host:
             return super().send(values)
         target = self._empty(values.shape, values.dtype) if target is None else target
-        event = self._cl.enqueue_copy(self._copies, target.buffer, values, is_blocking=False,
-                                      wait_for=None if after is None else [after])
+        event = self._cl.enqueue_copy(
+            self._copies,
+            target.buffer,
+            values,
+            is_blocking=False,
+            wait_for=None if after is None else [after],
+        )
         self._copies.flush()
         return Arriving(self, target, event)
 
@@ -199,13 +226,18 @@ class OpenCLDevice(Taped):
         return Copy(self, target, source, count, start, to)
 
     def _launch(self, stage, kernel, grid, args, defines, group):
-        clock, values = self._clock, [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
+        clock, values = (
+            self._clock,
+            [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args],
+        )
         with self._lock:  # a kernel keeps its arguments from being set until it is started
             entry = self._kernel(stage, kernel, defines, args)
             if 0 in grid:
                 return
             for size, block, offset in self._pieces(tuple(grid), group):
-                event = entry(self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1])
+                event = entry(
+                    self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1]
+                )
                 if clock.times is not None:
                     clock.events.append((clock.charged or stage, event))
             self._keep(args)
@@ -239,7 +271,13 @@ class OpenCLDevice(Taped):
         if group is None and self.is_gpu:
             group = {1: (256,), 2: (4, 64), 3: (1, 4, 64)}[len(grid)]
         if group is not None:
-            return [(tuple(-(-n // g) * g for n, g in zip(grid, group, strict=True)), tuple(group), origin)]
+            return [
+                (
+                    tuple(-(-n // g) * g for n, g in zip(grid, group, strict=True)),
+                    tuple(group),
+                    origin,
+                )
+            ]
         *outer, fastest = grid
         ones, pieces, done = (1,) * len(outer), [], 0
         for items in CPU_GROUPS:
@@ -253,18 +291,28 @@ class OpenCLDevice(Taped):
         key = (stage, kernel, *sorted(defines.items()))
         if key not in self._kernels:
             program = self._program(stage, defines)
-            kinds = [np.int32 if isinstance(arg, int | np.integer) else
-                     np.float32 if isinstance(arg, float | np.floating) else None for arg in args]
+            kinds = [
+                np.int32
+                if isinstance(arg, int | np.integer)
+                else np.float32
+                if isinstance(arg, float | np.floating)
+                else None
+                for arg in args
+            ]
             self._kernels[key] = entry = self._entry(stage, program, kernel)
-            entry.set_scalar_arg_dtypes(kinds)  # typed once, a launch costs microseconds instead of hundreds of them
+            entry.set_scalar_arg_dtypes(
+                kinds
+            )  # typed once, a launch costs microseconds instead of hundreds of them
         return self._kernels[key]
 
     def _entry(self, stage, program, kernel):
         try:
             return self._cl.Kernel(program, kernel)
         except self._cl.Error as error:
-            raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot load {kernel} of {stage}: {error}; remove "
-                              f"what its driver keeps of compiled kernels ({pocl_folder()})") from error
+            raise DeviceError(
+                f"{self.name} ({self.cl_device.name}): cannot load {kernel} of {stage}: {error}; remove "
+                f"what its driver keeps of compiled kernels ({pocl_folder()})"
+            ) from error
 
     def _program(self, stage, defines):
         key = (stage, *sorted(defines.items()))
@@ -279,15 +327,24 @@ class OpenCLDevice(Taped):
             start = time.perf_counter()
             try:
                 program = self._cl.Program(self.context, head + source)
-                options = ["-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt", "-I", str(include)]
+                options = [
+                    "-cl-std=CL1.2",
+                    "-cl-fp32-correctly-rounded-divide-sqrt",
+                    "-I",
+                    str(include),
+                ]
                 if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
                     options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
                 self._programs[key] = program.build(options)
             except self._cl.Error as error:
                 lines = str(error).splitlines()  # with the compiler's log
                 cause = next((line for line in lines if "error: " in line), lines[0])[:300]
-                raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {cause}") from error
-            self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+                raise DeviceError(
+                    f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {cause}"
+                ) from error
+            self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (
+                time.perf_counter() - start
+            )
         return self._programs[key]
 
     def sync(self):

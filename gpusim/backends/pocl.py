@@ -17,15 +17,44 @@ SEARCHED = 2048  # bytes of PoCL's device structure: the name's address was seen
 # Processors to build for and the features that their code uses, best first. The widths of vectors are those of the
 # built-in functions that PoCL chooses by features, so that both pass them alike.
 HASWELL = {"avx2", "bmi1", "bmi2", "abm", "cx16", "f16c", "fma", "movbe", "popcnt"}
-PROCESSORS = {"skylake-avx512": HASWELL | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
-              "haswell": HASWELL, "sandybridge": {"avx", "cx16", "popcnt", "sse4_2"}, "x86-64": {"sse2"}}
+PROCESSORS = {
+    "skylake-avx512": HASWELL | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+    "haswell": HASWELL,
+    "sandybridge": {"avx", "cx16", "popcnt", "sse4_2"},
+    "x86-64": {"sse2"},
+}
 
 
 # LLVM 14's names of processors with vectors of 64 and of 32 bytes
-WITH_AVX512 = {"knl", "knm", "skylake-avx512", "cascadelake", "cooperlake", "cannonlake", "icelake-client",
-               "icelake-server", "rocketlake", "tigerlake", "sapphirerapids"}
-WITH_AVX = {"sandybridge", "ivybridge", "haswell", "broadwell", "skylake", "alderlake", "btver2", "bdver1", "bdver2",
-            "bdver3", "bdver4", "znver1", "znver2", "znver3"}
+WITH_AVX512 = {
+    "knl",
+    "knm",
+    "skylake-avx512",
+    "cascadelake",
+    "cooperlake",
+    "cannonlake",
+    "icelake-client",
+    "icelake-server",
+    "rocketlake",
+    "tigerlake",
+    "sapphirerapids",
+}
+WITH_AVX = {
+    "sandybridge",
+    "ivybridge",
+    "haswell",
+    "broadwell",
+    "skylake",
+    "alderlake",
+    "btver2",
+    "bdver1",
+    "bdver2",
+    "bdver3",
+    "bdver4",
+    "znver1",
+    "znver2",
+    "znver3",
+}
 
 
 def known_processor(cl_device) -> str:
@@ -49,13 +78,21 @@ def known_processor(cl_device) -> str:
 def _renamed(structure, wrong, name):
     """Whether PoCL's device at this address has `name` for its processor now, in place of the wrong one."""
     try:
-        memory = os.open("/proc/self/mem", os.O_RDWR)  # what is not mapped is an error there and not a crash
+        memory = os.open(
+            "/proc/self/mem", os.O_RDWR
+        )  # what is not mapped is an error there and not a crash
     except OSError:
         return False
     try:
         # the first: behind the structure lies what else the process keeps, names of processors too
-        place, text = next(((place, text) for place in range(structure, structure + SEARCHED, 8)
-                            if (text := _text(memory, _read(memory, place, 8))) in (wrong, name)), (None, None))
+        place, text = next(
+            (
+                (place, text)
+                for place in range(structure, structure + SEARCHED, 8)
+                if (text := _text(memory, _read(memory, place, 8))) in (wrong, name)
+            ),
+            (None, None),
+        )
         if place is None:
             return False
         if text == wrong:
@@ -69,7 +106,11 @@ def _renamed(structure, wrong, name):
 
 def _text(memory, address):
     """The text at an address, as far as it may be a processor's name."""
-    return b"" if len(address) < 8 else _read(memory, *struct.unpack("P", address), 32).partition(b"\0")[0]
+    return (
+        b""
+        if len(address) < 8
+        else _read(memory, *struct.unpack("P", address), 32).partition(b"\0")[0]
+    )
 
 
 def _read(memory, address, count):

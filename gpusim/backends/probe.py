@@ -24,8 +24,19 @@ from gpusim.domain.errors import DeviceError
 
 COPY_BYTES = 2**26  # larger than most last-level caches
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
-EMPTY = {"name": "", "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False, "gpu": False,
-         "memory": 0, "copy_gbps": 0.0, "error": ""}
+EMPTY = {
+    "name": "",
+    "device": "",
+    "driver": "",
+    "version": "",
+    "units": 0,
+    "fp64": False,
+    "fp16": False,
+    "gpu": False,
+    "memory": 0,
+    "copy_gbps": 0.0,
+    "error": "",
+}
 KINDS = {key: type(value) for key, value in EMPTY.items()}
 PATIENCE = 600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
 HELPER = """
@@ -36,8 +47,11 @@ if folder not in sys.path:  # a checkout that is not installed, or not this one
 sys.argv = ["gpusim", argument]
 runpy.run_module("gpusim.backends.probe_child", run_name="__main__", alter_sys=True)
 """
-DRIVERS = {"linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)", "darwin": "PoCL (conda-forge: pocl)",
-           "win32": "Intel's CPU Runtime for OpenCL"}
+DRIVERS = {
+    "linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)",
+    "darwin": "PoCL (conda-forge: pocl)",
+    "win32": "Intel's CPU Runtime for OpenCL",
+}
 log = logging.getLogger(__name__)
 
 
@@ -47,24 +61,40 @@ def best(backend: str = "auto", refresh: bool = False) -> dict:
     backend: "auto" (any), "opencl" or "warp". Raises DeviceError with every device's reason when none works; where no
     OpenCL device does and "auto" takes Warp's CPU, which is slow, the log says why.
     """
-    entries = [entry for entry in devices(refresh) if backend in ("auto", entry["name"].partition(":")[0])
-               and entry["name"] != "numpy"]
+    entries = [
+        entry
+        for entry in devices(refresh)
+        if backend in ("auto", entry["name"].partition(":")[0]) and entry["name"] != "numpy"
+    ]
     usable = [entry for entry in entries if not entry["error"]]
-    causes = "; ".join(f"{entry['name']}: {entry['error']}" for entry in entries if entry["error"]) or "none was found"
+    causes = (
+        "; ".join(f"{entry['name']}: {entry['error']}" for entry in entries if entry["error"])
+        or "none was found"
+    )
     causes = " ".join(causes.split())[:300]
     if not usable:
-        raise DeviceError(f"no usable {'' if backend == 'auto' else backend + ' '}device ({causes}); "
-                          "--device numpy always works")
+        raise DeviceError(
+            f"no usable {'' if backend == 'auto' else backend + ' '}device ({causes}); "
+            "--device numpy always works"
+        )
     chosen = max(usable, key=_preference)
     if backend == "auto" and chosen["name"] == "warp:cpu":
-        log.warning("gpusim: no OpenCL device works (%s), so Warp runs on one processor core; install %s", causes,
-                    DRIVERS.get(sys.platform, "an OpenCL driver for the processor"))
+        log.warning(
+            "gpusim: no OpenCL device works (%s), so Warp runs on one processor core; install %s",
+            causes,
+            DRIVERS.get(sys.platform, "an OpenCL driver for the processor"),
+        )
     return chosen
 
 
 def _preference(entry):
     numbers = "".join(c if c.isdigit() else " " for c in entry["driver"]).split()
-    return entry["gpu"], entry["name"].startswith("opencl"), tuple(map(int, numbers)), entry["copy_gbps"]
+    return (
+        entry["gpu"],
+        entry["name"].startswith("opencl"),
+        tuple(map(int, numbers)),
+        entry["copy_gbps"],
+    )
 
 
 def devices(refresh: bool = False) -> list[dict]:
@@ -80,7 +110,9 @@ def devices(refresh: bool = False) -> list[dict]:
     entries = [_try(name) for name in names]
     if failure:
         entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
-    if cache is not None and any(not entry["error"] for entry in entries if entry["name"] != "numpy"):
+    if cache is not None and any(
+        not entry["error"] for entry in entries if entry["name"] != "numpy"
+    ):
         write_cache(cache, entries)
     return entries
 
@@ -91,8 +123,10 @@ def _cached(cache):
         entries, age = json.loads(cache.read_text()), abs(time.time() - cache.stat().st_mtime)
     except (OSError, ValueError, RecursionError):
         return None
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) and {
-            key: type(value) for key, value in entry.items()} == KINDS for entry in entries):
+    if not isinstance(entries, list) or not all(
+        isinstance(entry, dict) and {key: type(value) for key, value in entry.items()} == KINDS
+        for entry in entries
+    ):
         return None
     return None if age > PATIENCE and any(entry["error"] for entry in entries) else entries
 
@@ -119,16 +153,33 @@ def cache_file(name: str) -> Path | None:
 
 def _cache_path(name="devices"):
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
-    facts = [sys.prefix, *_installation(), platform.node(), platform.processor(), *(
-        f"{name}={os.environ.get(name)}" for name in ("OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES",
-                                                      "POCL_DEVICES", "POCL_MAX_PTHREAD_COUNT"))]
+    facts = [
+        sys.prefix,
+        *_installation(),
+        platform.node(),
+        platform.processor(),
+        *(
+            f"{name}={os.environ.get(name)}"
+            for name in (
+                "OCL_ICD_VENDORS",
+                "OCL_ICD_FILENAMES",
+                "CUDA_VISIBLE_DEVICES",
+                "POCL_DEVICES",
+                "POCL_MAX_PTHREAD_COUNT",
+            )
+        ),
+    ]
     for package in ("gpusim", "pyopencl", "pocl-binary-distribution", "warp-lang"):
         try:
             facts.append(f"{package} {version(package)}")
         except PackageNotFoundError:
             facts.append(f"no {package}")
     vendors = Path(os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors"))
-    facts += sorted(f"{icd} {icd.stat().st_mtime_ns}" for icd in vendors.glob("*.icd")) if vendors.is_dir() else []
+    facts += (
+        sorted(f"{icd} {icd.stat().st_mtime_ns}" for icd in vendors.glob("*.icd"))
+        if vendors.is_dir()
+        else []
+    )
     with contextlib.suppress(OSError):
         facts.append(Path("/proc/driver/nvidia/version").read_text())
     return folder / f"{name}-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
@@ -171,8 +222,13 @@ def _try(name):
 
 def _run(argument):
     # -P: of this package, and not of another one in the folder where it is run
-    return subprocess.run([sys.executable, "-P", "-c", HELPER, str(Path(__file__).parents[2]), argument],
-                          capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
+    return subprocess.run(
+        [sys.executable, "-P", "-c", HELPER, str(Path(__file__).parents[2]), argument],
+        capture_output=True,
+        text=True,
+        timeout=TIME_LIMIT,
+        check=False,
+    )
 
 
 def identity(device) -> dict:
@@ -180,20 +236,39 @@ def identity(device) -> dict:
     if device.kind == "opencl":
         cl_device = device.cl_device
         extensions = cl_device.extensions.split()
-        return {"device": cl_device.name.strip(), "driver": f"{cl_device.platform.name} {cl_device.driver_version}",
-                "version": cl_device.version.strip(), "units": cl_device.max_compute_units, "gpu": device.is_gpu,
-                "fp64": "cl_khr_fp64" in extensions, "fp16": "cl_khr_fp16" in extensions}
+        return {
+            "device": cl_device.name.strip(),
+            "driver": f"{cl_device.platform.name} {cl_device.driver_version}",
+            "version": cl_device.version.strip(),
+            "units": cl_device.max_compute_units,
+            "gpu": device.is_gpu,
+            "fp64": "cl_khr_fp64" in extensions,
+            "fp16": "cl_khr_fp16" in extensions,
+        }
     processor = platform.processor() or platform.machine()
     if device.kind == "warp":
         import warp as wp
 
         gpu = device.is_gpu
         driver = ".".join(map(str, wp.get_cuda_driver_version() or ())) if gpu else "none"
-        return {"device": device.wp_device.name if gpu else processor, "driver": f"CUDA {driver}" if gpu else "LLVM",
-                "version": f"Warp {wp.__version__}", "units": device.wp_device.sm_count if gpu else 1, "gpu": gpu,
-                "fp64": True, "fp16": gpu}
-    return {"device": processor, "driver": f"NumPy {np.__version__}", "version": f"NumPy {np.__version__}", "units": 1,
-            "gpu": False, "fp64": True, "fp16": False}
+        return {
+            "device": device.wp_device.name if gpu else processor,
+            "driver": f"CUDA {driver}" if gpu else "LLVM",
+            "version": f"Warp {wp.__version__}",
+            "units": device.wp_device.sm_count if gpu else 1,
+            "gpu": gpu,
+            "fp64": True,
+            "fp16": gpu,
+        }
+    return {
+        "device": processor,
+        "driver": f"NumPy {np.__version__}",
+        "version": f"NumPy {np.__version__}",
+        "units": 1,
+        "gpu": False,
+        "fp64": True,
+        "fp16": False,
+    }
 
 
 def made_by(device) -> str:

@@ -43,6 +43,7 @@ def refusable(request):
     request: function of the method's arguments to what is asked for, in words, and its size [byte], 0: not known.
     What the device keeps for reuse is given back then, so that less may be asked for next.
     """
+
     def of_method(method):
         @wraps(method)
         def asked(self, *args, **kwargs):
@@ -53,7 +54,9 @@ def refusable(request):
                 if not reason:
                     raise
                 self.give_back()
-                raise OutOfMemory(*request(*args, **kwargs), self.name, self.memory, reason) from error
+                raise OutOfMemory(
+                    *request(*args, **kwargs), self.name, self.memory, reason
+                ) from error
 
         return asked
 

@@ -20,7 +20,9 @@ def open_device(name: str = "auto") -> Device:
     Raises DeviceError that lists what there is.
     """
     if not isinstance(name, str):
-        raise DeviceError(f"device: {type(name).__name__}, wanted a name, such as \"auto\" or \"opencl:0\"")
+        raise DeviceError(
+            f'device: {type(name).__name__}, wanted a name, such as "auto" or "opencl:0"'
+        )
     with _lock:
         return _opened(name)
 
@@ -44,11 +46,20 @@ def _opened(name):
             if which == str(number):
                 return OpenCLDevice(device, f"opencl:{number}")
         for number, device in enumerate(devices):
-            if which.lower() in f"{device.platform.name} {device.platform.version} {device.name}".lower():
+            if (
+                which.lower()
+                in f"{device.platform.name} {device.platform.version} {device.name}".lower()
+            ):
                 return OpenCLDevice(device, f"opencl:{number}")
-        listed = "; ".join(f"opencl:{n} = {d.name.strip()} ({d.platform.name})" for n, d in enumerate(devices))
-        raise DeviceError(f"no OpenCL device {which!r}; there is: {listed or 'none (pip install pyopencl[pocl])'}")
-    raise DeviceError(f"unknown device {name!r}: use auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N, numpy")
+        listed = "; ".join(
+            f"opencl:{n} = {d.name.strip()} ({d.platform.name})" for n, d in enumerate(devices)
+        )
+        raise DeviceError(
+            f"no OpenCL device {which!r}; there is: {listed or 'none (pip install pyopencl[pocl])'}"
+        )
+    raise DeviceError(
+        f"unknown device {name!r}: use auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N, numpy"
+    )
 
 
 def _best(backend):

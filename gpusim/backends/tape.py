@@ -9,7 +9,9 @@ from gpusim.backends.device import Device
 from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, refusable
 from gpusim.domain.foreign import to_host
 
-SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are given to the device again
+SMALL = (
+    1 << 16
+)  # [byte] of constants whose values are compared; larger ones are given to the device again
 
 
 class Tape:
@@ -151,7 +153,9 @@ class Taped(Device):
         values = np.ascontiguousarray(values, dtype)
         if values.nbytes > SMALL:
             return self._array(values, dtype)
-        return tape.constant(values, lambda: self._array(values.copy(), dtype))  # it may use what it is given
+        return tape.constant(
+            values, lambda: self._array(values.copy(), dtype)
+        )  # it may use what it is given
 
     @refusable(of_values)
     def samples(self, values, dtype):
@@ -162,14 +166,18 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
-        return tape.again(("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype))
+        return tape.again(
+            ("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype)
+        )
 
     def reshape(self, array, shape):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
         tape.viewed.append(array)
-        return tape.again(("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape))
+        return tape.again(
+            ("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape)
+        )
 
     @refusable(of_values)
     def numpy(self, array):
@@ -231,7 +239,9 @@ class Taped(Device):
             self._launch(stage, kernel, grid, args, defines or {}, group)
         elif 0 not in grid:
             request = stage, kernel, tuple(grid), group, defines
-            command = tape.again(request, lambda: self._command(stage, kernel, grid, args, defines or {}, group))
+            command = tape.again(
+                request, lambda: self._command(stage, kernel, grid, args, defines or {}, group)
+            )
             command.set(args)
             tape.start(command)
 

@@ -49,7 +49,9 @@ def started_warp():
 
 
 log = logging.getLogger(__name__)
-_building = threading.RLock()  # Warp's modules are shared by all devices, and built by one thread at a time
+_building = (
+    threading.RLock()
+)  # Warp's modules are shared by all devices, and built by one thread at a time
 REFUSALS = "Failed to allocate", "out of memory"  # of memory, in Warp's words and CUDA's
 
 
@@ -74,7 +76,9 @@ class WarpDevice(Taped):
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
         if self.is_gpu:  # Warp's kernels keep 4 bytes a work-item for themselves
-            self.local_bytes = min(self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit)
+            self.local_bytes = min(
+                self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit
+            )
         self.array_type = wp.array
         self._as_shown = array_class(wp).of
         self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # beside the kernels
@@ -90,8 +94,14 @@ class WarpDevice(Taped):
 
     def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
-        return self._as_shown(self._wp.array(values, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)),
-                                             device=self.wp_device, copy=not self.on_host))
+        return self._as_shown(
+            self._wp.array(
+                values,
+                dtype=self._wp.dtype_from_numpy(np.dtype(dtype)),
+                device=self.wp_device,
+                copy=not self.on_host,
+            )
+        )
 
     def _is_here(self, array):
         return array.device == self.wp_device
@@ -111,16 +121,24 @@ class WarpDevice(Taped):
                 array = self._by_interface(values)
             else:
                 return None
-        except Exception as error:  # of any class by library: a tensor with a gradient, a type that Warp has not
-            raise BadData(f"{self.name}: cannot read an array of {name_of(values)}: "
-                          f"{str(error).partition(chr(10))[0][:150]}") from error
+        except (
+            Exception
+        ) as error:  # of any class by library: a tensor with a gradient, a type that Warp has not
+            raise BadData(
+                f"{self.name}: cannot read an array of {name_of(values)}: "
+                f"{str(error).partition(chr(10))[0][:150]}"
+            ) from error
         return self._fitting(self._as_shown(array), dtype)
 
     def _by_interface(self, values):
         """Array over the CUDA memory that the CUDA array interface tells of, of whichever device."""
         interface = values.__cuda_array_interface__
         number = ordinal_of(interface["data"][0])
-        owner = self.wp_device if number in (None, self.wp_device.ordinal) else self._wp.get_device(f"cuda:{number}")
+        owner = (
+            self.wp_device
+            if number in (None, self.wp_device.ordinal)
+            else self._wp.get_device(f"cuda:{number}")
+        )
         if interface.get("stream") is not None:  # work there may not have ended
             self._wp.synchronize_device(owner)
         kind = self._wp.dtype_from_numpy(np.dtype(interface["typestr"]))
@@ -150,23 +168,38 @@ class WarpDevice(Taped):
 
     def _empty(self, shape, dtype):
         return self._as_shown(
-            self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device))
+            self._wp.empty(
+                shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device
+            )
+        )
 
     @contextmanager
     def on_stream(self, stream):
         if not self.is_gpu:
             super().on_stream(stream)  # which refuses
-        given = stream.__cuda_stream__()[1] if hasattr(stream, "__cuda_stream__") else getattr(
-            stream, "cuda_stream", getattr(stream, "ptr", stream))
+        given = (
+            stream.__cuda_stream__()[1]
+            if hasattr(stream, "__cuda_stream__")
+            else getattr(stream, "cuda_stream", getattr(stream, "ptr", stream))
+        )
         if not isinstance(given, int):
-            raise BadData(f"CUDA stream: {name_of(stream)}, wanted an address, or an object with `__cuda_stream__`, "
-                          "`cuda_stream` or `ptr`")
-        of = getattr(stream, "device_index", getattr(stream, "device_id", None))  # PyTorch's, CuPy's
+            raise BadData(
+                f"CUDA stream: {name_of(stream)}, wanted an address, or an object with `__cuda_stream__`, "
+                "`cuda_stream` or `ptr`"
+            )
+        of = getattr(
+            stream, "device_index", getattr(stream, "device_id", None)
+        )  # PyTorch's, CuPy's
         if isinstance(of, int) and of not in (-1, self.wp_device.ordinal):
-            raise BadData(f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, where the work is")
+            raise BadData(
+                f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, where the work is"
+            )
         device = self.wp_device
         with device.context_guard:  # whose default stream is meant
-            own, before = self._wp.Stream(device, cuda_stream=given or None), device.stream  # 0: CUDA's default stream
+            own, before = (
+                self._wp.Stream(device, cuda_stream=given or None),
+                device.stream,
+            )  # 0: CUDA's default stream
             device.set_stream(own, True)  # in turn with our own
             try:
                 yield
@@ -243,8 +276,12 @@ class WarpDevice(Taped):
             # arguments are packed before the clock starts: the device would wait for Python in between
             self._command(stage, kernel, grid, args, defines, group).start()
         else:
-            self._timed(self._clock.charged or stage, lambda: self._wp.launch(
-                entry, dim=grid, inputs=args, device=self.wp_device, **options))
+            self._timed(
+                self._clock.charged or stage,
+                lambda: self._wp.launch(
+                    entry, dim=grid, inputs=args, device=self.wp_device, **options
+                ),
+            )
 
     def _entry(self, stage, kernel, defines, args, group):
         """The kernel, and how it is launched."""
@@ -254,7 +291,9 @@ class WarpDevice(Taped):
 
     def _command(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)
-        launch = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
+        launch = self._wp.launch(
+            entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options
+        )
         return Command(self, self._clock.charged or stage, kernel, launch, args)
 
     def _timed(self, stage, start):
@@ -279,7 +318,9 @@ class WarpDevice(Taped):
         if loaded is None:
             module = f"gpusim.kernels.{stage}_warp"
             if find_spec(module) is None:
-                raise DeviceError(f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py")
+                raise DeviceError(
+                    f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py"
+                )
             loaded = self._modules[stage] = import_module(module)
         if getattr(loaded, "NATIVE", False):
             return self._native(stage, kernel, defines, args, options)
@@ -315,12 +356,16 @@ class WarpDevice(Taped):
             self._wp.config.kernel_cache_dir = str(lent_folder())
         try:
             self._wp.load_module(module, device=self.wp_device, **options)
-        except Exception as cause:  # of whatever kind by what is wrong with the cache, if that is why
+        except (
+            Exception
+        ) as cause:  # of whatever kind by what is wrong with the cache, if that is why
             self._forget(module, cause)
             try:
                 self._wp.load_module(module, device=self.wp_device, **options)
             except Exception as error:
-                raise DeviceError(f"{self.name}: cannot build {stage}: {str(error).partition(chr(10))[0]}") from error
+                raise DeviceError(
+                    f"{self.name}: cannot build {stage}: {str(error).partition(chr(10))[0]}"
+                ) from error
         for folder in self._kept(module):
             note(folder)
         self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
@@ -339,10 +384,15 @@ class WarpDevice(Taped):
         if not has_room(folder) or any(map(os.path.lexists, folders)):
             self._wp.config.kernel_cache_dir = str(lent_folder())
         elif folders:
-            log.warning("gpusim: %s could not be loaded (%s), and is built again", folders[0],
-                        str(cause).partition("\n")[0])
+            log.warning(
+                "gpusim: %s could not be loaded (%s), and is built again",
+                folders[0],
+                str(cause).partition("\n")[0],
+            )
         # Warp keeps failures, too
-        (module if hasattr(module, "mark_modified") else self._wp.get_module(module.__name__)).mark_modified()
+        (
+            module if hasattr(module, "mark_modified") else self._wp.get_module(module.__name__)
+        ).mark_modified()
 
     def sync(self):
         self._wp.synchronize_device(self.wp_device)

@@ -14,9 +14,13 @@ def array_class(wp):
     """Warp's array with more of what NumPy's have: its own refuses `np.asarray` in CUDA memory, and empty slices."""
 
     class WarpArray(wp.array):
-        def __array__(self, dtype=None, copy=None):  # in host memory NumPy takes `__array_interface__`
+        def __array__(
+            self, dtype=None, copy=None
+        ):  # in host memory NumPy takes `__array_interface__`
             if self.device.is_cuda and copy is False:
-                raise ValueError(f"the values of an array of warp:{self.device} cannot be had without a copy")
+                raise ValueError(
+                    f"the values of an array of warp:{self.device} cannot be had without a copy"
+                )
             return np.array(self.numpy(), dtype, copy=None if self.device.is_cuda else copy)
 
         def numpy(self):
@@ -28,8 +32,10 @@ def array_class(wp):
                 return super().numpy()
             values = np.empty(self.shape, wp.dtype_to_numpy(self.dtype))
             wp.synchronize_device(self.device)
-            wp.copy(wp.array(values, dtype=self.dtype, device="cpu", copy=False),
-                    self if self.is_contiguous else self.contiguous())
+            wp.copy(
+                wp.array(values, dtype=self.dtype, device="cpu", copy=False),
+                self if self.is_contiguous else self.contiguous(),
+            )
             wp.synchronize_device(self.device)
             return values
 
@@ -37,10 +43,14 @@ def array_class(wp):
             if isinstance(key, slice):
                 start, stop, step = key.indices(len(self))
                 if step < 0 or stop <= start:  # Warp has no such views
-                    return as_shown(wp.array(self.numpy()[key], dtype=self.dtype, device=self.device))
+                    return as_shown(
+                        wp.array(self.numpy()[key], dtype=self.dtype, device=self.device)
+                    )
                 key = slice(start, stop, step)
             elif hasattr(key, "__index__"):
-                if not -len(self) <= key.__index__() < len(self):  # which also ends a loop over the array
+                if (
+                    not -len(self) <= key.__index__() < len(self)
+                ):  # which also ends a loop over the array
                     raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
                 key = key.__index__()
             return as_shown(super().__getitem__(key))

@@ -12,7 +12,13 @@ class Command:
     """A launch with its arguments packed. stage: that is charged. name: of the kernel."""
 
     def __init__(self, device, stage, name, launch, args):
-        self.device, self.stage, self.name, self.launch, self.args = device, stage, name, launch, args
+        self.device, self.stage, self.name, self.launch, self.args = (
+            device,
+            stage,
+            name,
+            launch,
+            args,
+        )
         for index in range(len(args)):
             self._own(index + 1)
 
@@ -31,7 +37,12 @@ class Command:
             packed = self.launch.params[index + 1]
             if isinstance(new, int | float | np.number):
                 packed.value = new
-            elif new.shape == old.shape and new.dtype == old.dtype and new.is_contiguous and old.is_contiguous:
+            elif (
+                new.shape == old.shape
+                and new.dtype == old.dtype
+                and new.is_contiguous
+                and old.is_contiguous
+            ):
                 packed.data = new.ptr  # all that is other; packing an array anew takes 10 us
             else:
                 self.launch.set_param_at_index(index, new)
@@ -70,4 +81,6 @@ class Copy:
 
     def start(self):
         (target, source), (count, start, to) = self.args, self.places
-        self.device._timed(self.stage, lambda: self.device._wp.copy(target, source, to, start, count))
+        self.device._timed(
+            self.stage, lambda: self.device._wp.copy(target, source, to, start, count)
+        )

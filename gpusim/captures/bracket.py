@@ -15,8 +15,15 @@ from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
 
-def bracket(simulator: Simulator, scene: Scene, stops, *, seed: int = 0, first: int = 0,
-            plan: Plan | None = None) -> list[Frame]:
+def bracket(
+    simulator: Simulator,
+    scene: Scene,
+    stops,
+    *,
+    seed: int = 0,
+    first: int = 0,
+    plan: Plan | None = None,
+) -> list[Frame]:
     """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
 
     The mean electrons are computed once. plan: see `Simulator`. Raises as `Simulator.frames` does. `merge_bracket`
@@ -28,7 +35,9 @@ def bracket(simulator: Simulator, scene: Scene, stops, *, seed: int = 0, first: 
     for number, factor in enumerate(factors):
         exposure = lengthened(simulator, once, once.exposure_time * float(factor))
         if number == 0:
-            exposure = dataclasses.replace(exposure, ms=once.ms | exposure.ms, wall_ms=once.wall_ms + exposure.wall_ms)
+            exposure = dataclasses.replace(
+                exposure, ms=once.ms | exposure.ms, wall_ms=once.wall_ms + exposure.wall_ms
+            )
         frames += simulator.shoot(exposure, seed=seed, first=first + number)
     return frames
 
@@ -42,7 +51,17 @@ def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -
         raise OutOfRange("exposure_time", "None", "a time [s]: the exposure has one of its own")
     device, shape, begun = simulator.device, exposure.mean.shape, perf_counter()
     with device.timed() as ms:
-        mean = chip(device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
-                    scale=exposure_time / exposure.exposure_time, device=device)
-        made = exposed(simulator, exposure.plan, device.reshape(mean, shape), exposure_time, exposure.gain, Kept())
+        mean = chip(
+            device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
+            scale=exposure_time / exposure.exposure_time,
+            device=device,
+        )
+        made = exposed(
+            simulator,
+            exposure.plan,
+            device.reshape(mean, shape),
+            exposure_time,
+            exposure.gain,
+            Kept(),
+        )
     return dataclasses.replace(made, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))

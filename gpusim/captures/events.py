@@ -16,7 +16,9 @@ from gpusim.pipeline.simulator import Simulator
 
 EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
 MOST = 100_000  # instants
-COARSEST = 100.0  # of them in a second, in which the hand of a `Motion` turns back eight times at most
+COARSEST = (
+    100.0  # of them in a second, in which the hand of a `Motion` turns back eight times at most
+)
 LEAST_THRESHOLD = 0.01  # of a pixel, whatever its mismatch
 
 
@@ -52,17 +54,35 @@ class EventSensor:
     charge: float = 500.0
 
     def __post_init__(self):
-        for name, low in (("on", LEAST_THRESHOLD), ("off", LEAST_THRESHOLD), ("mismatch", 0), ("refractory", 0),
-                          ("leak", 0), ("dark", 0), ("window", 0), ("cutoff", 0), ("noise", 0), ("charge", 1)):
+        for name, low in (
+            ("on", LEAST_THRESHOLD),
+            ("off", LEAST_THRESHOLD),
+            ("mismatch", 0),
+            ("refractory", 0),
+            ("leak", 0),
+            ("dark", 0),
+            ("window", 0),
+            ("cutoff", 0),
+            ("noise", 0),
+            ("charge", 1),
+        ):
             value = getattr(self, name)
-            if not (name == "window" and value is None) and not (isinstance(value, Real) and low <= value < inf):
+            if not (name == "window" and value is None) and not (
+                isinstance(value, Real) and low <= value < inf
+            ):
                 raise OutOfRange(f"events.{name}", shown(value), f"{low:g} or more")
         if not self.dark > 0:
             raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
         if not self.cutoff > 0:
-            raise OutOfRange("events.cutoff", self.cutoff, "above 0 Hz; window = 0 is an ideal pixel")
+            raise OutOfRange(
+                "events.cutoff", self.cutoff, "above 0 Hz; window = 0 is an ideal pixel"
+            )
         if self.noise > RATES[0] * self.cutoff:
-            raise OutOfRange("events.noise", self.noise, f"up to {RATES[0]:.3g} times the cutoff of {self.cutoff:g} Hz")
+            raise OutOfRange(
+                "events.noise",
+                self.noise,
+                f"up to {RATES[0]:.3g} times the cutoff of {self.cutoff:g} Hz",
+            )
         checked_count("events.seed", self.seed, 0, 2**64 - 1)
 
     def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
@@ -74,22 +94,35 @@ class EventSensor:
         time: t [s], column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
         """
         times, found, state = np.asarray(times, np.float64), [], None
-        if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-            raise BadData(f"times of events: shape {times.shape}; wanted two or more finite instants in seconds, "
-                          "rising")
+        if (
+            times.ndim != 1
+            or len(times) < 2
+            or not np.isfinite(times).all()
+            or (np.diff(times) <= 0).any()
+        ):
+            raise BadData(
+                f"times of events: shape {times.shape}; wanted two or more finite instants in seconds, "
+                "rising"
+            )
         random = np.random.Generator(np.random.Philox(self.seed))
         given = iter(rates)
         for number, time in enumerate(times):
             if (rate := next(given, None)) is None:
-                raise BadData(f"rates of events: {number}, wanted one for each of {len(times)} instants")
+                raise BadData(
+                    f"rates of events: {number}, wanted one for each of {len(times)} instants"
+                )
             light = np.asarray(rate, np.float64)
             if light.ndim != 2 or not np.isfinite(light).all() or (light < 0).any():
-                raise BadData(f"rates of events at {time:g} s: shape {light.shape}; wanted finite light (rows, cols)")
+                raise BadData(
+                    f"rates of events at {time:g} s: shape {light.shape}; wanted finite light (rows, cols)"
+                )
             if state is None:
                 state = _Pixels(self, light.shape, random)
                 front = Photoreceptor(self, random) if self.window is None else None
             elif light.shape != state.shape:
-                raise BadData(f"rates of events at {time:g} s: {light.shape}, wanted {state.shape} as before")
+                raise BadData(
+                    f"rates of events at {time:g} s: {light.shape}, wanted {state.shape} as before"
+                )
             if self.window:
                 light = random.poisson(light * self.window) / self.window
             logarithm = np.log(light + self.dark).ravel()
@@ -111,9 +144,13 @@ class _Pixels:
     def __init__(self, sensor, shape, random):
         self._sensor, self.shape = sensor, shape
         scatter = 1 + sensor.mismatch * random.standard_normal((2, *shape))
-        self._on, self._off = np.maximum([[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD).reshape(2, -1)
+        self._on, self._off = np.maximum(
+            [[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD
+        ).reshape(2, -1)
         self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
-        self._free = np.full(self._on.shape, -inf)  # end of the refractory time, -inf where the level is known
+        self._free = np.full(
+            self._on.shape, -inf
+        )  # end of the refractory time, -inf where the level is known
 
     def begin(self, time, light):
         """The first instant: what the light's logarithm (pixels,) is compared with."""
@@ -125,7 +162,9 @@ class _Pixels:
         drift = self._sensor.leak * self._on  # per second, by which the level falls
         slope = (now - before) / (time - begun)
         here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)
-        late = here[self._free[here] > -inf]  # they look again from the end of their refractory time on
+        late = here[
+            self._free[here] > -inf
+        ]  # they look again from the end of their refractory time on
         since[late] = np.maximum(self._free[late], begun)
         self._level[late] = before[late] + slope[late] * (since[late] - begun)
         self._free[late] = -inf
@@ -157,8 +196,15 @@ class _Pixels:
         return found
 
 
-def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: float, sensor: EventSensor | None = None,
-              start: float = 0.0, instants: int | None = None) -> np.ndarray:
+def events_of(
+    simulator: Simulator,
+    scene: Scene,
+    motion: Motion,
+    duration: float,
+    sensor: EventSensor | None = None,
+    start: float = 0.0,
+    instants: int | None = None,
+) -> np.ndarray:
     """Events of a camera that moves before a scene, see `EventSensor.events`.
 
     Each pixel sees the light that the simulator's camera gathers there, its own colour of a mosaic. duration, start:
@@ -169,12 +215,18 @@ def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: floa
     if not 0 < duration < inf:
         raise OutOfRange("duration of events", duration, "above 0 s")
     if instants is None:
-        instants = 1 + ceil(max(duration / sensor.window if sensor.window else 1, COARSEST * duration))
+        instants = 1 + ceil(
+            max(duration / sensor.window if sensor.window else 1, COARSEST * duration)
+        )
         times = start + duration * np.linspace(0, 1, min(instants, MOST))
         instants = 1 + ceil((instants - 1) * max(farthest(scene, motion, times) / STEP, 1))
     if instants > MOST:
-        raise OutOfRange("instants of events", instants, f"up to {MOST}: a shorter time or a slower camera")
-    times = start + duration * np.linspace(0, 1, checked_count("instants of events", instants, 2, MOST))
+        raise OutOfRange(
+            "instants of events", instants, f"up to {MOST}: a shorter time or a slower camera"
+        )
+    times = start + duration * np.linspace(
+        0, 1, checked_count("instants of events", instants, 2, MOST)
+    )
     program = simulator.program(scene.viewed(motion.at(start)), 1.0)
 
     def rates():

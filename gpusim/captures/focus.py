@@ -40,8 +40,15 @@ class Focus:
         return self.optics.object_distance
 
 
-def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice] | None = None,
-              nearest: float | None = None, farthest: float = np.inf, seed: int = 0) -> Focus:
+def autofocus(
+    simulator: Simulator,
+    scene: Scene,
+    *,
+    region: tuple[slice, slice] | None = None,
+    nearest: float | None = None,
+    farthest: float = np.inf,
+    seed: int = 0,
+) -> Focus:
     """Focus the camera of `simulator` on what is in a region of the frame, by the contrast of its raw pictures.
 
     region: rows and columns of the raw picture [pixel]; by default the middle third. nearest, farthest: range of the
@@ -55,11 +62,16 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
     """
     optics = simulator.camera.optics
     if scene.depth is None:
-        raise BadData(f"{scene.name}: no depth, so it is equally sharp at every focus; give scene.depth [m]")
+        raise BadData(
+            f"{scene.name}: no depth, so it is equally sharp at every focus; give scene.depth [m]"
+        )
     nearest = 20 * optics.focal_length if nearest is None else nearest
     if not optics.focal_length < nearest < farthest:
-        raise OutOfRange("autofocus range", f"{nearest:.4g} .. {farthest:.4g} m",
-                         f"focal_length ({optics.focal_length:.4g} m) < nearest < farthest")
+        raise OutOfRange(
+            "autofocus range",
+            f"{nearest:.4g} .. {farthest:.4g} m",
+            f"focal_length ({optics.focal_length:.4g} m) < nearest < farthest",
+        )
     trials = _Trials(simulator, scene, region, seed)
     step, depth_of_focus = _steps(simulator.camera)
     far, near = _ends(optics, scene, nearest, farthest)
@@ -80,16 +92,22 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
     if len(around) > 2 and bend[2] < 0:
         best = float(np.clip(-bend[1] / (2 * bend[2]), around[0], around[-1]))
     order = sorted(trials.found)
-    return Focus(replace(optics, object_distance=_distance(best)), depth_of_focus,
-                 np.array([_distance(vergence) for vergence in order]), np.array([trials(v) for v in order]))
+    return Focus(
+        replace(optics, object_distance=_distance(best)),
+        depth_of_focus,
+        np.array([_distance(vergence) for vergence in order]),
+        np.array([trials(v) for v in order]),
+    )
 
 
 def _steps(camera):
     """Between the first trials, and of half the range that is as sharp as the focus [1/m]."""
     infinity, pitch = replace(camera.optics, object_distance=np.inf), camera.sensor.pixel_pitch
     diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # to a pixel
-    depth_of_focus = max(2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9,  # a quarter wave
-                         infinity.working_f_number * pitch / 2) / infinity.displacement(1.0)
+    depth_of_focus = max(
+        2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9,  # a quarter wave
+        infinity.working_f_number * pitch / 2,
+    ) / infinity.displacement(1.0)
     return FIRST_STEP * diopters, depth_of_focus
 
 
@@ -99,11 +117,19 @@ def _ends(optics, scene, nearest, farthest):
     Raises OutOfRange.
     """
     per_diopter = replace(optics, object_distance=np.inf).displacement(1.0)
-    reach = 0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
-    far, near = max(1 / farthest, 1 / scene.depth.min() - reach), min(1 / nearest, 1 / scene.depth.max() + reach)
+    reach = (
+        0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
+    )
+    far, near = (
+        max(1 / farthest, 1 / scene.depth.min() - reach),
+        min(1 / nearest, 1 / scene.depth.max() + reach),
+    )
     if not far < near:
-        raise OutOfRange("depth", f"{scene.depth.min():.4g} .. {scene.depth.max():.4g} m",
-                         f"within {reach:.4g} dioptres of the focus: {LONGEST_WAVEFRONT:g} waves")
+        raise OutOfRange(
+            "depth",
+            f"{scene.depth.min():.4g} .. {scene.depth.max():.4g} m",
+            f"within {reach:.4g} dioptres of the focus: {LONGEST_WAVEFRONT:g} waves",
+        )
     return far, near
 
 
@@ -129,19 +155,30 @@ class _Trials:
             exposure = program.exposure
             raw = program.raw(seed=self._seed, frame=len(self.found))
             raw = exposure.layered(np.asarray(simulator.device.numpy(raw)))
-            program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)  # of the next trials
-            raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw  # the middle channel
+            program.update(
+                exposure_time=exposure.exposure_time, gain=exposure.gain
+            )  # of the next trials
+            raw = (
+                raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
+            )  # the middle channel
             operated = exposure.camera.sensor
-            self.found[vergence] = _contrast(raw[self._region].astype(float) - operated.dark_level, operated,
-                                             self._period, exposure.exposure_time, simulator.readout.averaged)
+            self.found[vergence] = _contrast(
+                raw[self._region].astype(float) - operated.dark_level,
+                operated,
+                self._period,
+                exposure.exposure_time,
+                simulator.readout.averaged,
+            )
         return self.found[vergence][0]
 
     def require_rise(self):
         """Refuse a scene whose contrast is the same at every focus, but for noise. Raises BadData."""
         (least, error), (most, _) = min(self.found.values()), max(self.found.values())
         if not most - least > max(CERTAIN * error, LEAST_RISE * abs(least), 1e-12):
-            raise BadData(f"{self._program.scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, "
-                          f"standard error {error:.2g}; choose a region with an edge or texture, or more light")
+            raise BadData(
+                f"{self._program.scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, "
+                f"standard error {error:.2g}; choose a region with an edge or texture, or more light"
+            )
 
 
 def _distance(vergence):
@@ -154,8 +191,11 @@ def _checked_region(region, shape, period):
     for part, size, least in zip(region, shape, period, strict=True):
         start, stop, _ = part.indices(size)
         if stop - start < 2 * least + 1:
-            raise OutOfRange("autofocus region", f"{stop - start} of {size} pixels",
-                             f"at least {2 * least + 1} each way")
+            raise OutOfRange(
+                "autofocus region",
+                f"{stop - start} of {size} pixels",
+                f"at least {2 * least + 1} each way",
+            )
     return region
 
 
@@ -168,8 +208,18 @@ def _contrast(raw, sensor, period, exposure_time, averaged):
     level, gain = raw.mean(), sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
-    dark = sensor.noise.dark_current * sensor.noise.warmth * exposure_time  # a part of the level's electrons
+    dark = (
+        sensor.noise.dark_current * sensor.noise.warmth * exposure_time
+    )  # a part of the level's electrons
     noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
-    squares = np.concatenate([((raw[step:] - raw[:-step]) ** 2).ravel() if axis == 0 else
-                              ((raw[:, step:] - raw[:, :-step]) ** 2).ravel() for axis, step in enumerate(period)])
-    return float((squares.mean() - noise) / level**2), float(squares.std() / np.sqrt(squares.size) / level**2)
+    squares = np.concatenate(
+        [
+            ((raw[step:] - raw[:-step]) ** 2).ravel()
+            if axis == 0
+            else ((raw[:, step:] - raw[:, :-step]) ** 2).ravel()
+            for axis, step in enumerate(period)
+        ]
+    )
+    return float((squares.mean() - noise) / level**2), float(
+        squares.std() / np.sqrt(squares.size) / level**2
+    )

@@ -19,7 +19,10 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
 
-PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value in merged raw values
+PEDESTAL, TOP = (
+    1024,
+    65535,
+)  # digital numbers of black and of the largest value in merged raw values
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
 COARSE = 0.1  # of the dark noise's variance: more from rounding asks for the finer scale
 REACH = 16  # [pixel] over which demosaicking may mix values
@@ -48,33 +51,66 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     """
     frames = _checked("merge_bracket", frames, MOST_FRAMES)
     if simulator.readout.averaged > 1:
-        raise BadData("merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
-                      '"charge", or no binning')
+        raise BadData(
+            "merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
+            '"charge", or no binning'
+        )
     tables = _tables(frames)
-    order = np.argsort(-(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable")
-    frames, tables = [frames[i] for i in order], {key: values[order] for key, values in tables.items()}
+    order = np.argsort(
+        -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
+    )
+    frames, tables = (
+        [frames[i] for i in order],
+        {key: values[order] for key, values in tables.items()},
+    )
     times, sensor = tables["time"], frames[0].camera.sensor
     longest, limit = float(times.max()), sensor.saturation / times[0]
     full_scale = limit if full_scale is None else full_scale
     if not isinstance(full_scale, (int, float, np.number)) or not 0 < full_scale < np.inf:
         raise OutOfRange("full_scale", f"{full_scale} e-/s", "0 < full_scale < inf")
     if (frames[0].raw >= tables["ceiling"][0]).all():
-        raise BadData("merge_bracket: every pixel is full in the frame that holds the largest rate, of "
-                      f"{times[0]:.4g} s; take a shorter one")
+        raise BadData(
+            "merge_bracket: every pixel is full in the frame that holds the largest rate, of "
+            f"{times[0]:.4g} s; take a shorter one"
+        )
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     with simulator.device.timed() as ms:
         raw = _without_defects(simulator, frames)
         layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
-        rate = np.stack([simulator.device.numpy(merge(
-            simulator.device.array(np.ascontiguousarray(layer), np.uint16), **tables, period=period,
-            photon=sensor.noise.photon != "none", device=simulator.device)) for layer in layers]).reshape(raw.shape[1:])
-    dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)  # [e- in the longest exposure]
+        rate = np.stack(
+            [
+                simulator.device.numpy(
+                    merge(
+                        simulator.device.array(np.ascontiguousarray(layer), np.uint16),
+                        **tables,
+                        period=period,
+                        photon=sensor.noise.photon != "none",
+                        device=simulator.device,
+                    )
+                )
+                for layer in layers
+            ]
+        ).reshape(raw.shape[1:])
+    dark_noise = float(
+        (np.square(times / longest) / tables["floor"]).sum() ** -0.5
+    )  # [e- in the longest exposure]
     shown = frames[len(frames) // 2]
-    return _developed(simulator, shown, rate * np.float32(longest), exposure_time=longest, full=full_scale * longest,
-                      saturated=limit / full_scale, ratio=shown.exposure_time / longest, dark_noise=dark_noise,
-                      defects=_defects(simulator, frames), ms=ms,
-                      made={"processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
-                                               "rates, by the inverse of their variances"})
+    return _developed(
+        simulator,
+        shown,
+        rate * np.float32(longest),
+        exposure_time=longest,
+        full=full_scale * longest,
+        saturated=limit / full_scale,
+        ratio=shown.exposure_time / longest,
+        dark_noise=dark_noise,
+        defects=_defects(simulator, frames),
+        ms=ms,
+        made={
+            "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
+            "rates, by the inverse of their variances"
+        },
+    )
 
 
 def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
@@ -96,32 +132,65 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     frames = _checked("merge_burst", frames, None)
     times = np.array([frame.exposure_time for frame in frames])
     sensors = [frame.camera.sensor for frame in frames]
-    if np.ptp(times) > 1e-9 * times[0] or len({sensor.gain_dn_per_electron for sensor in sensors}) > 1:
-        raise BadData("merge_burst: the frames differ in exposure time or gain; wanted equal ones (merge_bracket takes "
-                      "others)")
+    if (
+        np.ptp(times) > 1e-9 * times[0]
+        or len({sensor.gain_dn_per_electron for sensor in sensors}) > 1
+    ):
+        raise BadData(
+            "merge_burst: the frames differ in exposure time or gain; wanted equal ones (merge_bracket takes "
+            "others)"
+        )
     sensor, count = sensors[0], len(frames)
     if sensor.stacked:
         raise BadData("merge_burst: stacked pixels; wanted a mosaic or a monochrome sensor")
     device, period, gain = simulator.device, sensor.cfa_indices.shape, sensor.gain_dn_per_electron
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
-    noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise  # moved, offsets differ as noise does
+    noise = Developer(
+        frames[0].camera, device, simulator.readout.averaged
+    ).noise  # moved, offsets differ as noise does
     with device.timed() as ms:
         raw = device.array(_without_defects(simulator, frames), np.uint16)
         displacement = align(raw, reference=reference, period=period, device=device)
-        numbers = device.numpy(average(raw, displacement, reference=reference, period=period, noise=noise,
-                                       black_level=sensor.dark_level, device=device))
+        numbers = device.numpy(
+            average(
+                raw,
+                displacement,
+                reference=reference,
+                period=period,
+                noise=noise,
+                black_level=sensor.dark_level,
+                device=device,
+            )
+        )
     dark = sensor.noise.dark_current * sensor.noise.warmth * times[0]
-    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(count * dark)
+    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(
+        count * dark
+    )
     full = (sensor.white_level - sensor.dark_level) / gain
-    dark_noise = float(np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark)))
-    return _developed(simulator, frames[int(reference)], electrons, exposure_time=count * times[0], full=count * full,
-                      saturated=sensor.saturation / full, ratio=1 / count, dark_noise=dark_noise,
-                      defects=_defects(simulator, frames), ms=ms,
-                      made={"processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
-                            "processor.average": f"{count} frames, moved onto frame {int(reference)}"})
+    dark_noise = float(
+        np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark))
+    )
+    return _developed(
+        simulator,
+        frames[int(reference)],
+        electrons,
+        exposure_time=count * times[0],
+        full=count * full,
+        saturated=sensor.saturation / full,
+        ratio=1 / count,
+        dark_noise=dark_noise,
+        defects=_defects(simulator, frames),
+        ms=ms,
+        made={
+            "processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
+            "processor.average": f"{count} frames, moved onto frame {int(reference)}",
+        },
+    )
 
 
-def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0) -> Frame:
+def merge_flash(
+    simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0
+) -> Frame:
     """The ambient picture, in its own light, with the noise averaged among pixels that a flash picture shows as alike.
 
     ambient, flash: frames of one camera and view, without and with a flash beside the scene's light; exposure times
@@ -135,16 +204,30 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
     full = CLIPPED * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
-    ambient_noise, flash_noise = (_display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash))
+    ambient_noise, flash_noise = (
+        _display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash)
+    )
     with simulator.device.timed() as ms:
-        planes = with_flash(*(np.moveaxis(frame.linear, -1, 0) for frame in (ambient, flash)),
-                            ambient_noise=ambient_noise, flash_noise=flash_noise, full=full if full > 0 else np.inf,
-                            radius=radius, reach=reach, device=simulator.device)
-    as_is = dataclasses.replace(ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf))
+        planes = with_flash(
+            *(np.moveaxis(frame.linear, -1, 0) for frame in (ambient, flash)),
+            ambient_noise=ambient_noise,
+            flash_noise=flash_noise,
+            full=full if full > 0 else np.inf,
+            radius=radius,
+            reach=reach,
+            device=simulator.device,
+        )
+    as_is = dataclasses.replace(
+        ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
+    )
     developer = Developer(ambient.camera, simulator.device)
-    linear, rgb = _shown(simulator.device, developer, developer.colored(simulator.device.array(planes), as_is))
+    linear, rgb = _shown(
+        simulator.device, developer, developer.colored(simulator.device.array(planes), as_is)
+    )
     *stages, encoding = ambient.report.stages
-    by_flash = StageReport("processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0))
+    by_flash = StageReport(
+        "processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0)
+    )
     report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
@@ -157,23 +240,46 @@ def _checked(function, frames, most):
         raise BadData(f"{function}: {frames!r}; wanted a list of gpusim frames") from None
     for number, frame in enumerate(frames):
         if not isinstance(frame, Frame):
-            raise BadData(f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
-                          "as Simulator.frames and gpusim.bracket give")
+            raise BadData(
+                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
+                "as Simulator.frames and gpusim.bracket give"
+            )
     if len(frames) < 2 or (most and len(frames) > most):
-        raise BadData(f"{function}: {len(frames)} frame(s); wanted two{f' to {most}' if most else ' or more'}")
+        raise BadData(
+            f"{function}: {len(frames)} frame(s); wanted two{f' to {most}' if most else ' or more'}"
+        )
     first = frames[0]
     for number, frame in enumerate(frames):
         sensor = frame.camera.sensor
         if sensor.bits == FLOAT_BITS:
-            raise BadData(f"{function}: frame {number} has raw values without a converter; wanted sensor.bits 1 .. 16")
+            raise BadData(
+                f"{function}: frame {number} has raw values without a converter; wanted sensor.bits 1 .. 16"
+            )
         if not 0 < frame.exposure_time < np.inf:
-            raise OutOfRange(f"exposure_time of frame {number}", f"{frame.exposure_time} s", "0 < exposure_time < inf")
+            raise OutOfRange(
+                f"exposure_time of frame {number}",
+                f"{frame.exposure_time} s",
+                "0 < exposure_time < inf",
+            )
         if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
-            raise BadData(f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
-                          f"wanted uint16, all like frame 0, {np.shape(first.raw)}")
-        for key in ("channels", "cfa", "stacked", "bits", "black_level", "pixel_pitch", "full_well", "noise"):
+            raise BadData(
+                f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
+                f"wanted uint16, all like frame 0, {np.shape(first.raw)}"
+            )
+        for key in (
+            "channels",
+            "cfa",
+            "stacked",
+            "bits",
+            "black_level",
+            "pixel_pitch",
+            "full_well",
+            "noise",
+        ):
             if getattr(sensor, key) != getattr(first.camera.sensor, key):
-                raise BadData(f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs")
+                raise BadData(
+                    f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs"
+                )
     return frames
 
 
@@ -181,10 +287,25 @@ def _tables(frames):
     """What `processor.merge` wants to know of each frame."""
     rows = []
     for frame in frames:
-        sensor, time, noise = frame.camera.sensor, frame.exposure_time, RawNoise.of(frame.camera.sensor)
-        gain, dark = sensor.gain_dn_per_electron, sensor.noise.dark_current * sensor.noise.warmth * time
+        sensor, time, noise = (
+            frame.camera.sensor,
+            frame.exposure_time,
+            RawNoise.of(frame.camera.sensor),
+        )
+        gain, dark = (
+            sensor.gain_dn_per_electron,
+            sensor.noise.dark_current * sensor.noise.warmth * time,
+        )
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
-        rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), min(full, sensor.white_level)))
+        rows.append(
+            (
+                sensor.dark_level + gain * dark,
+                gain,
+                time,
+                noise.variance(dark),
+                min(full, sensor.white_level),
+            )
+        )
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
@@ -210,15 +331,34 @@ def _without_defects(simulator, frames):
             known = simulator.readout.defects(shape, frame.exposure_time, HOT * sensor.read_sigma)
         maps = [None] * len(layers) if known is None else known.reshape(layers.shape)
         for layer, map_ in zip(layers, maps, strict=True):
-            layer[:] = device.numpy(defects(
-                device.array(layer, np.uint16), map_, cfa=np.zeros((1, 1), np.int32) if sensor.stacked else
-                sensor.cfa_indices, detect=STANDS_OUT if how == "detect" else None, black_level=sensor.dark_level,
-                noise=Developer(frame.camera, device, simulator.readout.averaged).noise, device=device))
+            layer[:] = device.numpy(
+                defects(
+                    device.array(layer, np.uint16),
+                    map_,
+                    cfa=np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices,
+                    detect=STANDS_OUT if how == "detect" else None,
+                    black_level=sensor.dark_level,
+                    noise=Developer(frame.camera, device, simulator.readout.averaged).noise,
+                    device=device,
+                )
+            )
     return raw
 
 
-def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, ratio, dark_noise, defects, ms,
-               made):
+def _developed(
+    simulator,
+    frame,
+    electrons,
+    *,
+    exposure_time,
+    full,
+    saturated,
+    ratio,
+    dark_noise,
+    defects,
+    ms,
+    made,
+):
     """A Frame of merged electrons.
 
     frame: whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the largest raw value.
@@ -228,20 +368,46 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
     """
     device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
-    chip = dataclasses.replace(old.noise, dark_current=0.0, read=dark_noise * averaged**0.5, reset=0.0, adc=0.0,
-                               row=0.0, column=0.0, dsnu=0.0, row_dsnu=0.0, column_dsnu=0.0)
+    chip = dataclasses.replace(
+        old.noise,
+        dark_current=0.0,
+        read=dark_noise * averaged**0.5,
+        reset=0.0,
+        adc=0.0,
+        row=0.0,
+        column=0.0,
+        dsnu=0.0,
+        row_dsnu=0.0,
+        column_dsnu=0.0,
+    )
     processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
 
     def scaled(full):
         """Camera, digital numbers, and the developer that demosaicked them to planes, 1 being `full` electrons."""
         gain = (TOP - PEDESTAL) / full
-        sensor = dataclasses.replace(old, bits=16, black_level=PEDESTAL, analog_offset=0.0, gain=gain, analog_gain=1.0,
-                                     conversion_gain=None, adc_range=None, full_well=full, noise=chip)
+        sensor = dataclasses.replace(
+            old,
+            bits=16,
+            black_level=PEDESTAL,
+            analog_offset=0.0,
+            gain=gain,
+            analog_gain=1.0,
+            conversion_gain=None,
+            adc_range=None,
+            full_well=full,
+            noise=chip,
+        )
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
-        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(np.uint16)
+        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(
+            np.uint16
+        )
         developer = Developer(camera, device, averaged)
-        planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), shading=shading,
-                                       white=frame.rendering.neutral, blur=frame.blur)
+        planes = developer.demosaicked(
+            device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
+            shading=shading,
+            white=frame.rendering.neutral,
+            blur=frame.blur,
+        )
         return camera, raw, developer, planes
 
     with device.timed() as more:
@@ -249,35 +415,73 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         step = full / (TOP - PEDESTAL)
         if step**2 * ROUNDING > COARSE * dark_noise**2:
             fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-            most = 1.0 if shading is None else max(1.0, float(shading.max()))  # the shading's gains clip earlier
-            planes = device.array(np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine))
-        k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)  # old camera value over new
+            most = (
+                1.0 if shading is None else max(1.0, float(shading.max()))
+            )  # the shading's gains clip earlier
+            planes = device.array(
+                np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine)
+            )
+        k = (
+            full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
+        )  # old camera value over new
         once = frame.rendering
-        shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
-                                       ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
+        shown_by = dataclasses.replace(
+            once,
+            display_from_camera=once.display_from_camera * k,
+            ceiling=once.neutral * saturated,
+            white=once.white / k,
+            saturation=saturated,
+        )
         linear, rgb = _shown(device, developer, developer.colored(planes, shown_by))
     first = {}
     if defects != "none":
-        before = dataclasses.replace(camera, processor=dataclasses.replace(processor, defects=defects))
-        first["processor.defects"] = Developer(before, device).models()["processor.defects"] + ", frame by frame"
-    report = _reported(frame.report, first | made | developer.models(), {
-        name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}})
-    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, shading,
-                 averaged=None)
+        before = dataclasses.replace(
+            camera, processor=dataclasses.replace(processor, defects=defects)
+        )
+        first["processor.defects"] = (
+            Developer(before, device).models()["processor.defects"] + ", frame by frame"
+        )
+    report = _reported(
+        frame.report,
+        first | made | developer.models(),
+        {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}},
+    )
+    return Frame(
+        camera,
+        float(exposure_time),
+        shown_by,
+        electrons,
+        raw,
+        linear,
+        rgb,
+        report,
+        frame.blur,
+        shading,
+        averaged=None,
+    )
 
 
 def _shown(device, developer, shown):
     """A frame's `linear` and `rgb` of linear display RGB on the device."""
-    planes, codes = np.array(device.numpy(shown), np.float32), np.array(device.numpy(developer.encoded(shown)))
+    planes, codes = (
+        np.array(device.numpy(shown), np.float32),
+        np.array(device.numpy(developer.encoded(shown))),
+    )
     return np.moveaxis(planes, 0, -1), codes
 
 
 def _reported(report, processing, ms):
     """A frame's report with other stages between its sensor and its colours."""
     last = ("processor.color", "display.encode")
-    before = [stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))]
+    before = [
+        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
+    ]
     stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
-    after = [dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0)) for stage in report.stages if stage.stage in last]
+    after = [
+        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
+        for stage in report.stages
+        if stage.stage in last
+    ]
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 
 
@@ -285,7 +489,10 @@ def _bright(electrons, limit):
     """Where demosaicking may have mixed in a value beyond `limit` [e-], bool (rows, cols)."""
     from scipy.ndimage import maximum_filter
 
-    return maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1) >= 0.99 * limit
+    return (
+        maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1)
+        >= 0.99 * limit
+    )
 
 
 def _display_noise(frame, averaged=1):
@@ -294,6 +501,11 @@ def _display_noise(frame, averaged=1):
     Both pictures have the chip's fixed offsets, which make no pixels unlike: the noise is that from frame to frame.
     """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
-    noise, scale = RawNoise.of(sensor, averaged), sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    noise, scale = (
+        RawNoise.of(sensor, averaged),
+        sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level),
+    )
     per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
-    return np.column_stack([per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)])
+    return np.column_stack(
+        [per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)]
+    )

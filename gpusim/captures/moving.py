@@ -29,8 +29,16 @@ ENOUGH = 0.5  # of a tolerance
 STEP = 0.25  # [sample] between two instants, without a tolerance
 
 
-def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0, flicker: Flicker | None = None, plan: Plan | None = None) -> Exposure:
+def expose_moving(
+    simulator: Simulator,
+    scenes,
+    times,
+    exposure_time: float | None = None,
+    start: float = 0.0,
+    gain: float = 1.0,
+    flicker: Flicker | None = None,
+    plan: Plan | None = None,
+) -> Exposure:
     """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
 
     scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
@@ -42,18 +50,26 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
     checked_time(exposure_time)
     checked_gain(gain)
     if not isinstance(scenes, Iterable):
-        raise BadData(f"moving scene: {type(scenes).__name__}, wanted several scenes, such as [scene]")
+        raise BadData(
+            f"moving scene: {type(scenes).__name__}, wanted several scenes, such as [scene]"
+        )
     scenes, begun = [checked_scene(scene) for scene in scenes], perf_counter()
     device, imaging, sensor = simulator.device, simulator.imaging, simulator.camera.sensor
     if not scenes or len(scenes) != len(np.atleast_1d(times)):
-        raise BadData(f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
-                      "one or more")
+        raise BadData(
+            f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
+            "one or more"
+        )
     if len({scene.shape for scene in scenes}) > 1:
         raise BadData("moving scene: the scenes differ in size")
     plans = _plans(simulator, scenes, plan, exposure_time)
-    held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)  # the pictures, and once more together
+    held = (
+        8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
+    )  # the pictures, and once more together
     if held > device.memory:
-        raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name)
+        raise DoesNotFit(
+            f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name
+        )
     with device.timed() as ms:
         rates = [imaging.exposed(plan, imaging.rates(plan), 1.0) for plan in plans]
         shape = rates[0].shape
@@ -65,21 +81,35 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
         stacked = device.reshape(device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
         mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
         model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
-            f", light that flickers at {flicker.frequency:g} Hz" if flicker else "")
-        told = dataclasses.replace(_worst(plans, simulator.tolerance),
-                                   models=plans[0].models | {"sensor.shutter": model})
-        exposure = exposed(simulator, told, device.reshape(mean, shape), exposure_time, gain, Kept())
+            f", light that flickers at {flicker.frequency:g} Hz" if flicker else ""
+        )
+        told = dataclasses.replace(
+            _worst(plans, simulator.tolerance), models=plans[0].models | {"sensor.shutter": model}
+        )
+        exposure = exposed(
+            simulator, told, device.reshape(mean, shape), exposure_time, gain, Kept()
+        )
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
 
 def _plans(simulator, scenes, plan, exposure_time):
     """A plan for every scene: of each content one, or the one that was given."""
+
     def planned(scene):
-        return simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
+        return (
+            simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
+        )
 
     first = planned(scenes[0])
-    return [first, *(dataclasses.replace(first, scene=scene) if first.serves(scene) and (
-        scene.content is scenes[0].content) else planned(scene) for scene in scenes[1:])]
+    return [
+        first,
+        *(
+            dataclasses.replace(first, scene=scene)
+            if first.serves(scene) and (scene.content is scenes[0].content)
+            else planned(scene)
+            for scene in scenes[1:]
+        ),
+    ]
 
 
 def _worst(plans, tolerance):
@@ -92,15 +122,29 @@ def _worst(plans, tolerance):
     first = plans[0]
     doubt = next((plan.account.doubt for plan in plans if plan.account.doubt), "")
     account = dataclasses.replace(first.account, bounds=bounds, doubt=doubt)
-    remedy = next((plan.verdict.remedy for plan in plans if plan.verdict and plan.verdict.remedy), "")
+    remedy = next(
+        (plan.verdict.remedy for plan in plans if plan.verdict and plan.verdict.remedy), ""
+    )
     left_out = list(dict.fromkeys(line for plan in plans for line in plan.left_out))
-    return dataclasses.replace(first, account=account, left_out=left_out,
-                               verdict=tolerance and account.verdict(tolerance, remedy))
+    return dataclasses.replace(
+        first,
+        account=account,
+        left_out=left_out,
+        verdict=tolerance and account.verdict(tolerance, remedy),
+    )
 
 
-def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0, instants: int | None = None, flicker: Flicker | None = None,
-                  plan: Plan | None = None) -> Exposure:
+def expose_motion(
+    simulator: Simulator,
+    scene,
+    motion: Motion,
+    exposure_time: float | None = None,
+    start: float = 0.0,
+    gain: float = 1.0,
+    instants: int | None = None,
+    flicker: Flicker | None = None,
+    plan: Plan | None = None,
+) -> Exposure:
     """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
 
     scene: a Scene, or an Animation, in which things move on the same clock.
@@ -128,27 +172,53 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
         tolerance = simulator.tolerance
-        if instants or not step or (step <= STEP if tolerance is None else
-                                    SAFETY * wrong.ratio(tolerance) <= ENOUGH):
+        if (
+            instants
+            or not step
+            or (step <= STEP if tolerance is None else SAFETY * wrong.ratio(tolerance) <= ENOUGH)
+        ):
             break
     else:
-        raise OutOfRange("motion during an exposure", f"{step * (count - 1):.4g} samples in {whole:.4g} s", "a path "
-                         f"that takes up to {count} instants: a shorter exposure, a slower camera, a larger tolerance")
+        raise OutOfRange(
+            "motion during an exposure",
+            f"{step * (count - 1):.4g} samples in {whole:.4g} s",
+            "a path "
+            f"that takes up to {count} instants: a shorter exposure, a slower camera, a larger tolerance",
+        )
     if not step:
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
     made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
-    between = next((one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)), scenes[0].view)
+    between = next(
+        (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
+        scenes[0].view,
+    )
     told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
     seen, bounds = made.plan, made.plan.account.bounds | told
     account = dataclasses.replace(seen.account, bounds=bounds)
-    verdict = None if tolerance is None else account.verdict(tolerance, seen.verdict.remedy if seen.verdict else "")
-    return dataclasses.replace(made, plan=dataclasses.replace(seen, account=account, verdict=verdict))
+    verdict = (
+        None
+        if tolerance is None
+        else account.verdict(tolerance, seen.verdict.remedy if seen.verdict else "")
+    )
+    return dataclasses.replace(
+        made, plan=dataclasses.replace(seen, account=account, verdict=verdict)
+    )
 
 
 def farthest(scene, motion, times):
     """How far the camera moves between two of these times, at most, anywhere in the frame [sample]."""
-    y, x = (np.array((-0.5, 0.5))[:, None] * scene.samples[0], np.array((-0.5, 0.5)) * scene.samples[1])
-    places = np.array([np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel)) for time in times])
-    zoom = max(motion.at(time).zoom for time in times)  # a place of the scene is so many samples of the frame
+    y, x = (
+        np.array((-0.5, 0.5))[:, None] * scene.samples[0],
+        np.array((-0.5, 0.5)) * scene.samples[1],
+    )
+    places = np.array(
+        [
+            np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel))
+            for time in times
+        ]
+    )
+    zoom = max(
+        motion.at(time).zoom for time in times
+    )  # a place of the scene is so many samples of the frame
     return float(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).max(initial=0)) * zoom

@@ -25,7 +25,9 @@ SETTLED = 8.0  # time constants of the source follower before the first instant
 # Events per second and hertz of cutoff of noise behind two equal poles, by threshold over its standard deviation, where
 # a pixel's level began anywhere: own simulation of 8000 pixels, good to 1 % up to 4.5, 5 % at 6.
 RATIOS = np.array((0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5, 6, 7))
-RATES = np.array((9.16, 3.19, 1.47, 0.754, 0.397, 0.212, 0.111, 0.0559, 0.0270, 0.0124, 2.17e-3, 2.5e-4))
+RATES = np.array(
+    (9.16, 3.19, 1.47, 0.754, 0.397, 0.212, 0.111, 0.0559, 0.0270, 0.0124, 2.17e-3, 2.5e-4)
+)
 
 
 def noise_deviation(rate: float, cutoff: float, threshold: float, mismatch: float) -> float:
@@ -36,7 +38,9 @@ def noise_deviation(rate: float, cutoff: float, threshold: float, mismatch: floa
     if rate == 0:
         return 0.0
     ratios = np.linspace(RATIOS[0], RATIOS[-1], 200)
-    places, weights = np.polynomial.hermite_e.hermegauss(7)  # over the normal distribution of a pixel's mean threshold
+    places, weights = np.polynomial.hermite_e.hermegauss(
+        7
+    )  # over the normal distribution of a pixel's mean threshold
     own = np.maximum(ratios[:, None] * (1 + mismatch / sqrt(2) * places), RATIOS[0])
     rates = np.exp(np.interp(own, RATIOS, np.log(RATES))) @ (weights / weights.sum())
     return threshold / float(np.interp(-log(rate / cutoff), -np.log(rates), ratios))
@@ -50,7 +54,9 @@ class Photoreceptor:
         self._charge, self._random = sensor.charge, random
         self._pole = 2 * pi * sensor.cutoff / sqrt(sqrt(2) - 1)
         self._step = STEP / self._pole
-        deviation = noise_deviation(sensor.noise, sensor.cutoff, (sensor.on + sensor.off) / 2, sensor.mismatch)
+        deviation = noise_deviation(
+            sensor.noise, sensor.cutoff, (sensor.on + sensor.off) / 2, sensor.mismatch
+        )
         self._density = 4 * deviation**2 / self._pole  # two-sided, of noise before the two poles
         self._before, self._stages = np.empty(0), [np.empty(0)] * 3
 

@@ -14,18 +14,46 @@ SIZE = 480, 320  # columns and rows of these
 
 def add_command(commands):
     """Add `look` to the subparsers of `gpusim`; its default `run` is `look`."""
-    parser = commands.add_parser("look", help="plots of a scene, a camera or a frame, in a file or a window",
-                                 description="Needs matplotlib: pip install 'gpusim[plot]'.")
-    add_asked(parser, camera="phone", more="; psf, mtf, snr and ptc need none (default: colorchecker, of sfr "
-              f"slanted-edge, {SIZE[0]}x{SIZE[1]})")
-    parser.add_argument("--what", choices=PANELS, default="scene", metavar="PANEL", help="; ".join(
-        f"{name}: {words}" for name, (_, words) in PANELS.items()) + " (default: scene)")
-    parser.add_argument("--at", type=_place, action="append", metavar="PLACE", help="of spectra: a pixel COL,ROW or a "
-                        "region LEFT,TOP,RIGHT,BOTTOM; may be repeated (default: all of the frame)")
-    parser.add_argument("--of", type=_kinds, metavar="LIST", help="of psf and mtf: wavelengths in nm and letters of "
-                        "channels, such as 450,550,R (default: 450,550,650 and all channels)")
-    parser.add_argument("--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
-    parser.add_argument("-o", "--out", metavar="OUT", help=f"{', '.join(FORMATS)} (default: a window)")
+    parser = commands.add_parser(
+        "look",
+        help="plots of a scene, a camera or a frame, in a file or a window",
+        description="Needs matplotlib: pip install 'gpusim[plot]'.",
+    )
+    add_asked(
+        parser,
+        camera="phone",
+        more="; psf, mtf, snr and ptc need none (default: colorchecker, of sfr "
+        f"slanted-edge, {SIZE[0]}x{SIZE[1]})",
+    )
+    parser.add_argument(
+        "--what",
+        choices=PANELS,
+        default="scene",
+        metavar="PANEL",
+        help="; ".join(f"{name}: {words}" for name, (_, words) in PANELS.items())
+        + " (default: scene)",
+    )
+    parser.add_argument(
+        "--at",
+        type=_place,
+        action="append",
+        metavar="PLACE",
+        help="of spectra: a pixel COL,ROW or a "
+        "region LEFT,TOP,RIGHT,BOTTOM; may be repeated (default: all of the frame)",
+    )
+    parser.add_argument(
+        "--of",
+        type=_kinds,
+        metavar="LIST",
+        help="of psf and mtf: wavelengths in nm and letters of "
+        "channels, such as 450,550,R (default: 450,550,650 and all channels)",
+    )
+    parser.add_argument(
+        "--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)"
+    )
+    parser.add_argument(
+        "-o", "--out", metavar="OUT", help=f"{', '.join(FORMATS)} (default: a window)"
+    )
     parser.set_defaults(run=look)
 
 
@@ -74,8 +102,13 @@ class _Asked:
         from gpusim.pipeline.simulator import Simulator
 
         asked = self.arguments
-        return Simulator(self.camera, device=asked.device, tolerance=asked.tolerance, guaranteed=asked.guaranteed,
-                         strict=asked.strict)
+        return Simulator(
+            self.camera,
+            device=asked.device,
+            tolerance=asked.tolerance,
+            guaranteed=asked.guaranteed,
+            strict=asked.strict,
+        )
 
     def frame(self, scene):
         return self.simulator(scene, seed=self.arguments.seed)
@@ -108,25 +141,54 @@ def _plan(asked, plot):
 
 
 PANELS: dict[str, tuple[Callable, str]] = {
-    "scene": (_shown_scene, "the radiance as sRGB, in a window with the spectra of pixels that are clicked"),
-    "spectra": (lambda asked, plot: plot.spectra(asked.scene, asked.arguments.at), "of patches of the scene, --at"),
-    "oi": (lambda asked, plot: plot.optical_image(asked.camera, asked.scene, device=asked.arguments.device),
-           "the optical image, irradiance as sRGB"),
-    "psf": (lambda asked, plot: plot.psf(asked.camera, asked.arguments.of), "point spreads, by wavelength and channel"),
-    "mtf": (lambda asked, plot: plot.mtf(asked.camera, asked.arguments.of),
-            "modulation transfer of the lens, by wavelength and channel"),
-    "camera": (lambda asked, plot: plot.camera(asked.camera), "quantum efficiency, point spread, MTF and SNR"),
-    "raw": (lambda asked, plot: plot.raw(asked.frame(asked.scene)), "the mosaic in its filters' colours"),
+    "scene": (
+        _shown_scene,
+        "the radiance as sRGB, in a window with the spectra of pixels that are clicked",
+    ),
+    "spectra": (
+        lambda asked, plot: plot.spectra(asked.scene, asked.arguments.at),
+        "of patches of the scene, --at",
+    ),
+    "oi": (
+        lambda asked, plot: plot.optical_image(
+            asked.camera, asked.scene, device=asked.arguments.device
+        ),
+        "the optical image, irradiance as sRGB",
+    ),
+    "psf": (
+        lambda asked, plot: plot.psf(asked.camera, asked.arguments.of),
+        "point spreads, by wavelength and channel",
+    ),
+    "mtf": (
+        lambda asked, plot: plot.mtf(asked.camera, asked.arguments.of),
+        "modulation transfer of the lens, by wavelength and channel",
+    ),
+    "camera": (
+        lambda asked, plot: plot.camera(asked.camera),
+        "quantum efficiency, point spread, MTF and SNR",
+    ),
+    "raw": (
+        lambda asked, plot: plot.raw(asked.frame(asked.scene)),
+        "the mosaic in its filters' colours",
+    ),
     "picture": (lambda asked, plot: plot.picture(asked.frame(asked.scene)), "the display codes"),
-    "noise": (lambda asked, plot: plot.noise(asked.frame(asked.scene)), "histogram of a frame's noise over what is "
-              "expected"),
-    "ptc": (lambda asked, plot: plot.photon_transfer(asked.camera, seed=asked.arguments.seed,
-                                                     device=asked.arguments.device), "photon transfer curve"),
+    "noise": (
+        lambda asked, plot: plot.noise(asked.frame(asked.scene)),
+        "histogram of a frame's noise over what is expected",
+    ),
+    "ptc": (
+        lambda asked, plot: plot.photon_transfer(
+            asked.camera, seed=asked.arguments.seed, device=asked.arguments.device
+        ),
+        "photon transfer curve",
+    ),
     "snr": (_snr, "signal to noise ratio against the exposure"),
     "sfr": (_sfr, "response to a slanted edge, with MTF50"),
     "colors": (_colors, "colour errors of the frame and of a ColorChecker's patches"),
-    "error": (lambda asked, plot: plot.error(asked.simulator, asked.scene), "the mean electrons against the float64 "
-              "reference"),
+    "error": (
+        lambda asked, plot: plot.error(asked.simulator, asked.scene),
+        "the mean electrons against the float64 reference",
+    ),
     "plan": (_plan, "what a frame costs, stage by stage, and errs, cause by cause"),
 }
 
@@ -137,7 +199,9 @@ def _place(text):
     except ValueError:
         numbers = ()
     if len(numbers) not in (2, 4):
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30")
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: wanted COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30"
+        )
     return numbers
 
 

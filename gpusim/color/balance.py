@@ -19,8 +19,9 @@ class WhiteEstimate:
     model: str
 
 
-def estimate_white(thumbnail, method: str, transforms: TransformSet | None = None, *,
-                   floor: float = 0.0) -> WhiteEstimate:
+def estimate_white(
+    thumbnail, method: str, transforms: TransformSet | None = None, *, floor: float = 0.0
+) -> WhiteEstimate:
     """Estimate the camera's response to white from block means of its picture.
 
     thumbnail: shape (C, rows, cols), as `processor.thumbnail` makes; blocks that are not finite are left out.
@@ -45,7 +46,9 @@ def estimate_white(thumbnail, method: str, transforms: TransformSet | None = Non
     if thumbnail.ndim != 3 or not thumbnail.size:
         raise BadData(f"thumbnail of shape {thumbnail.shape}: wanted (channels, rows, cols)")
     if transforms is not None and len(transforms.target_white) != len(thumbnail):
-        raise BadData(f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}")
+        raise BadData(
+            f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}"
+        )
     pair = _red_and_blue(transforms) if method == "red-blue" else None
     blocks = thumbnail[:, np.isfinite(thumbnail).all(0)]
     if not blocks.size:
@@ -54,32 +57,44 @@ def estimate_white(thumbnail, method: str, transforms: TransformSet | None = Non
         return _assumed(transforms, len(thumbnail), "a channel is dark")
     if pair:
         return _by_red_and_blue(blocks, transforms, pair)
-    means = blocks.mean(1) if method == "gray-world" else _minkowski(
-        np.maximum(blocks, 0), np.inf if method == "max-rgb" else MINKOWSKI)
+    means = (
+        blocks.mean(1)
+        if method == "gray-world"
+        else _minkowski(np.maximum(blocks, 0), np.inf if method == "max-rgb" else MINKOWSKI)
+    )
     return WhiteEstimate(means / means.max(), f"{method} of {blocks.shape[1]} blocks")
 
 
 def _assumed(transforms, channels, reason):
     if transforms is None:
         return WhiteEstimate(np.ones(channels), f"not estimated, {reason}: as if balanced already")
-    return WhiteEstimate(transforms.target_white, f"not estimated, {reason}: as if in the target light")
+    return WhiteEstimate(
+        transforms.target_white, f"not estimated, {reason}: as if in the target light"
+    )
 
 
 def _minkowski(blocks, exponent):
     """Generalised mean of each row (C, N) >= 0."""
     peak = blocks.max()  # powers neither overflow nor underflow
-    return (peak * np.mean((blocks / peak) ** exponent, 1) ** (1 / exponent) if np.isfinite(exponent)
-            else blocks.max(1))
+    return (
+        peak * np.mean((blocks / peak) ** exponent, 1) ** (1 / exponent)
+        if np.isfinite(exponent)
+        else blocks.max(1)
+    )
 
 
 def _red_and_blue(transforms):
     """Indices of the channels R and B."""
     if transforms is None:
-        raise BadData("white balance 'red-blue' compares the picture with lights: give it their transforms")
+        raise BadData(
+            "white balance 'red-blue' compares the picture with lights: give it their transforms"
+        )
     letters = list(transforms.channels)
     if not {"R", "B"} <= {*letters}:
-        raise BadData(f"white balance 'red-blue' needs channels R and B; the transforms name "
-                      f"{', '.join(letters) or 'none'}; use another method")
+        raise BadData(
+            f"white balance 'red-blue' needs channels R and B; the transforms name "
+            f"{', '.join(letters) or 'none'}; use another method"
+        )
     return [letters.index("R"), letters.index("B")]
 
 
@@ -89,11 +104,17 @@ def _by_red_and_blue(blocks, transforms, pair):
     if picture is None:
         return _assumed(transforms, len(blocks), "there is one color alone")
     areas = [_hull(surfaces, pair) for surfaces in transforms.responses]
-    correlations = [0.0 if area is None else _area(_overlap(picture, area)) / np.sqrt(_area(picture) * _area(area))
-                    for area in areas]
+    correlations = [
+        0.0
+        if area is None
+        else _area(_overlap(picture, area)) / np.sqrt(_area(picture) * _area(area))
+        for area in areas
+    ]
     best = int(np.argmax(correlations))
-    return WhiteEstimate(transforms.transforms[best].white,
-                         f"red-blue correlation {correlations[best]:.2f} with {transforms.names[best]}")
+    return WhiteEstimate(
+        transforms.transforms[best].white,
+        f"red-blue correlation {correlations[best]:.2f} with {transforms.names[best]}",
+    )
 
 
 def _hull(colors, pair):
@@ -111,10 +132,15 @@ def _overlap(polygon, clip):
     """Intersection of two convex polygons, counterclockwise (Sutherland & Hodgman 1974, Comm. ACM 17, 32-42)."""
     for begin, end in zip(clip, np.roll(clip, -1, 0), strict=True):
         edge, kept = end - begin, []
-        sides = edge[0] * (polygon[:, 1] - begin[1]) - edge[1] * (polygon[:, 0] - begin[0])  # >= 0: inside
+        sides = edge[0] * (polygon[:, 1] - begin[1]) - edge[1] * (
+            polygon[:, 0] - begin[0]
+        )  # >= 0: inside
         for i in range(len(polygon)):
             if (sides[i] >= 0) != (sides[i - 1] >= 0):
-                kept.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * sides[i - 1] / (sides[i - 1] - sides[i]))
+                kept.append(
+                    polygon[i - 1]
+                    + (polygon[i] - polygon[i - 1]) * sides[i - 1] / (sides[i - 1] - sides[i])
+                )
             if sides[i] >= 0:
                 kept.append(polygon[i])
         if not kept:

@@ -12,7 +12,9 @@ from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
 
 LIGHTS = ("A", "D65")
-D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the white that a forward matrix leads to, as ICC profiles have it
+D50 = np.array(
+    [0.9642, 1.0, 0.8249]
+)  # XYZ of the white that a forward matrix leads to, as ICC profiles have it
 
 
 def color_profile(camera: Camera) -> dict[str, tuple[np.ndarray, np.ndarray]]:

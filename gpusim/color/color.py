@@ -23,9 +23,24 @@ EXCELLENT_SNR = 40.0  # signal to noise of the first picture that ISO 12232 call
 
 # Even on the scale of reciprocal temperature, as differences of colour are (Tominaga & Wandell 2002): 25 MK-1 apart.
 # Then lamps off that line: halophosphate and three-band fluorescent, a white diode.
-LIGHTS = ("blackbody-2500K", "blackbody-2667K", "A", "blackbody-3077K", "blackbody-3333K", "blackbody-3636K",
-          "daylight-4000K", "daylight-4444K", "daylight-5000K", "daylight-5714K", "D65", "daylight-8000K",
-          "daylight-10000K", "FL2", "FL11", "LED-B3")
+LIGHTS = (
+    "blackbody-2500K",
+    "blackbody-2667K",
+    "A",
+    "blackbody-3077K",
+    "blackbody-3333K",
+    "blackbody-3636K",
+    "daylight-4000K",
+    "daylight-4444K",
+    "daylight-5000K",
+    "daylight-5714K",
+    "D65",
+    "daylight-8000K",
+    "daylight-10000K",
+    "FL2",
+    "FL11",
+    "LED-B3",
+)
 REACH = 2.0  # how far around a white transforms are mixed, in distances to the second nearest node
 
 
@@ -54,10 +69,17 @@ class _Training:
     xyz_white: np.ndarray
 
 
-def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | str, *,
-                 method: str = "white-preserving", target_light: Spectrum | str = "D65",
-                 display: Display = DISPLAYS["srgb"], snr: float = EXCELLENT_SNR,
-                 channels="RGB") -> ColorTransform:
+def color_matrix(
+    qe: Spectrum,
+    light: Spectrum | str,
+    reflectances: Spectrum | str,
+    *,
+    method: str = "white-preserving",
+    target_light: Spectrum | str = "D65",
+    display: Display = DISPLAYS["srgb"],
+    snr: float = EXCELLENT_SNR,
+    channels="RGB",
+) -> ColorTransform:
     """Find the colour transform of a camera that sees surfaces in `light` and shows them as if in `target_light`.
 
     qe: quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), infrared filter included.
@@ -94,18 +116,27 @@ def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | s
     adapt = adaptation(seen.xyz_white, display.xyz_from_rgb.sum(1))
     if method == "diagonal":
         matrix = _channels_as_primaries(seen.camera_white, channels)
-        return ColorTransform(matrix, np.linalg.solve(adapt, display.xyz_from_rgb @ matrix), seen.camera_white)
+        return ColorTransform(
+            matrix, np.linalg.solve(adapt, display.xyz_from_rgb @ matrix), seen.camera_white
+        )
     if method == "fixed-diagonal":
-        fixed = _white_preserving(_determined(_training(nodes, surfaces, qe, _photons(target_light), eye)))
+        fixed = _white_preserving(
+            _determined(_training(nodes, surfaces, qe, _photons(target_light), eye))
+        )
         shown = fixed @ seen.camera_white
         if not (BRADFORD @ shown > 0).all():
-            raise BadData(f"color matrix: the matrix for {_name(target_light)} takes white in {_name(light)} to XYZ "
-                          f"{np.round(shown, 4).tolist()}, no colour that can be scaled to white")
+            raise BadData(
+                f"color matrix: the matrix for {_name(target_light)} takes white in {_name(light)} to XYZ "
+                f"{np.round(shown, 4).tolist()}, no colour that can be scaled to white"
+            )
         to_xyz = adaptation(shown, seen.xyz_white) @ fixed
     else:
-        fit = {"white-preserving": _white_preserving, "cielab": _least_in_cielab,
-               "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
-               "ridge": lambda of: _least_squares(of.camera, of.xyz, of.camera.sum(1) / snr**2)}[method]
+        fit = {
+            "white-preserving": _white_preserving,
+            "cielab": _least_in_cielab,
+            "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
+            "ridge": lambda of: _least_squares(of.camera, of.xyz, of.camera.sum(1) / snr**2),
+        }[method]
         to_xyz = fit(_determined(seen))
     return ColorTransform(display.rgb_from_xyz @ adapt @ to_xyz, to_xyz, seen.camera_white)
 
@@ -118,7 +149,9 @@ def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | 
     """
     nodes, surfaces = _surfaces(reflectances)
     photons = _photons(light)
-    seen = _training(nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons)))
+    seen = _training(
+        nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons))
+    )
     if len(seen.camera) == 3:
         return np.linalg.inv(_white_preserving(_determined(seen)))
     return _white_preserving(_Training(seen.xyz, seen.camera, seen.xyz_white, seen.camera_white))
@@ -143,21 +176,31 @@ def _training(nodes, surfaces, qe, light, eye):
     weights = np.atleast_2d(product_weights(nodes, qe, light))
     camera_white, xyz_white = weights.sum(1), eye.sum(1)
     if not (camera_white > 0).all() or not xyz_white[1] > 0:
-        raise BadData(f"color matrix: a channel, or the eye, sees nothing of the light in {nodes[0]:g} .. "
-                      f"{nodes[-1]:g} nm")
-    return _Training(weights @ surfaces.T / camera_white.max(), eye @ surfaces.T / xyz_white[1],
-                     camera_white / camera_white.max(), xyz_white / xyz_white[1])
+        raise BadData(
+            f"color matrix: a channel, or the eye, sees nothing of the light in {nodes[0]:g} .. "
+            f"{nodes[-1]:g} nm"
+        )
+    return _Training(
+        weights @ surfaces.T / camera_white.max(),
+        eye @ surfaces.T / xyz_white[1],
+        camera_white / camera_white.max(),
+        xyz_white / xyz_white[1],
+    )
 
 
 def _determined(of):
     """The training itself; raises BadData where it leaves the matrix open."""
     channels, count = of.camera.shape
     if count < channels:
-        raise BadData(f"color matrix: {count} training reflectances cannot determine {channels} channels")
+        raise BadData(
+            f"color matrix: {count} training reflectances cannot determine {channels} channels"
+        )
     rank = np.linalg.matrix_rank(of.camera)
     if rank < channels:
-        raise BadData(f"color matrix: the camera's responses to the {count} training reflectances span only {rank} of "
-                      f"{channels} dimensions")
+        raise BadData(
+            f"color matrix: the camera's responses to the {count} training reflectances span only {rank} of "
+            f"{channels} dimensions"
+        )
     return of
 
 
@@ -175,7 +218,9 @@ def _least_squares(camera, xyz, variance):
 def _white_kept(of):
     """One matrix (3, C) that maps white to white, and the directions (C, C - 1) that white has no part in."""
     white = of.camera_white
-    return np.outer(of.xyz_white, white) / (white @ white), np.linalg.qr(white[:, None], mode="complete")[0][:, 1:]
+    return np.outer(of.xyz_white, white) / (white @ white), np.linalg.qr(
+        white[:, None], mode="complete"
+    )[0][:, 1:]
 
 
 def _white_preserving(of):
@@ -224,7 +269,11 @@ def _lab(xyz, white):
 def _lab_slopes(xyz, white):
     """Derivatives of CIELAB by X, Y and Z, (3, 3, N)."""
     ratio = xyz / white
-    slopes = np.where(ratio > (6 / 29) ** 3, np.cbrt(np.maximum(ratio, 1e-9)) ** -2, (29 / 6) ** 2) / 3 / white
+    slopes = (
+        np.where(ratio > (6 / 29) ** 3, np.cbrt(np.maximum(ratio, 1e-9)) ** -2, (29 / 6) ** 2)
+        / 3
+        / white
+    )
     return np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]])[:, :, None] * slopes
 
 
@@ -232,8 +281,10 @@ def _channels_as_primaries(white, letters):
     """Matrix (3, C) that shows channels R, G and B as primaries, white as (1, 1, 1)."""
     letters = list(letters)
     if len(letters) != len(white) or any(letters.count(letter) != 1 for letter in "RGB"):
-        raise BadData(f"color matrix: method 'diagonal' needs channels R, G and B, each named once; got "
-                      f"{''.join(letters)!r} for {len(white)} channel(s); use another method")
+        raise BadData(
+            f"color matrix: method 'diagonal' needs channels R, G and B, each named once; got "
+            f"{''.join(letters)!r} for {len(white)} channel(s); use another method"
+        )
     chosen = [letters.index(letter) for letter in "RGB"]
     return np.eye(len(white))[chosen] / white
 
@@ -279,13 +330,21 @@ class TransformSet:
             mixture = np.maximum(1 / distances - 1 / (REACH * np.partition(distances, 1)[1]), 0)
             mixture /= mixture.sum()
         gains = whites / white
-        matrix, xyz = (np.einsum("k,kpc,kc->pc", mixture, np.stack([getattr(transform, part) for transform in
-                                                                    self.transforms]), gains)
-                       for part in ("matrix", "xyz"))
+        matrix, xyz = (
+            np.einsum(
+                "k,kpc,kc->pc",
+                mixture,
+                np.stack([getattr(transform, part) for transform in self.transforms]),
+                gains,
+            )
+            for part in ("matrix", "xyz")
+        )
         return ColorTransform(matrix, xyz, white)
 
 
-def transform_set(qe: Spectrum, reflectances: Spectrum | str, lights=LIGHTS, *, channels=(), **options) -> TransformSet:
+def transform_set(
+    qe: Spectrum, reflectances: Spectrum | str, lights=LIGHTS, *, channels=(), **options
+) -> TransformSet:
     """Compute the transforms of a set of lights in advance.
 
     lights: names or photon radiances. channels: a letter for each channel; "diagonal" here, and estimates of the light
@@ -296,14 +355,23 @@ def transform_set(qe: Spectrum, reflectances: Spectrum | str, lights=LIGHTS, *, 
     if not len(lights):
         raise BadData("transform set: no lights")
     named = {"channels": channels} if channels else {}
-    transforms = tuple(color_matrix(qe, light, reflectances, **named, **options) for light in lights)
+    transforms = tuple(
+        color_matrix(qe, light, reflectances, **named, **options) for light in lights
+    )
     nodes, surfaces = _surfaces(reflectances)
-    weights = [np.atleast_2d(product_weights(nodes, qe, _photons(light)))
-               for light in (*lights, options.get("target_light", "D65"))]
+    weights = [
+        np.atleast_2d(product_weights(nodes, qe, _photons(light)))
+        for light in (*lights, options.get("target_light", "D65"))
+    ]
     responses = np.stack([w @ surfaces.T / w.sum(1).max() for w in weights[:-1]])
     white = weights[-1].sum(1)
-    return TransformSet(tuple(_name(light) for light in lights), tuple(channels), transforms, responses,
-                        white / white.max())
+    return TransformSet(
+        tuple(_name(light) for light in lights),
+        tuple(channels),
+        transforms,
+        responses,
+        white / white.max(),
+    )
 
 
 def _chromaticity(white):

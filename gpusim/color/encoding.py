@@ -15,15 +15,19 @@ def decoding(display: Display, tone: tuple = ()):
     """
     if not tone:
         return display.decode
-    from scipy.interpolate import PchipInterpolator  # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
+    from scipy.interpolate import (
+        PchipInterpolator,
+    )  # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
 
     scene = DISPLAYS["srgb"]
     x, y = np.array(tone).T
     with np.errstate(all="ignore"):
         shown = PchipInterpolator(x, y) if np.isfinite(np.diff(y) / np.diff(x)).all() else None
         if shown is None or not (np.isfinite(shown.c).all() and np.isfinite(scene.decode(x[-1]))):
-            raise BadData(f"processor.tone: the cubic between its nodes, x = {x[0]:.6g} .. {x[-1]:.6g} as near as "
-                          f"{np.diff(x).min():.6g}, overflows; wanted nodes farther apart, and x <= 1000")
+            raise BadData(
+                f"processor.tone: the cubic between its nodes, x = {x[0]:.6g} .. {x[-1]:.6g} as near as "
+                f"{np.diff(x).min():.6g}, overflows; wanted nodes farther apart, and x <= 1000"
+            )
 
     def light(codes):
         wanted = scene.encode(display.decode(np.asarray(codes, np.float64)))

@@ -51,12 +51,24 @@ class _Colors:
     model: str
 
     def at(self, white, saturation, diffuser):
-        return Rendering(self.matrix / white, self.neutral * saturation, self.neutral, self.model, white, saturation,
-                         diffuser)
+        return Rendering(
+            self.matrix / white,
+            self.neutral * saturation,
+            self.neutral,
+            self.model,
+            white,
+            saturation,
+            diffuser,
+        )
 
 
-def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
-              keep=lambda _, __, make: make()) -> Rendering:
+def rendering(
+    plan: Plan,
+    camera: Camera,
+    exposure_time: float,
+    pixels: int = 1,
+    keep=lambda _, __, make: make(),
+) -> Rendering:
     """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
 
     "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
@@ -68,10 +80,20 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
     that may give what make() gave before for the same key. Raises BadData (see `color_matrix`).
     """
     sensor, processor = camera.sensor, camera.processor
-    key = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics.transmission, sensor.qe,
-           sensor.channels, without_tone(processor), camera.display)
+    key = (
+        plan.white_rate,
+        plan.scene.illuminant,
+        plan.scene.light_is_known,
+        camera.optics.transmission,
+        sensor.qe,
+        sensor.channels,
+        without_tone(processor),
+        camera.display,
+    )
     colors = keep("colors", key, lambda: _colors(plan, camera, keep))
-    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    saturation = (
+        sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    )
     white, rates = saturation, _white_rates(plan, camera)  # camera values in the strongest channel
     if rates is not None:
         white = diffuser = saturation * (rates.max() * exposure_time * pixels / sensor.saturation)
@@ -111,25 +133,54 @@ def _share_of_white(plan, camera) -> float:
 
 def _colors(plan, camera, keep):
     """Transforms by which white in the scene's light comes out neutral."""
-    scene, sensor, processor, letters = plan.scene, camera.sensor, camera.processor, planes_of(camera)
+    scene, sensor, processor, letters = (
+        plan.scene,
+        camera.sensor,
+        camera.processor,
+        planes_of(camera),
+    )
     known = scene.light_is_known and processor.white_balance == "illuminant"
     light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
     rates = _white_rates(plan, camera)
     if processor.white:
         white = np.array(processor.white) / max(processor.white)
-        return _balanced(camera, white, "white as preset", lambda: keep(
-            "transforms", transforms_by(camera), lambda: transforms_of(camera)))
+        return _balanced(
+            camera,
+            white,
+            "white as preset",
+            lambda: keep("transforms", transforms_by(camera), lambda: transforms_of(camera)),
+        )
     if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
-        matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
+        matrix = camera.display.rgb_from_xyz @ adaptation(
+            neutral, camera.display.xyz_from_rgb.sum(axis=1)
+        )
         return _Colors(matrix, neutral, f"XYZ in {processor.target} to the display")
     if processor.color != "none":
-        key = (camera.optics.transmission, sensor.qe, letters, light, processor.training, processor.color,
-               processor.target, camera.display)
-        found = keep("colour matrix", key, lambda: color_matrix(
-            efficiency(camera, letters), light, processor.training, method=processor.color,
-            target_light=processor.target, display=camera.display, channels=letters))
+        key = (
+            camera.optics.transmission,
+            sensor.qe,
+            letters,
+            light,
+            processor.training,
+            processor.color,
+            processor.target,
+            camera.display,
+        )
+        found = keep(
+            "colour matrix",
+            key,
+            lambda: color_matrix(
+                efficiency(camera, letters),
+                light,
+                processor.training,
+                method=processor.color,
+                target_light=processor.target,
+                display=camera.display,
+                channels=letters,
+            ),
+        )
         matrix, neutral = found.matrix, found.white
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
     else:
@@ -138,8 +189,11 @@ def _colors(plan, camera, keep):
             neutral = rates / rates.max()
         matrix, model = _channels_shown(letters, neutral)
     if len(neutral) > 1:
-        model += (f", white balance for {light.name or 'the scene light'}" if known else
-                  f", as if the light were {processor.target}")
+        model += (
+            f", white balance for {light.name or 'the scene light'}"
+            if known
+            else f", as if the light were {processor.target}"
+        )
     return _Colors(matrix, neutral, model)
 
 
@@ -149,7 +203,9 @@ def planes_of(camera: Camera) -> tuple[str, ...]:
     return camera.sensor.channels if table is None else table.layout.outputs
 
 
-def rebalanced(once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float) -> Rendering:
+def rebalanced(
+    once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float
+) -> Rendering:
     """The same exposure, rendered for the white that the picture itself suggests.
 
     once: for the target light. transforms: of a set of lights, where a matrix or the estimate needs them. thumbnail:
@@ -175,8 +231,15 @@ def _balanced(camera, white, words, transforms):
 def transforms_by(camera: Camera) -> tuple:
     """What `transforms_of` depends on."""
     processor = camera.processor
-    return (camera.optics.transmission, camera.sensor.qe, planes_of(camera), processor.training, processor.color,
-            processor.target, camera.display)
+    return (
+        camera.optics.transmission,
+        camera.sensor.qe,
+        planes_of(camera),
+        processor.training,
+        processor.color,
+        processor.target,
+        camera.display,
+    )
 
 
 def transforms_of(camera: Camera) -> TransformSet:
@@ -184,8 +247,14 @@ def transforms_of(camera: Camera) -> TransformSet:
     processor = camera.processor
     method = "white-preserving" if processor.color == "none" else processor.color
     letters = planes_of(camera)
-    return transform_set(efficiency(camera, letters), processor.training, channels=letters, method=method,
-                         target_light=processor.target, display=camera.display)
+    return transform_set(
+        efficiency(camera, letters),
+        processor.training,
+        channels=letters,
+        method=method,
+        target_light=processor.target,
+        display=camera.display,
+    )
 
 
 def _channels_shown(letters, neutral):
@@ -193,7 +262,9 @@ def _channels_shown(letters, neutral):
 
     Red, green and blue are shown as such, and so are any three channels; others are added to a grey.
     """
-    balance = np.divide(1, neutral, out=np.zeros_like(neutral), where=neutral > 0)  # 0: blind to this light
+    balance = np.divide(
+        1, neutral, out=np.zeros_like(neutral), where=neutral > 0
+    )  # 0: blind to this light
     if {*"RGB"} <= {*letters}:
         chosen = [letters.index(letter) for letter in "RGB"]
     elif len(letters) == 3:

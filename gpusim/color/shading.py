@@ -37,8 +37,10 @@ def shading_gains(response, channels: int, most: float = 8.0) -> np.ndarray:
     """
     response = _checked(response, most)
     if response.shape[:-2] not in ((), (channels,)):
-        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) or ({channels}, rows, "
-                      "cols)")
+        raise BadData(
+            f"response to a flat scene: shape {response.shape}, wanted (rows, cols) or ({channels}, rows, "
+            "cols)"
+        )
     maps = response.reshape(-1, *response.shape[-2:])
     with np.errstate(divide="ignore"):
         maps = np.minimum(maps.max(axis=(1, 2), keepdims=True) / maps, most)
@@ -57,19 +59,26 @@ def phase_gains(response, period, most: float = 8.0) -> tuple[np.ndarray, np.nda
     """
     response, (down, right) = _checked(response, most), period
     if response.ndim != 2 or response.shape[0] < down or response.shape[1] < right:
-        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period "
-                      f"of the mosaic, {down} x {right}")
+        raise BadData(
+            f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period "
+            f"of the mosaic, {down} x {right}"
+        )
     with np.errstate(divide="ignore"):
         gains = np.minimum(response.max() / response, most)
     maps = [(gains[y::down, x::right], (y, x)) for y in range(down) for x in range(right)]
-    return _nodes(maps, (down, right), response.shape), np.arange(len(maps), dtype=np.int32).reshape(down, right)
+    return _nodes(maps, (down, right), response.shape), np.arange(
+        len(maps), dtype=np.int32
+    ).reshape(down, right)
 
 
 def _checked(response, most):
     response = np.asarray(response, np.float64)
     if not (np.isfinite(response).all() and response.min() >= 0 and response.max() > 0):
-        raise OutOfRange("response to a flat scene", f"{response.min():.6g} .. {response.max():.6g}",
-                         "0 <= response < inf, and not 0 everywhere")
+        raise OutOfRange(
+            "response to a flat scene",
+            f"{response.min():.6g} .. {response.max():.6g}",
+            "0 <= response < inf, and not 0 everywhere",
+        )
     if not 1 <= most <= 1e4:
         raise OutOfRange("largest gain", most, "1 <= gain <= 1e4")
     return response
@@ -79,13 +88,26 @@ def _nodes(maps, steps, shape):
     """Gains at nodes over a frame of `shape`, (maps, ny, nx); maps: (gains, pixel of the first), `steps` apart."""
     for count in NODES:
         places = [np.linspace(0, size, max(min(count, size + 1), 2)) - 0.5 for size in shape]
-        nodes = np.stack([_at(_at(map_, *along[0]).T, *along[1]).T for map_, first in maps
-                          for along in [[((place - start) / step, size) for place, start, step, size
-                                         in zip(places, first, steps, map_.shape, strict=True)]]])
+        nodes = np.stack(
+            [
+                _at(_at(map_, *along[0]).T, *along[1]).T
+                for map_, first in maps
+                for along in [
+                    [
+                        ((place - start) / step, size)
+                        for place, start, step, size in zip(
+                            places, first, steps, map_.shape, strict=True
+                        )
+                    ]
+                ]
+            ]
+        )
         error = 0.0
         for made, (map_, first) in zip(nodes, maps, strict=True):
-            back = [_hats(len(place), size)[start::step]
-                    for place, size, start, step in zip(places, shape, first, steps, strict=True)]
+            back = [
+                _hats(len(place), size)[start::step]
+                for place, size, start, step in zip(places, shape, first, steps, strict=True)
+            ]
             error = max(error, np.abs(back[0] @ made @ back[1].T / map_ - 1).max())
         if error <= INTERPOLATION:
             break
@@ -107,7 +129,9 @@ def _cubics(count, pixels):
     first = np.clip(place.astype(int) - 1, 0, count - 4)
     weights = np.zeros((pixels, count))
     for a in range(4):
-        weights[np.arange(pixels), first + a] = np.prod([(place - first - b) / (a - b) for b in range(4) if b != a], 0)
+        weights[np.arange(pixels), first + a] = np.prod(
+            [(place - first - b) / (a - b) for b in range(4) if b != a], 0
+        )
     return weights
 
 

@@ -15,7 +15,9 @@ from gpusim.domain.spectrum import photons_from_energy
 from gpusim.optics.weights import product_weights
 
 LIGHT = "D55"  # daylight of ISO 7589, which ISO 12232 prescribes
-SATURATION_SPEED = 78.0  # [lx s]: the 10 / S of a mean scene are 12.8 % of saturation, 18 % less half a stop
+SATURATION_SPEED = (
+    78.0  # [lx s]: the 10 / S of a mean scene are 12.8 % of saturation, 18 % less half a stop
+)
 MOST_GAIN = 1e4  # of `Sensor.analog_gain`
 
 
@@ -55,15 +57,25 @@ def gain_for_speed(sensor: Sensor, speed: float) -> float:
     unity = replace(sensor, analog_gain=1.0)
     base = iso_speed(unity)
     if not base:
-        raise BadData(f"iso = {speed:.6g}: the sensor's efficiency leaves nothing of {LIGHT}, so it has no ISO speed")
+        raise BadData(
+            f"iso = {speed:.6g}: the sensor's efficiency leaves nothing of {LIGHT}, so it has no ISO speed"
+        )
     if sensor.bits == FLOAT_BITS:
-        raise OutOfRange("iso", f"{speed:.6g}", f"none: without a converter it is {base:.4g} at every gain")
-    electrons = _saturation(unity) * base / speed if speed >= base else np.inf  # of a pixel, where it shall saturate
+        raise OutOfRange(
+            "iso", f"{speed:.6g}", f"none: without a converter it is {base:.4g} at every gain"
+        )
+    electrons = (
+        _saturation(unity) * base / speed if speed >= base else np.inf
+    )  # of a pixel, where it shall saturate
     node = electrons * _added(sensor) + sensor.analog_offset
     span = (sensor.white_level - sensor.black_level) / _node(unity).gain_dn_per_electron  # [e-]
     if not span / MOST_GAIN <= node < np.inf:
-        raise OutOfRange("iso", f"{speed:.6g}", f"{_up(base):g}, this sensor's base speed, or more, up to an analog "
-                         f"gain of {MOST_GAIN:g}")
+        raise OutOfRange(
+            "iso",
+            f"{speed:.6g}",
+            f"{_up(base):g}, this sensor's base speed, or more, up to an analog "
+            f"gain of {MOST_GAIN:g}",
+        )
     return span / node
 
 
@@ -88,8 +100,15 @@ def _up(speed):
     return np.ceil(speed / step) * step
 
 
-def operate_camera(camera: Camera, *, exposure: float | Literal["auto"] | None = None, iso: float | None = None,
-                   f_number: float | None = None, focus: float | None = None, scaling: str | None = None) -> Camera:
+def operate_camera(
+    camera: Camera,
+    *,
+    exposure: float | Literal["auto"] | None = None,
+    iso: float | None = None,
+    f_number: float | None = None,
+    focus: float | None = None,
+    scaling: str | None = None,
+) -> Camera:
     """Return the camera with other settings of its controls; None leaves one as it is.
 
     exposure: [s], or "auto". iso: speed. focus: distance of what is in focus [m]. scaling: of the processor. Raises
@@ -98,14 +117,21 @@ def operate_camera(camera: Camera, *, exposure: float | Literal["auto"] | None =
     optics, sensor, processor = camera.optics, camera.sensor, camera.processor
     if exposure is not None:
         sensor = replace(sensor, exposure_time=None if isinstance(exposure, str) else exposure)
-    if iso is not None:  # the speed that was asked for: automatic exposure raises no gain on its own
-        sensor = replace(sensor, analog_gain=gain_for_speed(sensor, iso),
-                                     auto_exposure=replace(sensor.auto_exposure, most_gain=1.0))
+    if (
+        iso is not None
+    ):  # the speed that was asked for: automatic exposure raises no gain on its own
+        sensor = replace(
+            sensor,
+            analog_gain=gain_for_speed(sensor, iso),
+            auto_exposure=replace(sensor.auto_exposure, most_gain=1.0),
+        )
     lens: dict[str, Any] = {"f_number": f_number, "object_distance": focus}
     lens = {key: value for key, value in lens.items() if value is not None}
     if lens and optics.psf is not None:
-        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
-                      "neither, or a camera without [optics] psf")
+        raise BadData(
+            "--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
+            "neither, or a camera without [optics] psf"
+        )
     if scaling is not None:
         processor = replace(processor, scaling=scaling)
     return replace(camera, optics=replace(optics, **lens), sensor=sensor, processor=processor)

@@ -14,11 +14,20 @@ from gpusim.domain.spectrum import Spectrum
 HERE = Path(__file__).parent
 
 REFLECTANCE_SETS = {
-    "macbeth": "macbethChart", "munsell": "MunsellSamples_Vhrel", "dupont": "DupontPaintChip_Vhrel",
-    "objects": "Objects_Vhrel", "nature": "Nature_Vhrel", "skin": "Caucasian_Vhrel",
+    "macbeth": "macbethChart",
+    "munsell": "MunsellSamples_Vhrel",
+    "dupont": "DupontPaintChip_Vhrel",
+    "objects": "Objects_Vhrel",
+    "nature": "Nature_Vhrel",
+    "skin": "Caucasian_Vhrel",
     "colorchecker-sg": "gretagDigitalColorSG",
 }  # our name: ISETCam's file in data/surfaces/reflectances
-DISPLAYS = {"lcd-apple": "LCD_Apple", "lcd-dell": "LCD_Dell", "crt-dell": "CRT_Dell", "oled-sony": "OLED_Sony"}
+DISPLAYS = {
+    "lcd-apple": "LCD_Apple",
+    "lcd-dell": "LCD_Dell",
+    "crt-dell": "CRT_Dell",
+    "oled-sony": "OLED_Sony",
+}
 
 
 def build_cie(path=HERE / "cie.npz"):
@@ -27,7 +36,9 @@ def build_cie(path=HERE / "cie.npz"):
     from colour.colorimetry import SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES as DAYLIGHT
 
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    lights = {name: light for name, light in colour.SDS_ILLUMINANTS.items() if not name.startswith("ISO")}
+    lights = {
+        name: light for name, light in colour.SDS_ILLUMINANTS.items() if not name.startswith("ISO")
+    }
     wavelengths = np.arange(300.0, 831.0, 5.0)
     powers = np.full((len(lights), len(wavelengths)), np.nan)  # NaN: outside the published table
     for row, light in zip(powers, lights.values(), strict=True):
@@ -35,18 +46,26 @@ def build_cie(path=HERE / "cie.npz"):
     checker = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
     np.savez_compressed(
         path,
-        cmf_wavelengths=cmfs.wavelengths, cmf=cmfs.values.T,
-        daylight_wavelengths=DAYLIGHT["S0"].wavelengths, daylight=[DAYLIGHT[s].values for s in ("S0", "S1", "S2")],
-        illuminant_names=list(lights), illuminant_wavelengths=wavelengths, illuminants=powers,
-        colorchecker_names=list(checker), colorchecker_wavelengths=checker["white 9.5 (.05 D)"].wavelengths,
-        colorchecker=[patch.values for patch in checker.values()])
+        cmf_wavelengths=cmfs.wavelengths,
+        cmf=cmfs.values.T,
+        daylight_wavelengths=DAYLIGHT["S0"].wavelengths,
+        daylight=[DAYLIGHT[s].values for s in ("S0", "S1", "S2")],
+        illuminant_names=list(lights),
+        illuminant_wavelengths=wavelengths,
+        illuminants=powers,
+        colorchecker_names=list(checker),
+        colorchecker_wavelengths=checker["white 9.5 (.05 D)"].wavelengths,
+        colorchecker=[patch.values for patch in checker.values()],
+    )
 
 
 def build_reflectances(source, path=HERE / "reflectances.npz"):
     """Measured reflectances at 400, 410 .. 700 nm from ISETCam's; samples with a NaN are left out."""
     tables = {}
     with np.load(source) as isetcam:
-        step = slice(None, None, 2)  # the source is at 5 nm, but was measured at 10 nm (macbeth: 4 nm)
+        step = slice(
+            None, None, 2
+        )  # the source is at 5 nm, but was measured at 10 nm (macbeth: 4 nm)
         for name, theirs in REFLECTANCE_SETS.items():
             samples = isetcam[f"refl_{theirs}"][step].T
             tables[name] = samples[np.isfinite(samples).all(1)].astype(np.float32)
@@ -65,7 +84,9 @@ def build_displays(source, path=HERE / "displays.npz"):
             error = np.abs(codes[:, None] ** exponents - curve[:, None]).max(axis=0)
             tables[f"{name} spectra"] = isetcam[f"disp_spd_{theirs}"][:, :3].T.astype(np.float32)
             tables[f"{name} exponent"] = exponents[error.argmin()]
-            print(f"{name}: exponent {exponents[error.argmin()]:.2f}, off by {error.min():.3f} of white at most")
+            print(
+                f"{name}: exponent {exponents[error.argmin()]:.2f}, off by {error.min():.3f} of white at most"
+            )
         np.savez_compressed(path, wavelengths=isetcam["wave"], **tables)
 
 
@@ -84,8 +105,12 @@ def build_srgb(path=HERE / "srgb.npz"):
     fine = np.linspace(360, 780, 4201)
     cardinal = CubicSpline(wavelengths, np.eye(len(wavelengths)))(fine).T
     light = illuminant("D65")
-    responses = xyz(Spectrum(fine, cardinal), light).T / xyz(light)[1]  # linear in the table: that of each unit entry
-    np.savez_compressed(path, wavelengths=wavelengths, primaries=smoothest_primaries(responses, srgb_to_xyz()))
+    responses = (
+        xyz(Spectrum(fine, cardinal), light).T / xyz(light)[1]
+    )  # linear in the table: that of each unit entry
+    np.savez_compressed(
+        path, wavelengths=wavelengths, primaries=smoothest_primaries(responses, srgb_to_xyz())
+    )
 
 
 def smoothest_primaries(responses, targets):
@@ -106,10 +131,18 @@ def smoothest_primaries(responses, targets):
     wanted = np.concatenate([targets[:, 0], targets[:, 2]])
     sums = np.hstack([np.eye(nodes), np.eye(nodes)])
     start = np.linalg.lstsq(equal, wanted)[0]
-    found = minimize(lambda x: 0.5 * x @ hessian @ x, start, jac=lambda x: hessian @ x, method="SLSQP",
-                     bounds=[(0, 1)] * (2 * nodes), options={"maxiter": 1000, "ftol": 1e-14},
-                     constraints=[{"type": "eq", "fun": lambda x: equal @ x - wanted, "jac": lambda x: equal},
-                                  {"type": "ineq", "fun": lambda x: 1 - sums @ x, "jac": lambda x: -sums}])
+    found = minimize(
+        lambda x: 0.5 * x @ hessian @ x,
+        start,
+        jac=lambda x: hessian @ x,
+        method="SLSQP",
+        bounds=[(0, 1)] * (2 * nodes),
+        options={"maxiter": 1000, "ftol": 1e-14},
+        constraints=[
+            {"type": "eq", "fun": lambda x: equal @ x - wanted, "jac": lambda x: equal},
+            {"type": "ineq", "fun": lambda x: 1 - sums @ x, "jac": lambda x: -sums},
+        ],
+    )
     if not found.success:
         raise RuntimeError(f"sRGB primaries: {found.message}")
     red, blue = np.clip(found.x.reshape(2, nodes), 0, 1)

@@ -19,8 +19,16 @@ FINEST = 1e6  # samples along a pixel
 BYTES_PER_PIXEL = 48  # ids, shading and the float64 intermediates of the costliest chart
 
 
-def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminance=100.0, wavelengths=None,
-          samples_per_pixel: float = 1.0, **options) -> Scene:
+def chart(
+    name: str,
+    *,
+    size=(768, 512),
+    light: str | Spectrum = "D65",
+    luminance=100.0,
+    wavelengths=None,
+    samples_per_pixel: float = 1.0,
+    **options,
+) -> Scene:
     """Return a built-in scene; see CHARTS for the names, and the function of a chart for its options.
 
     size: columns and rows of the frame [pixel]. samples_per_pixel: the chart is drawn that much finer, as `Scene` says.
@@ -39,7 +47,9 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
         if option not in known:
             raise UnknownName(f"option of chart {name!r}", option, known)
     checked_size(size)
-    _require("samples_per_pixel", samples_per_pixel, 1 <= samples_per_pixel <= FINEST, f"1 .. {FINEST:g}")
+    _require(
+        "samples_per_pixel", samples_per_pixel, 1 <= samples_per_pixel <= FINEST, f"1 .. {FINEST:g}"
+    )
     cols, rows = checked_size([math.ceil(n * samples_per_pixel) for n in size])
     fine = {"fine": samples_per_pixel} if "fine" in parameters else {}
     ids, shading, materials, border = draw(cols, rows, **fine, **options)
@@ -56,11 +66,17 @@ def colorchecker_patches(size) -> list[tuple[slice, slice]]:
     """
     cols, rows = checked_size(size)
     if cols < 24 or rows < 16:
-        raise OutOfRange("size of chart 'colorchecker'", f"{cols} x {rows}", "at least 24 x 16 pixels")
+        raise OutOfRange(
+            "size of chart 'colorchecker'", f"{cols} x {rows}", "at least 24 x 16 pixels"
+        )
     patch, gap, _ = _colorchecker_measures(cols, rows)
     left = (cols - 6 * patch - 5 * gap) // 2
     top = (rows - 4 * patch - 3 * gap) // 2
-    starts = [(top + row * (patch + gap), left + col * (patch + gap)) for row in range(4) for col in range(6)]
+    starts = [
+        (top + row * (patch + gap), left + col * (patch + gap))
+        for row in range(4)
+        for col in range(6)
+    ]
     return [(slice(y, y + patch), slice(x, x + patch)) for y, x in starts]
 
 
@@ -75,7 +91,10 @@ def _colorchecker(cols, rows):
     ids = np.full((rows, cols), 21, np.uint8)
     shading = np.ones((rows, cols), np.float32)
     first, last = patches[0], patches[-1]
-    inside = (slice(first[0].start - frame, last[0].stop + frame), slice(first[1].start - frame, last[1].stop + frame))
+    inside = (
+        slice(first[0].start - frame, last[0].stop + frame),
+        slice(first[1].start - frame, last[1].stop + frame),
+    )
     ids[inside], shading[inside] = 23, 0.5
     for number, patch in enumerate(patches):
         ids[patch], shading[patch] = number, 1
@@ -118,7 +137,9 @@ def half_plane_coverage(distance, across, along):
     if narrow < 1e-9:  # the limit: one uniform variable
         return np.clip(0.5 + distance / (2 * wide), 0, 1)
     corners = [(1, wide + narrow), (-1, wide - narrow), (-1, narrow - wide), (1, -wide - narrow)]
-    area = sum(sign * np.maximum(distance + corner, 0) ** 2 for sign, corner in corners) / (8 * wide * narrow)
+    area = sum(sign * np.maximum(distance + corner, 0) ** 2 for sign, corner in corners) / (
+        8 * wide * narrow
+    )
     return np.clip(area, 0, 1)
 
 
@@ -149,15 +170,21 @@ def _points(cols, rows, fine, count=24, background=1e-3, lowest=1e2, highest=1e6
     """
     width, height = int(cols / fine), int(rows / fine)
     most = min(width * height, 100_000)
-    _require("points: count", count, isinstance(count, int | np.integer) and 1 <= count <= most,
-             f"1 .. {most} (and at most the pixels)")
+    _require(
+        "points: count",
+        count,
+        isinstance(count, int | np.integer) and 1 <= count <= most,
+        f"1 .. {most} (and at most the pixels)",
+    )
     _require("points: background", background, 0 < background < np.inf, "0 < background")
     _require("points: lowest", lowest, 0 < lowest < np.inf, "0 < lowest")
     _require("points: highest", highest, lowest <= highest < np.inf, "lowest <= highest")
     colours = reflectances("colorchecker")
     chosen = colours.values[12:18]  # blue, green, red, yellow, magenta, cyan
     spectra = np.vstack([np.ones(chosen.shape[1]), chosen / chosen.max(1, keepdims=True)])
-    pixels = np.divmod(np.random.default_rng(seed).choice(width * height, count, replace=False), width)
+    pixels = np.divmod(
+        np.random.default_rng(seed).choice(width * height, count, replace=False), width
+    )
     where = tuple(((place + 0.5) * fine).astype(int) for place in pixels)
     ids = np.zeros((rows, cols), np.uint8)
     shading = np.full((rows, cols), background, np.float32)
@@ -185,13 +212,17 @@ def _deadleaves(cols, rows, fine, surfaces="nature", smallest=4.0, seed=0):
     for _ in range(int(layers)):
         x, y, quantile = random.random(3)
         x, y = x * (width + 2 * largest) - largest, y * (height + 2 * largest) - largest
-        x, y = (place * fine + (fine - 1) / 2 for place in (x, y))  # from the middle of pixel 0 to that of sample 0
+        x, y = (
+            place * fine + (fine - 1) / 2 for place in (x, y)
+        )  # from the middle of pixel 0 to that of sample 0
         radius = fine * (smallest**-2 + quantile * (largest**-2 - smallest**-2)) ** -0.5
         left, right = max(0, int(np.ceil(x - radius))), min(cols, int(x + radius) + 1)
         top, bottom = max(0, int(np.ceil(y - radius))), min(rows, int(y + radius) + 1)
         surface = random.integers(len(samples.values))
         if left < right and top < bottom:
-            disc = (np.arange(left, right) - x) ** 2 + ((np.arange(top, bottom) - y) ** 2)[:, None] <= radius**2
+            disc = (np.arange(left, right) - x) ** 2 + ((np.arange(top, bottom) - y) ** 2)[
+                :, None
+            ] <= radius**2
             ids[top:bottom, left:right][disc] = surface
     return ids, np.ones((rows, cols), np.float32), samples, "edge"
 
@@ -214,7 +245,12 @@ def _gray(cols, rows, levels):
     """One neutral material; levels: anything that broadcasts to (rows, cols)."""
     shading = np.empty((rows, cols), np.float32)
     shading[:] = levels
-    return np.zeros((rows, cols), np.uint8), shading, Spectrum(WAVELENGTHS[[0, -1]], np.ones((1, 2))), "edge"
+    return (
+        np.zeros((rows, cols), np.uint8),
+        shading,
+        Spectrum(WAVELENGTHS[[0, -1]], np.ones((1, 2))),
+        "edge",
+    )
 
 
 def _require(key, value, allowed, text):
@@ -226,12 +262,19 @@ def checked_size(size) -> tuple[int, int]:
     """Columns and rows as whole numbers; raises OutOfRange below 1, and DoesNotFit for what no memory holds."""
     cols, rows = size
     if not all(isinstance(n, int | np.integer) and n >= 1 for n in (cols, rows)):
-        raise OutOfRange("size", f"{cols} x {rows}", "at least 1 x 1, whole pixels (columns x rows)")
+        raise OutOfRange(
+            "size", f"{cols} x {rows}", "at least 1 x 1, whole pixels (columns x rows)"
+        )
     require_memory(f"an image of {cols} x {rows} pixels", BYTES_PER_PIXEL * int(cols) * int(rows))
     return int(cols), int(rows)
 
 
 CHARTS: dict[str, Callable] = {
-    "colorchecker": _colorchecker, "slanted-edge": _slanted_edge, "ramp": _ramp, "flat": _flat, "points": _points,
-    "deadleaves": _deadleaves, "sweep": _sweep,
+    "colorchecker": _colorchecker,
+    "slanted-edge": _slanted_edge,
+    "ramp": _ramp,
+    "flat": _flat,
+    "points": _points,
+    "deadleaves": _deadleaves,
+    "sweep": _sweep,
 }

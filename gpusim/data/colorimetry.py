@@ -12,7 +12,9 @@ HERE = Path(__file__).parent
 LUMINOUS_EFFICACY = 683.0  # [lm W-1], CIE 15:2018
 
 # XYZ to the cone-like primaries of CIECAM97s, in which the white is adapted (Lam 1985; Lindbloom's digits).
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
 
 
 @functools.cache
@@ -45,7 +47,9 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     if len(nodes) < 2:
         return np.zeros((*spectrum.values.shape[:-1], 3))
     steps = np.diff(nodes)
-    weights = np.zeros(2 * len(nodes) - 1)  # Simpson's weights on the nodes and the middles between them
+    weights = np.zeros(
+        2 * len(nodes) - 1
+    )  # Simpson's weights on the nodes and the middles between them
     weights[1::2] = 4 * steps / 6
     weights[:-1:2] += steps / 6
     weights[2::2] += steps / 6

@@ -17,7 +17,10 @@ from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
 def display_names() -> list[str]:
     """Every name that `open_display` knows."""
-    return [*DISPLAYS, *(key.removesuffix(" spectra") for key in tables("displays") if key.endswith(" spectra"))]
+    return [
+        *DISPLAYS,
+        *(key.removesuffix(" spectra") for key in tables("displays") if key.endswith(" spectra")),
+    ]
 
 
 def open_display(name: str) -> Display:
@@ -39,9 +42,17 @@ def _measured(name):
     spectra = Spectrum(table["wavelengths"], table[f"{name} spectra"], name)
     colors = xyz(spectra)
     white = colors.sum(axis=0)
-    chromaticities = np.vstack([colors, white])[:, :2] / np.vstack([colors, white]).sum(axis=1, keepdims=True)
-    return Display(name, tuple(map(tuple, chromaticities[:3].tolist())), tuple(chromaticities[3].tolist()),
-                   float(table[f"{name} exponent"]), float(white[1]), spectra)
+    chromaticities = np.vstack([colors, white])[:, :2] / np.vstack([colors, white]).sum(
+        axis=1, keepdims=True
+    )
+    return Display(
+        name,
+        tuple(map(tuple, chromaticities[:3].tolist())),
+        tuple(chromaticities[3].tolist()),
+        float(table[f"{name} exponent"]),
+        float(white[1]),
+        spectra,
+    )
 
 
 def displayed(codes, display: Display) -> Scene:
@@ -55,15 +66,21 @@ def displayed(codes, display: Display) -> Scene:
     codes = described(codes, "displayed picture")
     if display.spectra is not None:
         spectra = photons_from_energy(display.spectra)
-        white = Spectrum(spectra.wavelengths, spectra.values.sum(axis=0), f"white of {display.name}")
-        shares = np.divide(spectra.values, white.values, out=np.zeros_like(spectra.values), where=white.values > 0)
+        white = Spectrum(
+            spectra.wavelengths, spectra.values.sum(axis=0), f"white of {display.name}"
+        )
+        shares = np.divide(
+            spectra.values, white.values, out=np.zeros_like(spectra.values), where=white.values > 0
+        )
         wavelengths = spectra.wavelengths
     elif display.encodes_like(DISPLAYS["srgb"]):
         primaries = srgb_primaries()
         wavelengths, shares = primaries.wavelengths, primaries.values
         white = white_radiance(illuminant("D65"), display.luminance)
     else:
-        raise BadData(f"display {display.name!r} has no spectra of its primaries; give Display(spectra=...), or use "
-                      f"one of {', '.join(name for name in display_names() if name != 'display-p3')}")
+        raise BadData(
+            f"display {display.name!r} has no spectra of its primaries; give Display(spectra=...), or use "
+            f"one of {', '.join(name for name in display_names() if name != 'display-p3')}"
+        )
     content = Picture(wavelengths, codes, shares, display.table(type_of(codes)))
     return Scene(content, white, name=f"picture on {display.name}")

@@ -33,12 +33,18 @@ def illuminated(scene: Scene, lights: dict) -> Scene:
     """
     scene = checked_scene(scene)
     if not scene.light_is_known:
-        raise BadData(f"{scene.name}: holds radiance, its own light is not known: there are no surfaces to light")
+        raise BadData(
+            f"{scene.name}: holds radiance, its own light is not known: there are no surfaces to light"
+        )
     if scene.layers:
-        raise BadData(f"{scene.name}: {len(scene.layers)} layers, which have content of their own; wanted a scene "
-                      "without")
+        raise BadData(
+            f"{scene.name}: {len(scene.layers)} layers, which have content of their own; wanted a scene "
+            "without"
+        )
     if not isinstance(lights, dict) or not lights:
-        raise BadData(f"lights: {type(lights).__name__}, wanted {{light: map}} of at least one light")
+        raise BadData(
+            f"lights: {type(lights).__name__}, wanted {{light: map}} of at least one light"
+        )
     maps = np.stack([_map(label, values, scene) for label, values in lights.items()])
     # luminance 1 each, so that the maps have their unit
     units = [white_radiance(light_of(light), 1.0) for light in lights]
@@ -57,12 +63,18 @@ def _map(label, values, scene):
     try:
         values = np.asarray(values, np.float32)
     except (TypeError, ValueError):
-        raise BadData(f"{name}: {type(values).__name__}, wanted an array of real numbers, or one") from None
+        raise BadData(
+            f"{name}: {type(values).__name__}, wanted an array of real numbers, or one"
+        ) from None
     if values.shape not in ((), scene.content.shape):
-        raise BadData(f"{name}: shape {values.shape}, wanted {scene.content.shape}, that of the scene's samples, or "
-                      "one number")
+        raise BadData(
+            f"{name}: shape {values.shape}, wanted {scene.content.shape}, that of the scene's samples, or "
+            "one number"
+        )
     if is_seen(values) and not (np.isfinite(values).all() and values.min() >= 0):
-        raise BadData(f"{name}: from {values.min():.3g} to {values.max():.3g}, wanted finite luminance, not negative")
+        raise BadData(
+            f"{name}: from {values.min():.3g} to {values.max():.3g}, wanted finite luminance, not negative"
+        )
     return np.broadcast_to(values, scene.content.shape)
 
 
@@ -71,7 +83,9 @@ def _total(units, means):
     if not means.any():
         raise BadData("lights: all maps are dark")
     # a table that ends above zero falls there at once: its end must not become a ramp to the next wavelength
-    ends = [end for unit in units for end in (unit.wavelengths[0] - EDGE, unit.wavelengths[-1] + EDGE)]
+    ends = [
+        end for unit in units for end in (unit.wavelengths[0] - EDGE, unit.wavelengths[-1] + EDGE)
+    ]
     wavelengths = reduce(np.union1d, [*(unit.wavelengths for unit in units), ends])
     values = sum(mean * unit.at(wavelengths) for unit, mean in zip(units, means, strict=True))
     return Spectrum(wavelengths, values, " + ".join(unit.name for unit in units))
@@ -100,7 +114,10 @@ def _ratios(wavelengths, units, together):
     fine = np.union1d(np.arange(wavelengths[0], wavelengths[-1], STEP), wavelengths)
     steps = np.diff(fine) / 2
     quadrature = np.append(steps, 0) + np.append(0, steps)
-    whole, parts = together.at(fine) * quadrature, np.stack([unit.at(fine) for unit in units]) * quadrature
+    whole, parts = (
+        together.at(fine) * quadrature,
+        np.stack([unit.at(fine) for unit in units]) * quadrature,
+    )
     splines = spline(wavelengths, np.eye(len(wavelengths)), fine)
     ratios = np.linalg.lstsq((splines * whole) @ splines.T, splines @ parts.T, rcond=1e-12)[0].T
     centers = np.arange(wavelengths[0], wavelengths[-1] + STEP, BAND / 8)
@@ -108,7 +125,12 @@ def _ratios(wavelengths, units, together):
     surface = (wavelengths - wavelengths[0]) / (wavelengths[-1] - wavelengths[0])
     wrong, seen = [], []
     for reflectance in (np.ones(len(wavelengths)), 1 - surface, surface):
-        wrong.append(((ratios * reflectance) @ splines * whole - parts * np.interp(fine, wavelengths, reflectance))
-                     @ bands.T)
+        wrong.append(
+            (
+                (ratios * reflectance) @ splines * whole
+                - parts * np.interp(fine, wavelengths, reflectance)
+            )
+            @ bands.T
+        )
         seen.append(parts @ bands.T)
     return ratios, float(np.abs(wrong).max() / np.max(seen)) if len(units) > 1 else 0.0

@@ -27,9 +27,13 @@ def illuminant(name: str, wavelengths=None) -> Spectrum:
         raise UnknownName("light", str(name), illuminant_names())
     match = TEMPERATURE.fullmatch(name.lower())
     if match and match[1] == "blackbody":
-        return blackbody(float(match[2]), np.arange(300.0, 1101.0) if wavelengths is None else wavelengths)
+        return blackbody(
+            float(match[2]), np.arange(300.0, 1101.0) if wavelengths is None else wavelengths
+        )
     light = daylight(float(match[2])) if match else _cie_illuminant(name)
-    return light if wavelengths is None else Spectrum(wavelengths, light.at(wavelengths), light.name)
+    return (
+        light if wavelengths is None else Spectrum(wavelengths, light.at(wavelengths), light.name)
+    )
 
 
 def light_of(light: str | Spectrum) -> Spectrum:
@@ -37,7 +41,9 @@ def light_of(light: str | Spectrum) -> Spectrum:
     if isinstance(light, str):
         return illuminant(light)
     if not isinstance(light, Spectrum) or light.values.ndim != 1:
-        raise BadData(f"light of {type(light).__name__}: wanted a name, or a Spectrum of one function")
+        raise BadData(
+            f"light of {type(light).__name__}: wanted a name, or a Spectrum of one function"
+        )
     return light
 
 
@@ -54,7 +60,11 @@ def _cie_illuminant(name):
     index = folded.index(name.lower())
     powers = table["illuminants"][index]
     inside = np.isfinite(powers)
-    return Spectrum(table["illuminant_wavelengths"][inside], powers[inside], str(table["illuminant_names"][index]))
+    return Spectrum(
+        table["illuminant_wavelengths"][inside],
+        powers[inside],
+        str(table["illuminant_names"][index]),
+    )
 
 
 def daylight(temperature: float) -> Spectrum:
@@ -64,17 +74,25 @@ def daylight(temperature: float) -> Spectrum:
     that 6503.6 K (6500 K on the scale of 1931) is the published D65. Raises OutOfRange outside 4000 .. 25000 K.
     """
     if not 4000 <= temperature <= 25000:
-        raise OutOfRange("daylight temperature", f"{temperature:g} K", "4000 .. 25000 K (below: blackbody-<T>K)")
+        raise OutOfRange(
+            "daylight temperature", f"{temperature:g} K", "4000 .. 25000 K (below: blackbody-<T>K)"
+        )
     k = 1e3 / temperature
-    x = (0.244063 + 0.09911 * k + 2.9678 * k**2 - 4.6070 * k**3 if temperature <= 7000
-         else 0.237040 + 0.24748 * k + 1.9018 * k**2 - 2.0064 * k**3)
+    x = (
+        0.244063 + 0.09911 * k + 2.9678 * k**2 - 4.6070 * k**3
+        if temperature <= 7000
+        else 0.237040 + 0.24748 * k + 1.9018 * k**2 - 2.0064 * k**3
+    )
     y = -3.000 * x**2 + 2.870 * x - 0.275
     scale = 0.0241 + 0.2562 * x - 0.7341 * y
     m1 = round((-1.3515 - 1.7703 * x + 5.9114 * y) / scale, 3)
     m2 = round((0.0300 - 31.4424 * x + 30.0717 * y) / scale, 3)
     table = tables("cie")
-    return Spectrum(table["daylight_wavelengths"], np.array([1, m1, m2]) @ table["daylight"],
-                    f"daylight-{temperature:g}K")
+    return Spectrum(
+        table["daylight_wavelengths"],
+        np.array([1, m1, m2]) @ table["daylight"],
+        f"daylight-{temperature:g}K",
+    )
 
 
 def blackbody(temperature: float, wavelengths) -> Spectrum:
@@ -84,7 +102,9 @@ def blackbody(temperature: float, wavelengths) -> Spectrum:
     wavelengths = np.asarray(wavelengths, np.float64)
     exponent = PLANCK * LIGHT_SPEED / (BOLTZMANN * temperature) * 1e9  # times 1 / nm
     ratio = np.expm1(exponent / 560) / np.expm1(exponent / wavelengths)
-    return Spectrum(wavelengths, 100 * (560 / wavelengths) ** 5 * ratio, f"blackbody-{temperature:g}K")
+    return Spectrum(
+        wavelengths, 100 * (560 / wavelengths) ** 5 * ratio, f"blackbody-{temperature:g}K"
+    )
 
 
 def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
@@ -93,8 +113,14 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
     light: relative power in energy units. Raises OutOfRange for luminance <= 0 and for a light without visible power.
     """
     if not (isinstance(luminance, Real) and 0 < luminance <= BRIGHTEST):
-        raise OutOfRange("luminance", f"{luminance} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2")
+        raise OutOfRange(
+            "luminance", f"{luminance} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2"
+        )
     brightness = xyz(light)[1]
     if not brightness > 0:
-        raise OutOfRange(f"luminous power of {light.name or 'the light'}", f"{brightness:g}", "> 0 in 360 .. 830 nm")
+        raise OutOfRange(
+            f"luminous power of {light.name or 'the light'}",
+            f"{brightness:g}",
+            "> 0 in 360 .. 830 nm",
+        )
     return photons_from_energy(light.scaled(luminance / brightness))

@@ -18,5 +18,7 @@ def reflectances(set_name: str) -> Spectrum:
         return Spectrum(table["colorchecker_wavelengths"], table["colorchecker"], set_name)
     table = tables("reflectances")
     if set_name not in table or set_name == "wavelengths":
-        raise UnknownName("set of reflectances", set_name, {*table, "colorchecker"} - {"wavelengths"})
+        raise UnknownName(
+            "set of reflectances", set_name, {*table, "colorchecker"} - {"wavelengths"}
+        )
     return Spectrum(table["wavelengths"], table[set_name], set_name)

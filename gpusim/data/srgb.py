@@ -51,7 +51,9 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
     if np.abs(given - [*SRGB_PRIMARIES, SRGB_WHITE]).max() < CLOSE:
         return None
     if not np.abs(given).max() <= 10 or not given[3, 1] > 0:  # NaN is refused as well
-        raise BadData(f"chromaticities {given.tolist()}: wanted (x, y) of red, green, blue and white")
+        raise BadData(
+            f"chromaticities {given.tolist()}: wanted (x, y) of red, green, blue and white"
+        )
     to_srgb = np.linalg.inv(srgb_to_xyz())
     if np.abs(given[:3] - [(1, 0), (0, 1), (0, 0)]).max() < CLOSE:
         return to_srgb
@@ -59,7 +61,11 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
     primaries, white = columns[:, :3], columns[:, 3] / columns[1, 3]
     if abs(np.linalg.det(primaries)) < 1e-6 or not (BRADFORD @ white > 0).all():
         raise BadData(f"chromaticities {given.tolist()}: primaries on one line, or no white")
-    return to_srgb @ adaptation(white, srgb_to_xyz().sum(axis=1)) @ (primaries * np.linalg.solve(primaries, white))
+    return (
+        to_srgb
+        @ adaptation(white, srgb_to_xyz().sum(axis=1))
+        @ (primaries * np.linalg.solve(primaries, white))
+    )
 
 
 def drawn_into_srgb(linear: np.ndarray) -> float:

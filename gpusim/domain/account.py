@@ -41,20 +41,31 @@ class Bound:
 
     def nearest(self, tolerance: Tolerance) -> tuple[float, str, float, float, str]:
         """Error over tolerance, name of the figure, its error, its tolerance and their unit: of the one nearest."""
-        figures = ((self.rms, tolerance.rms, "rms", " rms"),
-                   (self.p999_sigma, tolerance.p999_sigma, "p999_sigma", " sigma at 99.9 %"),
-                   (self.max_sigma, tolerance.max_sigma, "max_sigma", " sigma"))
-        return max((value / bound, name, value, bound, unit) for value, bound, name, unit in figures
-                   if bound is not None)
+        figures = (
+            (self.rms, tolerance.rms, "rms", " rms"),
+            (self.p999_sigma, tolerance.p999_sigma, "p999_sigma", " sigma at 99.9 %"),
+            (self.max_sigma, tolerance.max_sigma, "max_sigma", " sigma"),
+        )
+        return max(
+            (value / bound, name, value, bound, unit)
+            for value, bound, name, unit in figures
+            if bound is not None
+        )
 
 
-UNKNOWN = Bound(inf, inf, inf)  # of a cause whose error nobody can tell: with it no tolerance is called met
+UNKNOWN = Bound(
+    inf, inf, inf
+)  # of a cause whose error nobody can tell: with it no tolerance is called met
 
 
 def total(bounds: Iterable[Bound]) -> Bound:
     """The known errors of several causes together, which are independent: their largest are seldom at one pixel."""
     bounds = [bound for bound in bounds if bound.is_known]
-    return Bound(*(hypot(*figures) for figures in zip(*map(astuple, bounds), strict=True))) if bounds else Bound()
+    return (
+        Bound(*(hypot(*figures) for figures in zip(*map(astuple, bounds), strict=True)))
+        if bounds
+        else Bound()
+    )
 
 
 @dataclass(frozen=True)
@@ -84,8 +95,14 @@ class Account:
         """
         ratio = seconds / self.seconds
         factor = ratio if ratio > 1 else ratio**0.5
-        return Account({name: Bound(one.rms, one.p999_sigma * factor, one.max_sigma * factor)
-                        for name, one in self.bounds.items()}, seconds, self.doubt)
+        return Account(
+            {
+                name: Bound(one.rms, one.p999_sigma * factor, one.max_sigma * factor)
+                for name, one in self.bounds.items()
+            },
+            seconds,
+            self.doubt,
+        )
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -95,8 +112,11 @@ class Account:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, for JSON."""
-        return {"bounds": {name: bound.as_dict() for name, bound in self.bounds.items()}, "seconds": self.seconds,
-                "doubt": self.doubt}
+        return {
+            "bounds": {name: bound.as_dict() for name, bound in self.bounds.items()},
+            "seconds": self.seconds,
+            "doubt": self.doubt,
+        }
 
     def verdict(self, tolerance: Tolerance, remedy: str = "") -> "Verdict":
         """Whether the tolerance is met, by what is predicted.
@@ -116,7 +136,11 @@ class Account:
         return Verdict("met", words, by)
 
 
-SHOWN = {"met": "met", "not met": "NOT met", "not judged": "cannot be judged"}  # states of a verdict, in reports
+SHOWN = {
+    "met": "met",
+    "not met": "NOT met",
+    "not judged": "cannot be judged",
+}  # states of a verdict, in reports
 STATUS = {"met": 0, "not met": 1, "not judged": 3}  # exit statuses of commands
 
 

@@ -33,11 +33,15 @@ class Actor:
 
     def __post_init__(self):
         if not isinstance(self.content, Basis | Cube):
-            raise BadData(f"actor of {type(self.content).__name__}: wanted a Basis or a Cube: they interpolate")
+            raise BadData(
+                f"actor of {type(self.content).__name__}: wanted a Basis or a Cube: they interpolate"
+            )
         self.content.check("actor")
         alpha = np.asarray(self.alpha, np.float32)
         if alpha.shape != self.content.shape:
-            raise BadData(f"actor: alpha {alpha.shape} does not match its content {self.content.shape}")
+            raise BadData(
+                f"actor: alpha {alpha.shape} does not match its content {self.content.shape}"
+            )
         if not (alpha.min(initial=0) >= 0 and alpha.max(initial=0) <= 1):  # NaN is refused as well
             raise OutOfRange("actor: alpha", f"{alpha.min():.4g} .. {alpha.max():.4g}", "0 .. 1")
         place = np.asarray(self.place, np.float64)
@@ -52,8 +56,12 @@ class Actor:
         view = self.path.at(time)
         down, right = np.meshgrid(*((-n / 2, n / 2) for n in self.alpha.shape), indexing="ij")
         c, s = view.zoom * cos(view.rotation), view.zoom * sin(view.rotation)
-        return np.stack([c * down + s * right + ratio * (self.place[0] + view.shift[0]),
-                         c * right - s * down + ratio * (self.place[1] + view.shift[1])])
+        return np.stack(
+            [
+                c * down + s * right + ratio * (self.place[0] + view.shift[0]),
+                c * right - s * down + ratio * (self.place[1] + view.shift[1]),
+            ]
+        )
 
     def onto(self, planes: np.ndarray, time: float, ratio: float) -> None:
         """Put it onto planes (P, rows, cols), at a time [s].
@@ -62,20 +70,26 @@ class Actor:
         """
         corners, shape = self.corners(time, ratio), planes.shape[1:]
         middle = [(n - 1) / 2 for n in shape]
-        box = [slice(max(floor(at.min() + half) - 1, 0), max(min(ceil(at.max() + half) + 2, n), 0))
-               for at, half, n in zip(corners, middle, shape, strict=True)]
+        box = [
+            slice(max(floor(at.min() + half) - 1, 0), max(min(ceil(at.max() + half) + 2, n), 0))
+            for at, half, n in zip(corners, middle, shape, strict=True)
+        ]
         if any(part.start >= part.stop for part in box):
             return
         view = self.path.at(time)
-        y, x = (np.arange(part.start, part.stop) - half - ratio * (start + moved) for part, half, start, moved in zip(
-            box, middle, self.place, view.shift, strict=True))
+        y, x = (
+            np.arange(part.start, part.stop) - half - ratio * (start + moved)
+            for part, half, start, moved in zip(box, middle, self.place, view.shift, strict=True)
+        )
         c, s = cos(view.rotation) / view.zoom, sin(view.rotation) / view.zoom
         places = np.stack([c * y[:, None] - s * x, s * y[:, None] + c * x])
         places += np.array([(n - 1) / 2 for n in self.alpha.shape])[:, None, None]
 
         def there(values):
             found = scipy.ndimage.map_coordinates(values, places, order=3, mode="grid-constant")
-            return np.clip(found, min(values.min(), 0), max(values.max(), 0))  # splines ring beside steps
+            return np.clip(
+                found, min(values.min(), 0), max(values.max(), 0)
+            )  # splines ring beside steps
 
         behind = 1 - there(self.alpha)
         for plane, own in zip(planes, self.content.planes, strict=True):
@@ -104,8 +118,10 @@ class Animation:
             if not isinstance(actor, Actor):
                 raise BadData(f"actor {number}: {type(actor).__name__}, wanted an Actor")
             if not actor.content.is_like(scene.content.surfaces):
-                raise BadData(f"{scene.name}: actor {number} is a {actor.content.form}, the scene a "
-                              f"{scene.content.surfaces.form}; wanted one form, and the same wavelengths and basis")
+                raise BadData(
+                    f"{scene.name}: actor {number} is a {actor.content.form}, the scene a "
+                    f"{scene.content.surfaces.form}; wanted one form, and the same wavelengths and basis"
+                )
 
     def at(self, time: float) -> Scene:
         """The scene at a time [s]; its samples are not looked at again."""

@@ -16,7 +16,9 @@ def binned(cfa_indices, binning) -> tuple[tuple[int, int], np.ndarray]:
     cfa = shortest_period(cfa_indices)
     by, bx = binning
     rows, cols = np.lcm(cfa.shape, binning)
-    cells = np.tile(cfa, (rows // cfa.shape[0], cols // cfa.shape[1])).reshape(rows // by, by, cols // bx, bx)
+    cells = np.tile(cfa, (rows // cfa.shape[0], cols // cfa.shape[1])).reshape(
+        rows // by, by, cols // bx, bx
+    )
     coarse = cells[:, 0, :, 0]
     if (cells == coarse[:, None, :, None]).all():
         return (1, 1), shortest_period(coarse)
@@ -28,7 +30,10 @@ def shortest_period(mosaic) -> np.ndarray:
     mosaic = np.asarray(mosaic, np.int32)
     for axis in (0, 1):
         size = mosaic.shape[axis]
-        period = next(n for n in range(1, size + 1)
-                      if size % n == 0 and (mosaic == np.roll(mosaic, n, axis=axis)).all())
+        period = next(
+            n
+            for n in range(1, size + 1)
+            if size % n == 0 and (mosaic == np.roll(mosaic, n, axis=axis)).all()
+        )
         mosaic = mosaic.take(range(period), axis=axis)
     return mosaic

@@ -8,7 +8,22 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.short_repr import brief
 
-PINHOLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")  # OpenCV's order
+PINHOLE = (
+    "k1",
+    "k2",
+    "p1",
+    "p2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "s1",
+    "s2",
+    "s3",
+    "s4",
+    "tau_x",
+    "tau_y",
+)  # OpenCV's order
 FISHEYE = ("k1", "k2", "k3", "k4")
 COUNTS = (0, 4, 5, 8, 12, 14)  # of coefficients that OpenCV knows for a pinhole
 STEEPEST_TILT = 1.5  # [rad] of the sensor against the lens
@@ -22,7 +37,9 @@ def check_model(distortion, *coefficients):
             raise OutOfRange(f"distortion.{name}", getattr(distortion, name), "a finite number")
     for name in ("radius", "scale"):
         if not 0 < getattr(distortion, name) < np.inf:
-            raise OutOfRange(f"distortion.{name}", f"{getattr(distortion, name):.6g}", f"0 < {name} < inf")
+            raise OutOfRange(
+                f"distortion.{name}", f"{getattr(distortion, name):.6g}", f"0 < {name} < inf"
+            )
 
 
 @dataclass(frozen=True)
@@ -60,8 +77,11 @@ class BrownConrady:
         check_model(self, *PINHOLE)
         for name in ("tau_x", "tau_y"):
             if not abs(getattr(self, name)) <= STEEPEST_TILT:
-                raise OutOfRange(f"distortion.{name}", f"{getattr(self, name):.6g} rad",
-                                 f"-{STEEPEST_TILT} <= {name} <= {STEEPEST_TILT}")
+                raise OutOfRange(
+                    f"distortion.{name}",
+                    f"{getattr(self, name):.6g} rad",
+                    f"-{STEEPEST_TILT} <= {name} <= {STEEPEST_TILT}",
+                )
 
     @cached_property
     def _tilt(self):
@@ -69,8 +89,14 @@ class BrownConrady:
         if not (self.tau_x or self.tau_y):
             return None
         (cx, cy), (sx, sy) = np.cos([self.tau_x, self.tau_y]), np.sin([self.tau_x, self.tau_y])
-        turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
-        return np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+        turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ [
+            [1, 0, 0],
+            [0, cx, sx],
+            [0, -sx, cx],
+        ]
+        return (
+            np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+        )
 
     def _untilted(self, x, y):
         """Position without tilt and scale; radial factor, and its derivative by r over r."""
@@ -78,11 +104,27 @@ class BrownConrady:
         above = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
         below = 1 + q * (self.k4 + q * (self.k5 + q * self.k6))
         factor = above / below
-        slope = 2 * (self.k1 + q * (2 * self.k2 + q * 3 * self.k3)
-                     - factor * (self.k4 + q * (2 * self.k5 + q * 3 * self.k6))) / below
-        return (x * factor + 2 * self.p1 * x * y + self.p2 * (q + 2 * x * x) + q * (self.s1 + q * self.s2),
-                y * factor + 2 * self.p2 * x * y + self.p1 * (q + 2 * y * y) + q * (self.s3 + q * self.s4),
-                factor, slope)
+        slope = (
+            2
+            * (
+                self.k1
+                + q * (2 * self.k2 + q * 3 * self.k3)
+                - factor * (self.k4 + q * (2 * self.k5 + q * 3 * self.k6))
+            )
+            / below
+        )
+        return (
+            x * factor
+            + 2 * self.p1 * x * y
+            + self.p2 * (q + 2 * x * x)
+            + q * (self.s1 + q * self.s2),
+            y * factor
+            + 2 * self.p2 * x * y
+            + self.p1 * (q + 2 * y * y)
+            + q * (self.s3 + q * self.s4),
+            factor,
+            slope,
+        )
 
     def distorted(self, x, y):
         """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
@@ -99,14 +141,20 @@ class BrownConrady:
         q = x * x + y * y
         prism_x, prism_y = 2 * (self.s1 + 2 * q * self.s2), 2 * (self.s3 + 2 * q * self.s4)
         cross = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
-        terms = (factor + x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x + x * prism_x, cross + y * prism_x,
-                 cross + x * prism_y, factor + y * y * slope + 2 * self.p2 * x + 6 * self.p1 * y + y * prism_y)
+        terms = (
+            factor + x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x + x * prism_x,
+            cross + y * prism_x,
+            cross + x * prism_y,
+            factor + y * y * slope + 2 * self.p2 * x + 6 * self.p1 * y + y * prism_y,
+        )
         if self._tilt is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._tilt
             w = g * u + h * v + i
             s, t = (a * u + b * v + c) / w, (d * u + e * v + f) / w
             along, across = ((a - s * g) / w, (b - s * h) / w), ((d - t * g) / w, (e - t * h) / w)
-            terms = tuple(m * terms[col] + n * terms[2 + col] for m, n in (along, across) for col in (0, 1))
+            terms = tuple(
+                m * terms[col] + n * terms[2 + col] for m, n in (along, across) for col in (0, 1)
+            )
         return tuple(self.scale * term for term in terms)
 
 
@@ -148,8 +196,10 @@ class Fisheye:
         r = np.hypot(x, y)
         factor, slope = self._radial(r)
         over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
-        return tuple(self.scale * term for term in (factor + x * x * over, x * y * over, x * y * over,
-                                                    factor + y * y * over))
+        return tuple(
+            self.scale * term
+            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
+        )
 
 
 @dataclass(frozen=True)
@@ -180,15 +230,26 @@ class Calibration:
             checked_count(f"calibration.{key}", getattr(self, key))
         for key in ("fx", "fy"):
             if not 0 < getattr(self, key) < np.inf:
-                raise OutOfRange(f"calibration.{key}", f"{getattr(self, key):.6g}", f"0 < {key} < inf pixels")
+                raise OutOfRange(
+                    f"calibration.{key}", f"{getattr(self, key):.6g}", f"0 < {key} < inf pixels"
+                )
         for key, size in (("cx", self.width), ("cy", self.height)):
             if not -0.5 <= getattr(self, key) <= size - 0.5:
-                raise OutOfRange(f"calibration.{key}", f"{getattr(self, key):.6g}",
-                                 f"a principal point in the picture, -0.5 .. {size - 0.5:g} pixels")
+                raise OutOfRange(
+                    f"calibration.{key}",
+                    f"{getattr(self, key):.6g}",
+                    f"a principal point in the picture, -0.5 .. {size - 0.5:g} pixels",
+                )
         count = len(self.coefficients)
         if count not in ((0, 4) if self.fisheye else COUNTS):
-            raise BadData(f"calibration: {count} coefficients; wanted " + (
-                "4 of a fisheye" if self.fisheye else "4, 5, 8, 12 or 14 (OpenCV's order), or none"))
+            raise BadData(
+                f"calibration: {count} coefficients; wanted "
+                + (
+                    "4 of a fisheye"
+                    if self.fisheye
+                    else "4, 5, 8, 12 or 14 (OpenCV's order), or none"
+                )
+            )
         object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
         _ = self.lens  # its own checks
 
@@ -202,13 +263,17 @@ class Calibration:
             matrix, (width, height) = np.array(camera_matrix, np.float64), map(int, size)
             values = np.array([] if coefficients is None else coefficients, np.float64).ravel()
         except (TypeError, ValueError):
-            raise BadData("calibration: wanted numbers in a camera matrix and its coefficients, and size = (width, "
-                          "height)") from None
+            raise BadData(
+                "calibration: wanted numbers in a camera matrix and its coefficients, and size = (width, "
+                "height)"
+            ) from None
         if matrix.shape != (3, 3):
             raise BadData(f"calibration: wanted a camera matrix of 3 x 3, got {matrix.shape}")
         if matrix[0, 1] or matrix[1, 0] or not (matrix[2] == (0, 0, 1)).all():
-            raise BadData("calibration: wanted the camera matrix fx 0 cx, 0 fy cy, 0 0 1, without skew; got "
-                          + ", ".join(" ".join(f"{item:g}" for item in row) for row in matrix))
+            raise BadData(
+                "calibration: wanted the camera matrix fx 0 cx, 0 fy cy, 0 0 1, without skew; got "
+                + ", ".join(" ".join(f"{item:g}" for item in row) for row in matrix)
+            )
         fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
         return cls(width, height, fx, fy, cx, cy, tuple(values.tolist()), fisheye)
 
@@ -216,8 +281,12 @@ class Calibration:
     def lens(self) -> BrownConrady | Fisheye:
         """The distortion of normalised positions, tangents of field angles: x^ = X / Z distorted, radius 1."""
         if self.fisheye:
-            return Fisheye(**dict(zip(FISHEYE, self.coefficients or (0.0,) * 4, strict=True)), radius=1.0)
-        known = dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0) | dict(zip(PINHOLE, self.coefficients, strict=False))
+            return Fisheye(
+                **dict(zip(FISHEYE, self.coefficients or (0.0,) * 4, strict=True)), radius=1.0
+            )
+        known = dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0) | dict(
+            zip(PINHOLE, self.coefficients, strict=False)
+        )
         return BrownConrady(**known, radius=1.0)
 
     @property
@@ -230,17 +299,32 @@ class Calibration:
         rows, cols = shape
         across, down = cols / self.width, rows / self.height
         if abs(rows - self.height * across) > ROUNDING and abs(cols - self.width * down) > ROUNDING:
-            raise OutOfRange("frame", f"{cols} x {rows} pixels", f"{self.width} x {self.height}, at which the camera "
-                             "was calibrated, or another resolution of the same shape")
+            raise OutOfRange(
+                "frame",
+                f"{cols} x {rows} pixels",
+                f"{self.width} x {self.height}, at which the camera "
+                "was calibrated, or another resolution of the same shape",
+            )
         focal = self.fx * across
-        middle = (((self.cx + 0.5) * across - cols / 2) / focal, ((self.cy + 0.5) * down - rows / 2) / focal)
+        middle = (
+            ((self.cx + 0.5) * across - cols / 2) / focal,
+            ((self.cy + 0.5) * down - rows / 2) / focal,
+        )
         return Framed(self.lens, focal * pitch, self.fy * down / focal, middle)
 
     def __str__(self):
-        kind = "fisheye" if self.fisheye else "rational" if len(self.coefficients) > 5 else "Brown-Conrady"
+        kind = (
+            "fisheye"
+            if self.fisheye
+            else "rational"
+            if len(self.coefficients) > 5
+            else "Brown-Conrady"
+        )
         x, y = self.off_middle
-        return (f"calibrated at {self.width} x {self.height}: {kind if self.coefficients else 'pinhole'}, principal "
-                f"point {x:+.4g}, {y:+.4g} pixels off the middle")
+        return (
+            f"calibrated at {self.width} x {self.height}: {kind if self.coefficients else 'pinhole'}, principal "
+            f"point {x:+.4g}, {y:+.4g} pixels off the middle"
+        )
 
 
 @dataclass(frozen=True)

@@ -34,24 +34,40 @@ class Camera(Tabled):
     def __post_init__(self):
         self._check_mosaic()
         if self.processor.white_balance == "red-blue" and not {*"RB"} <= {*self.sensor.channels}:
-            raise OutOfRange("processor.white_balance", f'"red-blue" of the channels {", ".join(self.sensor.channels)}',
-                             "another way: it needs channels R and B")
+            raise OutOfRange(
+                "processor.white_balance",
+                f'"red-blue" of the channels {", ".join(self.sensor.channels)}',
+                "another way: it needs channels R and B",
+            )
         white = self.processor.white
         if white and len(white) != len(self.sensor.channels):
-            raise OutOfRange("processor.white", list(white), f"{len(self.sensor.channels)} numbers, of the channels "
-                             f"{', '.join(self.sensor.channels)}")
+            raise OutOfRange(
+                "processor.white",
+                list(white),
+                f"{len(self.sensor.channels)} numbers, of the channels "
+                f"{', '.join(self.sensor.channels)}",
+            )
         if self.processor.color != "none" and len(self.sensor.channels) < 3:
-            raise OutOfRange("processor.color", f'"{self.processor.color}"',
-                             f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
-                             "colour needs at least 3")
+            raise OutOfRange(
+                "processor.color",
+                f'"{self.processor.color}"',
+                f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
+                "colour needs at least 3",
+            )
 
     def __repr__(self):
         optics, sensor = self.optics, self.sensor
         mosaic = "stacked " + "".join(sensor.channels) if sensor.stacked else "/".join(sensor.cfa)
-        time = "automatic exposure" if sensor.exposure_time is None else f"{1e3 * sensor.exposure_time:.4g} ms"
+        time = (
+            "automatic exposure"
+            if sensor.exposure_time is None
+            else f"{1e3 * sensor.exposure_time:.4g} ms"
+        )
         bits = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bits"
-        return shortened(f"Camera({self.name!r}, f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, pixels of "
-                         f"{1e6 * sensor.pixel_pitch:.4g} um, {mosaic}, {bits}, {time})")
+        return shortened(
+            f"Camera({self.name!r}, f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, pixels of "
+            f"{1e6 * sensor.pixel_pitch:.4g} um, {mosaic}, {bits}, {time})"
+        )
 
     def with_(self, **changes) -> "Camera":
         """The same camera with other values: `camera.with_(f_number=2.0, read_e=3)`.
@@ -70,9 +86,16 @@ class Camera(Tabled):
     def is_developed_at_once(self) -> bool:
         """Whether one pass leads from raw values to display codes: bilinear, of a Bayer mosaic, and nothing more."""
         sensor, processor = self.sensor, self.processor
-        return (processor.demosaic == "bilinear" and sensor.bayer_phase is not None and not sensor.stacked
-                and sensor.bits != FLOAT_BITS and processor.defects == "none" and not processor.denoise
-                and not processor.shading and not processor.estimates_white)
+        return (
+            processor.demosaic == "bilinear"
+            and sensor.bayer_phase is not None
+            and not sensor.stacked
+            and sensor.bits != FLOAT_BITS
+            and processor.defects == "none"
+            and not processor.denoise
+            and not processor.shading
+            and not processor.estimates_white
+        )
 
     def _check_mosaic(self):
         sensor, processor = self.sensor, self.processor
@@ -80,10 +103,17 @@ class Camera(Tabled):
             return
         mosaic = "/".join(sensor.cfa)
         if processor.demosaic == "learned" and processor.table is not None:
-            processor.table.layout.shift(sensor.cfa)  # UnknownName unless the table is for this mosaic
+            processor.table.layout.shift(
+                sensor.cfa
+            )  # UnknownName unless the table is for this mosaic
             if processor.table.layout.gives_xyz and (processor.estimates_white or processor.white):
-                raise OutOfRange("processor.white_balance", f'"{processor.white_balance}" with filters that give XYZ',
-                                 '"illuminant" or "none": they balance white already')
+                raise OutOfRange(
+                    "processor.white_balance",
+                    f'"{processor.white_balance}" with filters that give XYZ',
+                    '"illuminant" or "none": they balance white already',
+                )
         elif not sensor.bayer_phase and processor.demosaic != "bilinear":
             allowed = '"bilinear", or "learned" with a table made by `gpusim train-l3`'
-            raise OutOfRange("processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed)
+            raise OutOfRange(
+                "processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed
+            )

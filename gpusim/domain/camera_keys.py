@@ -21,6 +21,7 @@ class _Wanted(Exception):
 
 def _number(per_unit=1.0):
     """Return a reader of a number given in a unit of which there are `per_unit` in the unit used inside."""
+
     def read(value):
         if type(value) not in (int, float):
             raise _Wanted("a number")
@@ -28,6 +29,7 @@ def _number(per_unit=1.0):
             return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
         except OverflowError:
             raise _Wanted("a number below 1e308") from None
+
     return read
 
 
@@ -39,6 +41,7 @@ def _number_or_auto(per_unit=1.0):
             return _number(per_unit)(value)
         except _Wanted:
             raise _Wanted('a number or "auto"') from None
+
     return read
 
 
@@ -47,14 +50,21 @@ def _of(kind, wanted):
         if type(value) is not kind:
             raise _Wanted(wanted)
         return value
+
     return read
 
 
 def _mosaic(value):
     if type(value) is str:
         return mosaic(value)
-    if type(value) is not list or not value or not all(type(item) is str and item for item in value):
-        raise _Wanted('rows of letters, such as ["RG", "GB"], or a mosaic\'s name, such as "x-trans"')
+    if (
+        type(value) is not list
+        or not value
+        or not all(type(item) is str and item for item in value)
+    ):
+        raise _Wanted(
+            'rows of letters, such as ["RG", "GB"], or a mosaic\'s name, such as "x-trans"'
+        )
     return tuple(value)
 
 
@@ -69,6 +79,7 @@ def _numbers(count=None, per_unit=1.0):
         if type(value) is not list or (count and len(value) != count):
             raise _Wanted(f"a list of {count or 'the'} numbers")
         return tuple(_number(per_unit)(item) for item in value)
+
     return read
 
 
@@ -86,15 +97,29 @@ def _numbers_or_lists(value):
 
 
 def _distortion(value):
-    models = {("k1", "k2", "radius_mm"): RadialPolynomial, ("k1", "k2", "k3", "p1", "p2", "radius_mm"): BrownConrady}
+    models = {
+        ("k1", "k2", "radius_mm"): RadialPolynomial,
+        ("k1", "k2", "k3", "p1", "p2", "radius_mm"): BrownConrady,
+    }
     keys = tuple(value) if type(value) is dict else ()
     if set(keys) == {"ideal_mm", "real_mm"}:
-        return RadialTable(*(np.array(_numbers(None, _MILLI)(value[key])) for key in ("ideal_mm", "real_mm")))
+        return RadialTable(
+            *(np.array(_numbers(None, _MILLI)(value[key])) for key in ("ideal_mm", "real_mm"))
+        )
     for known, model in models.items():
         if keys and set(keys) == set(known):
-            return model(**{key.removesuffix("_mm"): _number(_MILLI if key == "radius_mm" else 1.0)(value[key])
-                            for key in known})
-    raise _Wanted("a table of " + ", or of ".join(", ".join(known) for known in (*models, ("ideal_mm", "real_mm"))))
+            return model(
+                **{
+                    key.removesuffix("_mm"): _number(_MILLI if key == "radius_mm" else 1.0)(
+                        value[key]
+                    )
+                    for key in known
+                }
+            )
+    raise _Wanted(
+        "a table of "
+        + ", or of ".join(", ".join(known) for known in (*models, ("ideal_mm", "real_mm")))
+    )
 
 
 def _calibration(value):
@@ -103,10 +128,14 @@ def _calibration(value):
         return {"file": value}
     known = ("width", "height", "fx", "fy", "cx", "cy")
     if type(value) is not dict or not ({*known} <= value.keys() or "file" in value):
-        raise _Wanted(f'a file, such as "camera_info.yaml", or a table of {", ".join(known)} and coefficients')
+        raise _Wanted(
+            f'a file, such as "camera_info.yaml", or a table of {", ".join(known)} and coefficients'
+        )
     if "file" in value:
         if not value.keys() <= {"file", "camera"}:
-            raise _Wanted('a table of file and camera, such as {file = "camchain.yaml", camera = "cam0"}')
+            raise _Wanted(
+                'a table of file and camera, such as {file = "camchain.yaml", camera = "cam0"}'
+            )
         return {key: _text(item) for key, item in value.items()}
     given = dict(value)
     fisheye = _yes_no(given.pop("fisheye", False))
@@ -114,11 +143,15 @@ def _calibration(value):
     read = [_whole, _whole, *[_number()] * 4]
     matrix = [convert(given.pop(key)) for key, convert in zip(known, read, strict=True)]
     if not given.keys() <= {*order}:
-        raise _Wanted(f"a table of {', '.join(known)} and the coefficients {', '.join(order)}"
-                      + ("" if fisheye else "; or fisheye = true with k1, k2, k3, k4"))
+        raise _Wanted(
+            f"a table of {', '.join(known)} and the coefficients {', '.join(order)}"
+            + ("" if fisheye else "; or fisheye = true with k1, k2, k3, k4")
+        )
     used = 1 + max((order.index(key) for key in given), default=-1)
     count = next(count for count in (0, 4, 5, 8, 12, 14) if count >= used)
-    return Calibration(*matrix, tuple(_number()(given.get(key, 0.0)) for key in order[:count]), fisheye)
+    return Calibration(
+        *matrix, tuple(_number()(given.get(key, 0.0)) for key in order[:count]), fisheye
+    )
 
 
 def _illumination(value):
@@ -132,14 +165,25 @@ def _illumination(value):
 
 
 def _microlens(value):
-    if type(value) is not dict or not {"angles_deg", "response"} <= value.keys() <= {"angles_deg", "response", "shift"}:
+    if type(value) is not dict or not {"angles_deg", "response"} <= value.keys() <= {
+        "angles_deg",
+        "response",
+        "shift",
+    }:
         raise _Wanted("a table of angles_deg, response and shift")
-    return Microlens(np.radians(_numbers()(value["angles_deg"])), np.array(_numbers()(value["response"])),
-                     _number()(value.get("shift", 0.0)))
+    return Microlens(
+        np.radians(_numbers()(value["angles_deg"])),
+        np.array(_numbers()(value["response"])),
+        _number()(value.get("shift", 0.0)),
+    )
 
 
 def _map(value):
-    if type(value) is not list or not value or any(type(row) is not list or len(row) != len(value[0]) for row in value):
+    if (
+        type(value) is not list
+        or not value
+        or any(type(row) is not list or len(row) != len(value[0]) for row in value)
+    ):
         raise _Wanted("a list of equally long lists of numbers")
     return np.array([_numbers()(row) for row in value])
 
@@ -155,6 +199,7 @@ def _pairs(count):
         if type(value) is not list or (count and len(value) != count):
             raise _Wanted(f"a list of {count or 'the'} pairs of numbers")
         return tuple(_numbers(2)(pair) for pair in value)
+
     return read
 
 
@@ -168,8 +213,13 @@ def _number_or_srgb(value):
 
 
 def _auto_exposure(value):
-    known = {"method": ("method", _text), "level": ("level", _number()), "percentile": ("percentile", _number()),
-             "longest_ms": ("longest", _number(_MILLI)), "most_gain": ("most_gain", _number())}
+    known = {
+        "method": ("method", _text),
+        "level": ("level", _number()),
+        "percentile": ("percentile", _number()),
+        "longest_ms": ("longest", _number(_MILLI)),
+        "most_gain": ("most_gain", _number()),
+    }
     if type(value) is not dict or not value.keys() <= known.keys():
         raise _Wanted(f"a table of {', '.join(known)}")
     return AutoExposure(**{known[key][0]: known[key][1](item) for key, item in value.items()})
@@ -253,18 +303,41 @@ _NOISE = {
     "temperature_c": ("temperature", _number()),
     "reference_temperature_c": ("reference_temperature", _number()),
     "doubling_k": ("doubling", _number()),
-    **{f"{key}_e": (key, _number()) for key in ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu",
-                                               "telegraph")},
+    **{
+        f"{key}_e": (key, _number())
+        for key in ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "telegraph")
+    },
     "reset_e": ("reset", _number_or_ktc),
     "adc_dn": ("adc", _number()),
-    **{key: (key, _number()) for key in ("prnu", "row_prnu", "column_prnu", "hot_pixels", "dead_pixels",
-                                        "telegraph_pixels", "telegraph_switching")},
+    **{
+        key: (key, _number())
+        for key in (
+            "prnu",
+            "row_prnu",
+            "column_prnu",
+            "hot_pixels",
+            "dead_pixels",
+            "telegraph_pixels",
+            "telegraph_switching",
+        )
+    },
     "hot_current_e_per_s": ("hot_current", _number()),
     "seed": ("seed", _whole),
 }
 _PROCESSOR = {
-    **{key: (key, _text) for key in ("defects", "demosaic", "table", "white_balance", "color", "training", "target",
-                                     "scaling")},
+    **{
+        key: (key, _text)
+        for key in (
+            "defects",
+            "demosaic",
+            "table",
+            "white_balance",
+            "color",
+            "training",
+            "target",
+            "scaling",
+        )
+    },
     "shading": ("shading", _yes_no),
     "denoise": ("denoise", _number()),
     "white": ("white", _numbers(None)),
@@ -280,7 +353,13 @@ _DISPLAY = {
 # fields that another one may stand for
 INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
 SPOKEN = {"diopters": "defocus"}  # fields of which the domain's messages speak as of another
-SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
+SECTIONS = {
+    "optics": _OPTICS,
+    "sensor": _SENSOR,
+    "noise": _NOISE,
+    "processor": _PROCESSOR,
+    "display": _DISPLAY,
+}
 
 
 def section_fields(path, table, section, cls=None):
@@ -301,10 +380,20 @@ def section_fields(path, table, section, cls=None):
             fields[field] = value_of(f"[{section}] {key}", read, value)
         except (BadData, UnknownName) as error:
             raise BadFile(path, str(error)) from None
-    required = {field.name for field in dataclasses.fields(cls)
-                if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
-    missing = [key for key, (field, _) in known.items()
-               if field in required and not {field, INSTEAD.get(field)} & fields.keys()]
+    required = (
+        {
+            field.name
+            for field in dataclasses.fields(cls)
+            if field.default is field.default_factory is dataclasses.MISSING
+        }
+        if cls
+        else ()
+    )
+    missing = [
+        key
+        for key, (field, _) in known.items()
+        if field in required and not {field, INSTEAD.get(field)} & fields.keys()
+    ]
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
     return fields
@@ -341,9 +430,14 @@ def value_of(label, read, value):
 def _near_key(key, section):
     """Hint at the nearest key of any section: noise has one of its own, apart from the sensor's."""
     sections = {other: name for name, keys in SECTIONS.items() for other in keys} | dict.fromkeys(
-        SECTIONS[section], section)
-    found = (difflib.get_close_matches(key[:100], sections, n=1)  # no known key is as long, and its time grows
-             or [name for name in sections if key.endswith(f"_{name}")])
+        SECTIONS[section], section
+    )
+    found = (
+        difflib.get_close_matches(
+            key[:100], sections, n=1
+        )  # no known key is as long, and its time grows
+        or [name for name in sections if key.endswith(f"_{name}")]
+    )
     if not found or sections[found[0]] == section:
         return near(key, SECTIONS[section])
     return f"; did you mean {found[0]!r} in [{sections[found[0]]}]?"

@@ -16,12 +16,25 @@ from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 
 # Fields whose values are read from tables and files: in Python they are what is read.
-OBJECTS = {"transmission": Spectrum, "defocus": Spectrum, "lateral_color": Spectrum, "qe": Spectrum, "pupil": Pupil,
-           "psf": PointSpread, "distortion": Distortion, "microlens": Microlens, "auto_exposure": AutoExposure,
-           "table": FilterTable}
+OBJECTS = {
+    "transmission": Spectrum,
+    "defocus": Spectrum,
+    "lateral_color": Spectrum,
+    "qe": Spectrum,
+    "pupil": Pupil,
+    "psf": PointSpread,
+    "distortion": Distortion,
+    "microlens": Microlens,
+    "auto_exposure": AutoExposure,
+    "table": FilterTable,
+}
 READ = {"qe", "psf", "table"}  # of them those that a camera file names by a text
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
-IN_QE = ("photodetector", "ir_cut", "qe_ends")  # keys of factors of the quantum efficiency, which keeps their product
+IN_QE = (
+    "photodetector",
+    "ir_cut",
+    "qe_ends",
+)  # keys of factors of the quantum efficiency, which keeps their product
 IN_FILES = ("calibration", "noise_profile")  # keys that name a file of several settings
 WHOLE = ("optics", "sensor", "processor", "display")
 
@@ -57,15 +70,20 @@ def _place(key):
         section, _, name = key.partition(".")
         if name in SECTIONS.get(section, ()):
             return section, name
-        raise UnknownName("key of a camera", key, [f"{section}.{name}" for section, keys in SECTIONS.items()
-                                                   for name in keys])
+        raise UnknownName(
+            "key of a camera",
+            key,
+            [f"{section}.{name}" for section, keys in SECTIONS.items() for name in keys],
+        )
     found = [section for section, keys in SECTIONS.items() if key in keys]
     if not found:
         known = {name for keys in SECTIONS.values() for name in keys}
         raise UnknownName("key of a camera", key, sorted({*WHOLE, *known}))
     if len(found) > 1:
-        raise BadData(f"{key}: a key of {' and '.join(found)}; wanted "
-                      + " or ".join(f'**{{"{section}.{key}": ...}}' for section in found))
+        raise BadData(
+            f"{key}: a key of {' and '.join(found)}; wanted "
+            + " or ".join(f'**{{"{section}.{key}": ...}}' for section in found)
+        )
     return found[0], key
 
 
@@ -79,16 +97,22 @@ def _whole(camera, key, value):
 def _value(key, name, field, read, value):
     """A value as its field takes it: read as a camera file's, or the object that a file's would become."""
     if name in IN_QE:
-        raise BadData(f"{key}: a camera has it in its qe, as a factor; wanted qe, a Spectrum with all factors")
+        raise BadData(
+            f"{key}: a camera has it in its qe, as a factor; wanted qe, a Spectrum with all factors"
+        )
     if name in IN_FILES:
-        raise BadData(f"{key}: is read by camera files alone; wanted the settings that its file holds")
+        raise BadData(
+            f"{key}: is read by camera files alone; wanted the settings that its file holds"
+        )
     kind = OBJECTS.get(field)
     if kind and isinstance(value, kind):
         return value
     if value is None and field in ("psf", "distortion", "microlens", "table"):
         return None
     if field in READ:
-        raise BadData(f"{key} = {shown(value)}: wanted a {kind.__name__}, which a camera file names")
+        raise BadData(
+            f"{key} = {shown(value)}: wanted a {kind.__name__}, which a camera file names"
+        )
     if kind is Spectrum and isinstance(value, dict | str):
         raise BadData(f"{key} = {shown(value)}: wanted a number or a Spectrum")
     return value_of(key, read, _plain(value))
@@ -113,7 +137,11 @@ def _lens(optics, fields):
     if fields.get("psf") is not None:
         fields.setdefault("model", "measured")
     optics = dataclasses.replace(optics, **fields)
-    return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    return (
+        optics
+        if diopters is None
+        else dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    )
 
 
 def _sensor(sensor, fields, noise):

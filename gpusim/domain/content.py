@@ -13,7 +13,9 @@ from gpusim.domain.short_repr import span
 from gpusim.domain.spectrum import check_wavelengths
 
 NUMBERS, WHOLE = "fiub", "iub"  # kinds of types that samples, and numbers of materials, may have
-NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
+NEGATIVE = (
+    0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
+)
 
 
 def is_seen(array) -> bool:
@@ -78,7 +80,10 @@ class Content:
     @property
     def nbytes(self) -> int:
         """What its samples take on a device [byte]."""
-        return sum(self.stored_type(name).itemsize * prod(getattr(self, name).shape) for name in self.samples)
+        return sum(
+            self.stored_type(name).itemsize * prod(getattr(self, name).shape)
+            for name in self.samples
+        )
 
     @property
     def is_seen(self) -> bool:
@@ -113,12 +118,19 @@ class Content:
 
     def take(self, rows, cols=None):
         """Content of which each sample is that at (rows, cols), two arrays that broadcast; or of whole rows (n,)."""
-        return self.with_samples(lambda array: np.take(array, rows, -2) if cols is None else array[..., rows, cols])
+        return self.with_samples(
+            lambda array: np.take(array, rows, -2) if cols is None else array[..., rows, cols]
+        )
 
     def behind(self, front, mask):
         """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""
-        return replace(self, **{name: np.where(mask, getattr(front, name), getattr(self, name))
-                                for name in self.samples})
+        return replace(
+            self,
+            **{
+                name: np.where(mask, getattr(front, name), getattr(self, name))
+                for name in self.samples
+            },
+        )
 
     def scaled(self, factor: float):
         """Content that is `factor` times as bright."""
@@ -132,7 +144,9 @@ class Content:
         """Whether the other is of the same form, wavelengths and entries."""
         if type(self) is not type(other):
             return False
-        pairs = [(getattr(self, name), getattr(other, name)) for name in ("wavelengths", *self.shared)]
+        pairs = [
+            (getattr(self, name), getattr(other, name)) for name in ("wavelengths", *self.shared)
+        ]
         return all(own is its or np.array_equal(own, its) for own, its in pairs)
 
     def mixed(self, rates, rows=slice(None)):
@@ -158,7 +172,9 @@ class Content:
         """Sums over wavelength by `weights` (C, L), of the samples in a window: float64 (C, rows, cols)."""
         table = weights @ self.entry_spectra.T
         total = np.zeros((len(weights), *self.planes[0][window].shape))
-        for plane, column in zip(self.planes, table.T, strict=True):  # one by one: a cube in float64 is large
+        for plane, column in zip(
+            self.planes, table.T, strict=True
+        ):  # one by one: a cube in float64 is large
             total += column[:, None, None] * plane[window]
         return total
 
@@ -182,12 +198,19 @@ class Content:
         if 0 in samples.shape:
             raise BadData(f"{name}: zero-size scene {tuple(samples.shape)}")
         check_wavelengths(self.wavelengths, name)
-        for label, array in (("samples", samples), *(("spectra", getattr(self, key)) for key in self.shared)):
+        for label, array in (
+            ("samples", samples),
+            *(("spectra", getattr(self, key)) for key in self.shared),
+        ):
             if not is_seen(array) or array.dtype.kind == "u":
                 continue
             low, high = float(array.min()), float(array.max())
             if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
-                why = "; float16 ends at 65504, beyond it is infinity" if array.dtype == np.float16 else ""
+                why = (
+                    "; float16 ends at 65504, beyond it is infinity"
+                    if array.dtype == np.float16
+                    else ""
+                )
                 raise BadData(f"{name}: NaN or infinite {label}{why}")
             if low < 0:
                 self._check_negative(name, label, low)
@@ -197,7 +220,11 @@ class Content:
             array = getattr(self, key)
             kind, is_light = type_of(array), key != "ids"
             if kind is None or kind.kind not in (NUMBERS if is_light else WHOLE):
-                wanted = "float32, float16 or another type of real numbers" if is_light else "uint16 or uint8"
+                wanted = (
+                    "float32, float16 or another type of real numbers"
+                    if is_light
+                    else "uint16 or uint8"
+                )
                 raise BadData(f"{name}: {key} of type {kind or array.dtype}, wanted {wanted}")
 
     def _check_shapes(self, name):
@@ -241,15 +268,21 @@ class Cube(Content):
         return self.values[:, rows].astype(np.float64)
 
     def points(self, rows, cols):
-        return self.values[:, rows, cols].T.astype(np.float64), np.arange(len(rows)), np.ones(len(rows))
+        return (
+            self.values[:, rows, cols].T.astype(np.float64),
+            np.arange(len(rows)),
+            np.ones(len(rows)),
+        )
 
     def brightness(self, total):
         return np.tensordot(np.asarray(total, np.float32), self.values, 1)
 
     def _check_shapes(self, name):
         if len(self.values.shape) != 3 or self.values.shape[0] != len(self.wavelengths):
-            raise BadData(f"{name}: cube of shape {tuple(self.values.shape)}, wanted ({len(self.wavelengths)}, rows, "
-                          "cols)")
+            raise BadData(
+                f"{name}: cube of shape {tuple(self.values.shape)}, wanted ({len(self.wavelengths)}, rows, "
+                "cols)"
+            )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -275,15 +308,22 @@ class Basis(Content):
             spectra = self.basis.T @ row
             lowest, highest = min(lowest, float(spectra.min())), max(highest, float(spectra.max()))
         if lowest < -NEGATIVE * highest or highest == 0 > lowest:
-            raise BadData(f"{name}: negative spectra (lowest {lowest:.3g}, highest {highest:.3g}); radiance cannot be "
-                          "negative")
+            raise BadData(
+                f"{name}: negative spectra (lowest {lowest:.3g}, highest {highest:.3g}); radiance cannot be "
+                "negative"
+            )
 
     def _check_shapes(self, name):
         count = len(self.wavelengths)
-        if len(self.coefficients.shape) != 3 or self.basis.shape != (self.coefficients.shape[0], count):
-            raise BadData(f"{name}: basis {self.basis.shape} does not match coefficients "
-                          f"{tuple(self.coefficients.shape)} and "
-                          f"{len(self.wavelengths)} wavelengths")
+        if len(self.coefficients.shape) != 3 or self.basis.shape != (
+            self.coefficients.shape[0],
+            count,
+        ):
+            raise BadData(
+                f"{name}: basis {self.basis.shape} does not match coefficients "
+                f"{tuple(self.coefficients.shape)} and "
+                f"{len(self.wavelengths)} wavelengths"
+            )
 
     def _check_negative(self, name, label, low):
         pass
@@ -330,12 +370,22 @@ class Materials(Content):
 
     def _check_shapes(self, name):
         if len(self.ids.shape) != 2 or tuple(self.shading.shape) != tuple(self.ids.shape):
-            raise BadData(f"{name}: ids {tuple(self.ids.shape)} and shading {tuple(self.shading.shape)} must be one "
-                          "(rows, cols)")
+            raise BadData(
+                f"{name}: ids {tuple(self.ids.shape)} and shading {tuple(self.shading.shape)} must be one "
+                "(rows, cols)"
+            )
         if self.spectra.ndim != 2 or self.spectra.shape[1] != len(self.wavelengths):
-            raise BadData(f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths")
-        if is_seen(self.ids) and self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):
-            raise OutOfRange(f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}")
+            raise BadData(
+                f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths"
+            )
+        if (
+            is_seen(self.ids)
+            and self.ids.size
+            and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra))
+        ):
+            raise OutOfRange(
+                f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}"
+            )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -362,9 +412,13 @@ class Picture(Content):
         super().__post_init__()
         try:
             with np.errstate(over="ignore"):  # infinite light is refused by `check`
-                curve = np.ascontiguousarray(np.asarray(self.curve).astype(np.float32, casting="same_kind", copy=False))
+                curve = np.ascontiguousarray(
+                    np.asarray(self.curve).astype(np.float32, casting="same_kind", copy=False)
+                )
         except (TypeError, ValueError):
-            raise BadData("picture: curve is no array of real numbers; wanted the light of every code") from None
+            raise BadData(
+                "picture: curve is no array of real numbers; wanted the light of every code"
+            ) from None
         object.__setattr__(self, "curve", curve)
 
     @property
@@ -378,7 +432,9 @@ class Picture(Content):
 
     @property
     def nbytes(self):
-        return super().nbytes + 4 * len(self.basis) * prod(self.shape)  # and what they are decoded to
+        return super().nbytes + 4 * len(self.basis) * prod(
+            self.shape
+        )  # and what they are decoded to
 
     def stored_type(self, name):
         kind = type_of(self.codes)
@@ -400,19 +456,29 @@ class Picture(Content):
     def _check_types(self, name):
         kind = type_of(self.codes)
         if kind is None or kind.type not in (np.uint8, np.uint16):
-            raise BadData(f"{name}: codes of type {kind or self.codes.dtype}, wanted uint8 or uint16; give linear "
-                          "light as the planes (K, rows, cols) of a Basis")
+            raise BadData(
+                f"{name}: codes of type {kind or self.codes.dtype}, wanted uint8 or uint16; give linear "
+                "light as the planes (K, rows, cols) of a Basis"
+            )
 
     def _check_shapes(self, name):
         shape, count = tuple(self.codes.shape), len(self.basis)
         if shape[2:] != (count,) and (len(shape) != 2 or count != 1):
-            raise BadData(f"{name}: codes of shape {shape}, wanted (rows, cols, {count}), channels last and no alpha: "
-                          f"codes[..., :{count}]")
+            raise BadData(
+                f"{name}: codes of shape {shape}, wanted (rows, cols, {count}), channels last and no alpha: "
+                f"codes[..., :{count}]"
+            )
         if self.basis.shape != (count, len(self.wavelengths)):
-            raise BadData(f"{name}: basis {self.basis.shape} does not match {len(self.wavelengths)} wavelengths")
+            raise BadData(
+                f"{name}: basis {self.basis.shape} does not match {len(self.wavelengths)} wavelengths"
+            )
         kind = self.stored_type("codes")
         if self.curve.shape != (256**kind.itemsize,):
-            raise BadData(f"{name}: curve of shape {self.curve.shape}, wanted ({256**kind.itemsize},) for {kind}")
+            raise BadData(
+                f"{name}: curve of shape {self.curve.shape}, wanted ({256**kind.itemsize},) for {kind}"
+            )
         if not (np.isfinite(self.curve).all() and self.curve.min() >= 0):
-            raise BadData(f"{name}: curve from {self.curve.min():.3g} to {self.curve.max():.3g}, wanted finite light, "
-                          "not negative")
+            raise BadData(
+                f"{name}: curve from {self.curve.min():.3g} to {self.curve.max():.3g}, wanted finite light, "
+                "not negative"
+            )

@@ -20,7 +20,9 @@ def _add(found, value):
             found.update(field.name.encode())
             _add(found, getattr(value, field.name))
     elif isinstance(value, np.ndarray):
-        found.update(repr((value.dtype.str, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
+        found.update(
+            repr((value.dtype.str, value.shape)).encode() + np.ascontiguousarray(value).tobytes()
+        )
     elif isinstance(value, list | tuple | dict):
         items = list(value.items() if isinstance(value, dict) else value)
         found.update(f"{type(value).__name__} {len(items)}".encode())

@@ -32,29 +32,55 @@ class Display:
 
     def __post_init__(self):
         try:
-            shapes = np.asarray(self.primaries, np.float64).shape, np.asarray(self.white, np.float64).shape
+            shapes = (
+                np.asarray(self.primaries, np.float64).shape,
+                np.asarray(self.white, np.float64).shape,
+            )
         except (TypeError, ValueError):
             shapes = None
         if shapes != ((3, 2), (2,)):
             raise BadData("display: wanted (x, y) of three primaries and of the white, numbers")
-        for key, (x, y) in (*(("primaries", pair) for pair in self.primaries), ("white", self.white)):
+        for key, (x, y) in (
+            *(("primaries", pair) for pair in self.primaries),
+            ("white", self.white),
+        ):
             if not (0 <= x <= 1 and 0 < y <= 1 and x + y <= 1):
                 raise OutOfRange(f"display.{key}", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
         if abs(np.linalg.det(_xyz(self.primaries))) < 1e-6:
             raise BadData(f"display.primaries = {self.primaries}: they lie on one line")
         if (np.linalg.solve(_xyz(self.primaries), _xyz([self.white])[:, 0]) <= 0).any():
-            raise BadData(f"display.white = {self.white}: no mixture of the primaries {self.primaries}")
-        check_range("display", self, "curve", '"srgb" or the exponent of a power law, 1 .. 4',
-                    lambda value: value == "srgb" or 1 <= value <= 4)
-        check_range("display", self, "luminance", "0 < luminance <= 1e6", lambda value: 0 < value <= 1e6, "cd m-2")
+            raise BadData(
+                f"display.white = {self.white}: no mixture of the primaries {self.primaries}"
+            )
+        check_range(
+            "display",
+            self,
+            "curve",
+            '"srgb" or the exponent of a power law, 1 .. 4',
+            lambda value: value == "srgb" or 1 <= value <= 4,
+        )
+        check_range(
+            "display",
+            self,
+            "luminance",
+            "0 < luminance <= 1e6",
+            lambda value: 0 < value <= 1e6,
+            "cd m-2",
+        )
         if self.spectra is not None and not isinstance(self.spectra, Spectrum):
             raise BadData(f"display.spectra = {self.spectra!r}: wanted a Spectrum of three rows")
         if self.spectra is not None and self.spectra.values.shape[:-1] != (3,):
-            raise BadData(f"display.spectra: shape {self.spectra.values.shape}, wanted 3 rows: red, green, blue")
+            raise BadData(
+                f"display.spectra: shape {self.spectra.values.shape}, wanted 3 rows: red, green, blue"
+            )
 
     def encodes_like(self, other: "Display") -> bool:
         """Whether codes mean the same colours on both, brightness aside."""
-        return (self.primaries, self.white, self.curve) == (other.primaries, other.white, other.curve)
+        return (self.primaries, self.white, self.curve) == (
+            other.primaries,
+            other.white,
+            other.curve,
+        )
 
     @property
     def xyz_from_rgb(self) -> np.ndarray:
@@ -82,14 +108,18 @@ class Display:
         """The inverse of `decode`."""
         size = np.abs(light)
         if self.curve == "srgb":
-            values = np.where(size <= 0.04045 / 12.92, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055)
+            values = np.where(
+                size <= 0.04045 / 12.92, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055
+            )
         else:
             values = size ** (1 / float(self.curve))
         return np.copysign(values, light)
 
     def xyz(self, codes) -> np.ndarray:
         """What the screen shows: CIE XYZ [cd m-2] of 8-bit codes, shape (..., 3) for (..., 3)."""
-        return self.luminance * self.decode(np.asarray(codes, np.float64) / 255) @ self.xyz_from_rgb.T
+        return (
+            self.luminance * self.decode(np.asarray(codes, np.float64) / 255) @ self.xyz_from_rgb.T
+        )
 
     @property
     def rgb_from_xyz(self) -> np.ndarray:

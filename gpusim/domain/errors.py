@@ -17,13 +17,16 @@ def one_line(text, longest: int = LONGEST) -> str:
     """
     try:
         text = str(text)
-    except (ValueError, RecursionError):  # a whole number of more than 4300 digits, a list that holds itself
+    except (
+        ValueError,
+        RecursionError,
+    ):  # a whole number of more than 4300 digits, a list that holds itself
         text = f"a {type(text).__name__} too long to show"
     if len(text) > 8 * longest:  # not all of a long build log has to be looked at
-        text = f"{text[:4 * longest]} {text[-4 * longest:]}"
+        text = f"{text[: 4 * longest]} {text[-4 * longest :]}"
     text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
     end = longest // 3
-    return text if len(text) <= longest else f"{text[:longest - end - 5]} ... {text[-end:]}"
+    return text if len(text) <= longest else f"{text[: longest - end - 5]} ... {text[-end:]}"
 
 
 def shown(value) -> str:
@@ -46,14 +49,18 @@ class OutOfRange(GpusimError):
     """
 
     def __init__(self, key: str, value, allowed: str):
-        super().__init__(f"{one_line(key, LONGEST_VALUE)} = {one_line(value, LONGEST_VALUE)}: allowed is {allowed}")
+        super().__init__(
+            f"{one_line(key, LONGEST_VALUE)} = {one_line(value, LONGEST_VALUE)}: allowed is {allowed}"
+        )
 
 
 class UnknownName(GpusimError):
     """A name that is not in the list of names, with the nearest one suggested."""
 
     def __init__(self, what: str, name: str, known):
-        super().__init__(f"unknown {one_line(what, LONGEST_PATH)} {shown(name)}{near(name, sorted(known))}")
+        super().__init__(
+            f"unknown {one_line(what, LONGEST_PATH)} {shown(name)}{near(name, sorted(known))}"
+        )
 
 
 class BadFile(GpusimError):
@@ -75,8 +82,10 @@ class DoesNotFit(GpusimError):
     """The estimated memory exceeds what the device has; raised before anything is allocated."""
 
     def __init__(self, what: str, needed: int, available: int, where: str):
-        super().__init__(f"{what} needs about {needed / 2**30:.2f} GiB, {where} has {available / 2**30:.2f} GiB; "
-                         "use a smaller scene or another device")
+        super().__init__(
+            f"{what} needs about {needed / 2**30:.2f} GiB, {where} has {available / 2**30:.2f} GiB; "
+            "use a smaller scene or another device"
+        )
 
 
 class Missing(GpusimError):
@@ -92,16 +101,25 @@ class OutOfMemory(DeviceError):
 
     def __init__(self, what: str, nbytes: int, where: str, available: int, reason: str):
         size = f" ({nbytes / 2**30:.3g} GiB)" if nbytes else ""
-        super().__init__(f"{where} refused memory for {what}{size}: {one_line(reason, LONGEST_VALUE)}; it has "
-                         f"{available / 2**30:.2f} GiB, which other processes may be using: close them, or use a "
-                         "smaller scene, fewer frames in a batch or another device")
+        super().__init__(
+            f"{where} refused memory for {what}{size}: {one_line(reason, LONGEST_VALUE)}; it has "
+            f"{available / 2**30:.2f} GiB, which other processes may be using: close them, or use a "
+            "smaller scene, fewer frames in a batch or another device"
+        )
 
 
 def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -> int:
     """Return a whole number of things as it is. Raises OutOfRange."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
-        raise OutOfRange(key, shown(value), f"a whole number, {least}" + (
-            " or more" if most == float("inf") else f" .. {most}"))
+    if (
+        not isinstance(value, Integral)
+        or isinstance(value, bool)
+        or not least <= int(value) <= most
+    ):
+        raise OutOfRange(
+            key,
+            shown(value),
+            f"a whole number, {least}" + (" or more" if most == float("inf") else f" .. {most}"),
+        )
     return int(value)
 
 

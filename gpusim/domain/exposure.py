@@ -55,7 +55,11 @@ def bracket_times(time: float, stops) -> np.ndarray:
         raise BadData(f"stops of a bracket = {stops!r}: wanted a list of numbers") from None
     times = time * np.exp2(stops)
     if stops.ndim != 1 or not stops.size or not (np.isfinite(times) & (times > 0)).all():
-        raise OutOfRange("stops of a bracket", stops.tolist(), "a list of finite numbers, small enough for a time")
+        raise OutOfRange(
+            "stops of a bracket",
+            stops.tolist(),
+            "a list of finite numbers, small enough for a time",
+        )
     return times
 
 
@@ -112,12 +116,34 @@ class AutoExposure:
         if self.level is None:
             object.__setattr__(self, "level", FILLED * MIDDLE_GREY if self.averages else FILLED)
         check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
-        check_range("auto_exposure", self, "percentile", "0 < percentile <= 100", lambda value: 0 < value <= 100, "%")
-        check_range("auto_exposure", self, "longest", "0 < longest <= 1e12", lambda value: 0 < value <= 1e12, "s")
-        check_range("auto_exposure", self, "most_gain", "1 <= most_gain <= 1e4", lambda value: 1 <= value <= 1e4)
+        check_range(
+            "auto_exposure",
+            self,
+            "percentile",
+            "0 < percentile <= 100",
+            lambda value: 0 < value <= 100,
+            "%",
+        )
+        check_range(
+            "auto_exposure",
+            self,
+            "longest",
+            "0 < longest <= 1e12",
+            lambda value: 0 < value <= 1e12,
+            "s",
+        )
+        check_range(
+            "auto_exposure",
+            self,
+            "most_gain",
+            "1 <= most_gain <= 1e4",
+            lambda value: 1 <= value <= 1e4,
+        )
         if self.most_gain > 1 and self.longest is None:
-            raise BadData(f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
-                          "longest exposure time is too short; wanted both")
+            raise BadData(
+                f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
+                "longest exposure time is too short; wanted both"
+            )
 
     @property
     def averages(self) -> bool:
@@ -147,14 +173,18 @@ class AutoExposure:
         if self.method == "percentile":
             return float(np.percentile(rate, self.percentile))
         if self.method == "highlights":
-            return without_highlights(float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max()))
+            return without_highlights(
+                float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max())
+            )
         down, right = self._centred(rate.shape)
         return float(np.mean(down @ rate.astype(np.float64) @ right))
 
     @property
     def fractions(self) -> tuple[float, ...]:
         """Of the pixels, from the darkest on: the quantiles that are asked of `LightStatistics`."""
-        return {"percentile": (self.percentile / 100,), "highlights": (1 - HIGHLIGHTS,)}.get(self.method, ())
+        return {"percentile": (self.percentile / 100,), "highlights": (1 - HIGHLIGHTS,)}.get(
+            self.method, ()
+        )
 
     def weights(self, shape) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the "centre" along both axes of a frame of shape (..., rows, cols); their products add up to 1.
@@ -167,20 +197,28 @@ class AutoExposure:
 
     @staticmethod
     def _centred(shape):
-        weights = [np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]]
+        weights = [
+            np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]
+        ]
         return [weight / weight.sum() for weight in weights]
 
     def signal_of(self, statistics: LightStatistics) -> float:
         """The same as `signal` of the statistics of the pixels. Raises BadData for light that is not finite."""
         highest, mean, _, centre, missing, _, *pair = statistics.values
         if missing:
-            raise BadData(f"automatic exposure: {missing:.0f} of {statistics.pixels} pixels have NaN or infinite light")
+            raise BadData(
+                f"automatic exposure: {missing:.0f} of {statistics.pixels} pixels have NaN or infinite light"
+            )
         if pair:  # as numpy.percentile rounds
             place = (statistics.pixels - 1) * self.fractions[0]
             low, high = pair
             part = place - floor(place)
-            found = float(low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part))
-            return found if self.method == "percentile" else without_highlights(found, float(highest))
+            found = float(
+                low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part)
+            )
+            return (
+                found if self.method == "percentile" else without_highlights(found, float(highest))
+            )
         return float({"full": highest, "mean": mean, "centre": centre}[self.method])
 
     def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
@@ -196,8 +234,10 @@ class AutoExposure:
         metered = isinstance(electron_rate, LightStatistics)
         rate = self.signal_of(electron_rate) if metered else self.signal(electron_rate)
         if not 0 < rate < np.inf:
-            raise BadData(f"automatic exposure: the {self.method} signal is {rate:.4g} e-/s; a dark scene needs "
-                          "exposure_time_ms in the camera file")
+            raise BadData(
+                f"automatic exposure: the {self.method} signal is {rate:.4g} e-/s; a dark scene needs "
+                "exposure_time_ms in the camera file"
+            )
         time = self.level * saturation / rate
         if self.longest is None or time <= self.longest:
             return time, 1.0
@@ -218,7 +258,9 @@ def without_highlights(rest: float, brightest: float) -> float:
     return rest * max(1.0, PLAIN**2 / ratio, (ratio / LAMPS) ** 2)
 
 
-def auto_exposure(electron_rate, saturation: float, level: float | None = None, method: str = "full") -> float:
+def auto_exposure(
+    electron_rate, saturation: float, level: float | None = None, method: str = "full"
+) -> float:
     """Exposure time [s] at which the signal that `method` of `AutoExposure` names reaches `level` of saturation.
 
     Arguments, returns and raises as there.

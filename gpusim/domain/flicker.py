@@ -27,12 +27,18 @@ class Flicker:
     phase: float = 0.0
 
     def __post_init__(self):
-        for name, low, high in (("frequency", 0.0, FASTEST), ("depth", 0.0, 1.0), ("phase", -inf, inf)):
+        for name, low, high in (
+            ("frequency", 0.0, FASTEST),
+            ("depth", 0.0, 1.0),
+            ("phase", -inf, inf),
+        ):
             value = getattr(self, name)
             if not isinstance(value, Real):
                 raise OutOfRange(f"flicker.{name}", shown(value), "a number")
             value = float(value)
-            if not (low <= value <= high and np.isfinite(value)) or (name == "frequency" and not value):
+            if not (low <= value <= high and np.isfinite(value)) or (
+                name == "frequency" and not value
+            ):
                 least = "above 0" if name == "frequency" else f"{low:g}"
                 raise OutOfRange(f"flicker.{name}", value, f"{least} .. {high:g}")
         if self.duty is not None and not 0 < self.duty <= 1:
@@ -52,14 +58,22 @@ class Flicker:
             moment = times * np.sin(angle) / turn + (np.cos(angle) - np.cos(start)) / turn**2
             return whole, times**2 / 2 + self.depth * moment
         begun = self.phase / self.frequency  # the phase moves the time
-        whole, moment = (now - then for now, then in zip(
-            self._switched(times + begun), self._switched(begun), strict=True))
+        whole, moment = (
+            now - then
+            for now, then in zip(self._switched(times + begun), self._switched(begun), strict=True)
+        )
         return whole, moment - whole * begun
 
     def _switched(self, times):
         """The same of light that goes on at time 0."""
         periods = np.floor(times * self.frequency)
-        part = np.clip(times * self.frequency - periods, 0, self.duty)  # of this period in which it was on
+        part = np.clip(
+            times * self.frequency - periods, 0, self.duty
+        )  # of this period in which it was on
         whole = (periods + part / self.duty) / self.frequency
-        moment = (periods * (periods - 1) / 2 + periods * self.duty / 2 + (periods * part + part**2 / 2) / self.duty)
+        moment = (
+            periods * (periods - 1) / 2
+            + periods * self.duty / 2
+            + (periods * part + part**2 / 2) / self.duty
+        )
         return whole, moment / self.frequency**2

@@ -8,7 +8,12 @@ import numpy as np
 
 from gpusim.domain.errors import BadData
 
-READ_BY_HOST = (1, 3, 11, 13)  # DLPack's kinds of memory: the host's own, pinned for CUDA or ROCm, managed by CUDA
+READ_BY_HOST = (
+    1,
+    3,
+    11,
+    13,
+)  # DLPack's kinds of memory: the host's own, pinned for CUDA or ROCm, managed by CUDA
 CPU, CUDA = (1, 0), (2, 13)  # the host's own as a DLPack device; kinds that CUDA reads
 NUMPYS = ("__array__", "__array_interface__", "__array_struct__")
 
@@ -31,14 +36,17 @@ def described(values, what: str):
         return Described(values)
     if hasattr(values, "__dlpack_device__") or any(hasattr(values, name) for name in NUMPYS):
         return to_host(values, what)
-    raise BadData(f"{what}: {name_of(values)}, wanted an array: NumPy's, a device's, or one with __dlpack__, "
-                  "__cuda_array_interface__ or __array__")
+    raise BadData(
+        f"{what}: {name_of(values)}, wanted an array: NumPy's, a device's, or one with __dlpack__, "
+        "__cuda_array_interface__ or __array__"
+    )
 
 
 def is_array(values) -> bool:
     """Whether a value is an array of NumPy or of another library."""
-    return hasattr(values, "dtype") or any(hasattr(values, name) for name in (
-        "__cuda_array_interface__", "__dlpack_device__", *NUMPYS))
+    return hasattr(values, "dtype") or any(
+        hasattr(values, name) for name in ("__cuda_array_interface__", "__dlpack_device__", *NUMPYS)
+    )
 
 
 def type_of(values) -> np.dtype | None:
@@ -47,7 +55,9 @@ def type_of(values) -> np.dtype | None:
     if isinstance(kind, np.dtype):
         return kind
     try:
-        return np.dtype(getattr(kind, "__name__", None) or str(kind).rpartition(".")[2])  # torch.float32, say
+        return np.dtype(
+            getattr(kind, "__name__", None) or str(kind).rpartition(".")[2]
+        )  # torch.float32, say
     except TypeError:
         return None
 
@@ -77,8 +87,14 @@ def to_host(values, reader: str) -> np.ndarray:
     kind, cause = dlpack_kind(values), None
     if kind is not None:
         try:
-            return np.from_dlpack(values) if kind in READ_BY_HOST else np.from_dlpack(values, device="cpu")
-        except Exception as error:  # of any class by library: a tensor with a gradient, no copies by DLPack
+            return (
+                np.from_dlpack(values)
+                if kind in READ_BY_HOST
+                else np.from_dlpack(values, device="cpu")
+            )
+        except (
+            Exception
+        ) as error:  # of any class by library: a tensor with a gradient, no copies by DLPack
             cause = error
     protocols = kind is not None or hasattr(values, "__cuda_array_interface__")
     if not protocols or any(hasattr(values, name) for name in NUMPYS):
@@ -89,5 +105,7 @@ def to_host(values, reader: str) -> np.ndarray:
                 raise
             cause = cause if kind in READ_BY_HOST else error
     why = "" if cause is None else f" ({str(cause).partition(chr(10))[0][:150]})"
-    raise BadData(f"{reader}: cannot read an array of {name_of(values)}{why}: give a copy in host memory, such as "
-                  "x.detach().cpu(), x.get() or x.numpy(), or for CUDA memory use device warp:cuda:0")
+    raise BadData(
+        f"{reader}: cannot read an array of {name_of(values)}{why}: give a copy in host memory, such as "
+        "x.detach().cpu(), x.get() or x.numpy(), or for CUDA memory use device warp:cuda:0"
+    )

@@ -48,7 +48,9 @@ class Illuminated(Content):
 
     @property
     def nbytes(self):
-        return super().nbytes + 4 * len(self.lights) * prod(self.coefficients.shape)  # and the products
+        return super().nbytes + 4 * len(self.lights) * prod(
+            self.coefficients.shape
+        )  # and the products
 
     def stored_type(self, name):
         return super().stored_type(name) if name == "coefficients" else np.dtype(np.float32)
@@ -72,25 +74,35 @@ class Illuminated(Content):
     def _sum(self, rates, window):
         """What samples give where one unit of each entry gives `rates` (C, entries), light by light."""
         coefficients = self.coefficients[:, *window].astype(rates.dtype, copy=False)
-        return sum(light[window] * np.tensordot(rate, coefficients, 1)
-                   for light, rate in zip(self.maps, np.split(rates, len(self.maps), axis=1), strict=True))
+        return sum(
+            light[window] * np.tensordot(rate, coefficients, 1)
+            for light, rate in zip(self.maps, np.split(rates, len(self.maps), axis=1), strict=True)
+        )
 
     def check(self, name):
         self._check_arrays(name)
         self.surfaces.check(name)
-        if not np.isfinite(self.lights).all():  # splines of lines undershoot a little: they may be negative
+        if not np.isfinite(
+            self.lights
+        ).all():  # splines of lines undershoot a little: they may be negative
             raise BadData(f"{name}: NaN or infinite lights")
         if is_seen(self.maps) and not (np.isfinite(self.maps).all() and self.maps.min() >= 0):
-            raise BadData(f"{name}: maps from {self.maps.min():.3g} to {self.maps.max():.3g}, wanted finite light, not "
-                          "negative")
+            raise BadData(
+                f"{name}: maps from {self.maps.min():.3g} to {self.maps.max():.3g}, wanted finite light, not "
+                "negative"
+            )
 
     def _check_arrays(self, name):
         shape, count = tuple(self.coefficients.shape), len(self.lights)
         if tuple(self.maps.shape) != (count, *shape[1:]) or not count:
-            raise BadData(f"{name}: maps {tuple(self.maps.shape)}, wanted one (rows, cols) of {shape[1:]} for each of "
-                          f"{count} lights")
+            raise BadData(
+                f"{name}: maps {tuple(self.maps.shape)}, wanted one (rows, cols) of {shape[1:]} for each of "
+                f"{count} lights"
+            )
         if self.lights.shape != (count, len(self.wavelengths)):
-            raise BadData(f"{name}: lights {self.lights.shape} do not match {len(self.wavelengths)} wavelengths")
+            raise BadData(
+                f"{name}: lights {self.lights.shape} do not match {len(self.wavelengths)} wavelengths"
+            )
 
 
 def surfaces_of(content: Content) -> Basis:

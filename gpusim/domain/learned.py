@@ -17,7 +17,9 @@ XYZ = ("X", "Y", "Z")
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
 GRAIN = 4096  # of roots: sums of a few are exact in float32, in whatever order
 LARGEST_WEIGHT = 8  # sum of a contrast's absolute weights: contrasts of codes below 512 are exact in float32 then
-LARGEST_SUM = 256  # of the contrast's weights times the box's pixels: sums of 18-bit codes stay below 2^26
+LARGEST_SUM = (
+    256  # of the contrast's weights times the box's pixels: sums of 18-bit codes stay below 2^26
+)
 
 
 @dataclass(frozen=True)
@@ -42,14 +44,20 @@ class Code:
 
     def __post_init__(self):
         if self.domain == "linear" and self.balance != (1.0, 1.0):
-            raise OutOfRange("balance", self.balance, '(1, 1) in domain "linear": encoded data are balanced already')
+            raise OutOfRange(
+                "balance",
+                self.balance,
+                '(1, 1) in domain "linear": encoded data are balanced already',
+            )
         if self.domain not in DOMAINS:
             raise UnknownName("domain", self.domain, DOMAINS)
         if not 0 < self.scale < np.inf:
             raise OutOfRange("scale", self.scale, "scale > 0")
         gain, read = self.noise
         if not (0 <= gain < np.inf and 0 <= read < np.inf and (gain > 0 or read == 0)):
-            raise OutOfRange("noise", self.noise, "gain >= 0 and read >= 0, and gain > 0 where read > 0")
+            raise OutOfRange(
+                "noise", self.noise, "gain >= 0 and read >= 0, and gain > 0 where read > 0"
+            )
         if not abs(self.black_level) <= 65535:
             raise OutOfRange("black_level", self.black_level, "-65535 .. 65535 DN")
         if not self.offset <= 65535:
@@ -66,7 +74,10 @@ class Code:
         """What codes of red, green and blue are multiplied by; the largest is 1, so that sums of codes stay exact."""
         red, blue = np.sqrt(self.balance)
         most = max(red, blue, 1.0)
-        return {letter: float(np.float32(root / most)) for letter, root in (("R", red), ("G", 1.0), ("B", blue))}
+        return {
+            letter: float(np.float32(root / most))
+            for letter, root in (("R", red), ("G", 1.0), ("B", blue))
+        }
 
     @property
     def white(self) -> float:
@@ -81,7 +92,11 @@ class Code:
         """
         gain, read = self.noise
         gain = gain * (2 + sum(self.balance)) / 4 * self.factors["G"] ** 2
-        deviation = np.sqrt(gain) / 2 if self.domain == "root" else np.hypot(np.sqrt(gain / self.scale / 4), read)
+        deviation = (
+            np.sqrt(gain) / 2
+            if self.domain == "root"
+            else np.hypot(np.sqrt(gain / self.scale / 4), read)
+        )
         return float(deviation / self.white)
 
     def encode(self, signal):
@@ -89,7 +104,9 @@ class Code:
         signal = np.asarray(signal, np.float64)
         if self.domain == "linear":
             return signal
-        return np.copysign(np.sqrt(np.abs(signal + self.offset)), signal + self.offset) - np.sqrt(self.offset)
+        return np.copysign(np.sqrt(np.abs(signal + self.offset)), signal + self.offset) - np.sqrt(
+            self.offset
+        )
 
     def measured(self, raw, factors=1.0):
         """Codes of digital numbers as all devices compute them: roots by float32, to a multiple of 1 / GRAIN.
@@ -156,9 +173,16 @@ class Layout:
     def __post_init__(self):
         if self.domain not in DOMAINS:
             raise UnknownName("domain", self.domain, DOMAINS)
-        kept = (("taps", np.int32, 2), ("groups", np.int32, 1), ("ratios", np.int32, 1), ("shares", np.int32, 1),
-                ("noise", np.float64, 1),
-                ("floor", np.float64, 1), ("strengths", np.float64, 2), ("levels", np.float64, 1))
+        kept = (
+            ("taps", np.int32, 2),
+            ("groups", np.int32, 1),
+            ("ratios", np.int32, 1),
+            ("shares", np.int32, 1),
+            ("noise", np.float64, 1),
+            ("floor", np.float64, 1),
+            ("strengths", np.float64, 2),
+            ("levels", np.float64, 1),
+        )
         for name, dtype, ndim in kept:
             values = np.array(getattr(self, name), dtype, ndmin=ndim)
             if values.ndim != ndim or not np.isfinite(values).all():
@@ -175,10 +199,18 @@ class Layout:
 
     def _check(self):
         rows, cols = self.period
-        if not 0 < rows <= LONGEST_PERIOD or not 0 < cols <= LONGEST_PERIOD or {*map(len, self.mosaic)} != {cols}:
-            raise BadData(f"mosaic {self.mosaic}: wanted 1 to {LONGEST_PERIOD} texts of 1 to {LONGEST_PERIOD} letters")
+        if (
+            not 0 < rows <= LONGEST_PERIOD
+            or not 0 < cols <= LONGEST_PERIOD
+            or {*map(len, self.mosaic)} != {cols}
+        ):
+            raise BadData(
+                f"mosaic {self.mosaic}: wanted 1 to {LONGEST_PERIOD} texts of 1 to {LONGEST_PERIOD} letters"
+            )
         if self.taps.shape[1:] != (2,) or len(self.groups) != len(self.taps) or not len(self.taps):
-            raise BadData(f"taps and groups: shapes {self.taps.shape} and {self.groups.shape}, wanted (T, 2) and (T,)")
+            raise BadData(
+                f"taps and groups: shapes {self.taps.shape} and {self.groups.shape}, wanted (T, 2) and (T,)"
+            )
         groups = set(self.groups.tolist())
         if groups != set(range(len(groups))):
             raise BadData("groups: wanted every number from 0 to the largest")
@@ -188,21 +220,37 @@ class Layout:
             raise BadData("shares: contrast is compared with detail, and there is none")
         for name, axes in (("contrast", self.contrast), ("detail", self.detail or ())):
             for axis, period in zip(axes, self.period, strict=bool(axes)):
-                if axis.ndim != 1 or not len(axis) % 2 or any(axis[k::period].sum() for k in range(period)):
-                    raise BadData(f"{name}: {axis}; wanted an odd number of weights, of sum 0 over every {period}th "
-                                  "pixel")
+                if (
+                    axis.ndim != 1
+                    or not len(axis) % 2
+                    or any(axis[k::period].sum() for k in range(period))
+                ):
+                    raise BadData(
+                        f"{name}: {axis}; wanted an odd number of weights, of sum 0 over every {period}th "
+                        "pixel"
+                    )
                 if not (np.array_equal(axis, axis[::-1]) or np.array_equal(axis, -axis[::-1])):
-                    raise BadData(f"{name}: {axis}; wanted weights that mirrored are the same, or opposite")
+                    raise BadData(
+                        f"{name}: {axis}; wanted weights that mirrored are the same, or opposite"
+                    )
                 if abs(axis).sum() != self.weight:
-                    raise BadData(f"{name}: {axis}; wanted absolute weights of sum {self.weight} as the others")
+                    raise BadData(
+                        f"{name}: {axis}; wanted absolute weights of sum {self.weight} as the others"
+                    )
         if self.weight > LARGEST_WEIGHT:
-            raise BadData(f"contrast: absolute weights of sum {self.weight}; at most {LARGEST_WEIGHT} is wanted")
+            raise BadData(
+                f"contrast: absolute weights of sum {self.weight}; at most {LARGEST_WEIGHT} is wanted"
+            )
         if self.box < 0 or (2 * self.box + 1) ** 2 * self.weight > LARGEST_SUM:
-            raise BadData(f"contrast: weights of {self.weight} times a box of {2 * self.box + 1}x{2 * self.box + 1} "
-                          f"pixels; at most {LARGEST_SUM} is wanted")
+            raise BadData(
+                f"contrast: weights of {self.weight} times a box of {2 * self.box + 1}x{2 * self.box + 1} "
+                f"pixels; at most {LARGEST_SUM} is wanted"
+            )
         if self.floor.shape != self.noise.shape or len(self.strengths) != len(self.noise):
-            raise BadData(f"floor {self.floor.shape}, strengths {self.strengths.shape}: wanted one for each of "
-                          f"{len(self.noise)} noise levels")
+            raise BadData(
+                f"floor {self.floor.shape}, strengths {self.strengths.shape}: wanted one for each of "
+                f"{len(self.noise)} noise levels"
+            )
         for name in ("ratios", "shares", "noise", "strengths", "levels"):
             if (np.diff(getattr(self, name)) <= 0).any():
                 raise BadData(f"{name}: {getattr(self, name)}, wanted increasing numbers")
@@ -234,8 +282,11 @@ class Layout:
     @property
     def alike(self) -> bool:
         """Whether rows and columns are treated alike."""
-        return (self.period[0] == self.period[1] and np.array_equal(*self.contrast)
-                and (self.detail is None or np.array_equal(*self.detail)))
+        return (
+            self.period[0] == self.period[1]
+            and np.array_equal(*self.contrast)
+            and (self.detail is None or np.array_equal(*self.detail))
+        )
 
     @property
     def weight(self) -> int:
@@ -255,18 +306,32 @@ class Layout:
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the filters: (N, L, P, K, outputs, G)."""
-        return (len(self.noise), len(self.levels), self.positions, self.classes, len(self.outputs),
-                int(self.groups.max()) + 1)
+        return (
+            len(self.noise),
+            len(self.levels),
+            self.positions,
+            self.classes,
+            len(self.outputs),
+            int(self.groups.max()) + 1,
+        )
 
     def shift(self, mosaic) -> tuple[int, int]:
         """Row and column of the table's period at which a sensor's mosaic begins; a Bayer one may be named "RGGB".
 
         Raises UnknownName if the table is for another mosaic.
         """
-        texts = (mosaic[:2], mosaic[2:]) if isinstance(mosaic, str) and len(mosaic) == 4 else tuple(mosaic)
+        texts = (
+            (mosaic[:2], mosaic[2:])
+            if isinstance(mosaic, str) and len(mosaic) == 4
+            else tuple(mosaic)
+        )
         rows, cols = self.period
         own = np.array([list(text) for text in self.mosaic])
-        given = np.array([list(text) for text in texts]) if {*map(len, texts)} == {len(texts[0])} else own[:0]
+        given = (
+            np.array([list(text) for text in texts])
+            if {*map(len, texts)} == {len(texts[0])}
+            else own[:0]
+        )
         if given.size and not len(given) % rows and not given.shape[1] % cols:
             wide = np.tile(own, (len(given) // rows, given.shape[1] // cols))
             for row in range(rows):
@@ -319,8 +384,12 @@ class FilterTable:
             low = np.asarray(values[lower], np.float64)
             return low if t == 0 else (1 - t) * low + t * values[lower + 1]
 
-        return (between(self.filters), None if self.offsets is None else between(self.offsets),
-                float(between(self.layout.floor)), between(self.layout.strengths))
+        return (
+            between(self.filters),
+            None if self.offsets is None else between(self.offsets),
+            float(between(self.layout.floor)),
+            between(self.layout.strengths),
+        )
 
     def __hash__(self):
         return id(self)

@@ -15,7 +15,9 @@ from hashlib import sha256
 from pathlib import Path
 
 PREFIX = ".gpusim-"
-NAME = re.compile(r"\.gpusim-([0-9a-f]{8})-([0-9a-f]{8})-([1-9][0-9]{0,8})-([0-9]*)-[0-9a-f]{8}(\..*)?")
+NAME = re.compile(
+    r"\.gpusim-([0-9a-f]{8})-([0-9a-f]{8})-([1-9][0-9]{0,8})-([0-9]*)-[0-9a-f]{8}(\..*)?"
+)
 
 
 def temporary_name(suffix: str = "") -> str:
@@ -34,7 +36,9 @@ def remove_leftovers(folder):
         for entry in entries:
             if (match := NAME.fullmatch(entry.name)) and _has_ended(entry, *match.groups()[:4]):
                 with suppress(OSError):
-                    shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+                    shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(
+                        entry.path
+                    )
 
 
 @functools.cache
@@ -51,8 +55,9 @@ def _has_ended(entry, host, boot, pid, start):
     if boot == now:
         return not _is_alive(int(pid), start)
     # of an earlier boot; what a copy of this host, or another container of its name, writes now is newer than the boot
-    return (sys.platform == "linux" and entry.stat(follow_symlinks=False).st_mtime
-            < time.time() - time.clock_gettime(time.CLOCK_BOOTTIME))
+    return sys.platform == "linux" and entry.stat(
+        follow_symlinks=False
+    ).st_mtime < time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def _is_alive(pid, start):
@@ -83,7 +88,9 @@ def _place():
     boot = _read("/proc/sys/kernel/random/boot_id")
     with suppress(OSError):
         boot += os.readlink("/proc/self/ns/pid")
-    return _digest(platform.node() + (_read("/etc/machine-id") if boot else str(uuid.getnode()))), _digest(boot)
+    return _digest(
+        platform.node() + (_read("/etc/machine-id") if boot else str(uuid.getnode()))
+    ), _digest(boot)
 
 
 def _digest(text):

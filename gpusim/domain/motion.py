@@ -34,7 +34,9 @@ class Motion:
 
     def __post_init__(self):
         try:
-            numbers = [float(part) for part in (*self.pan, self.roll, self.zoom, self.zooming, self.shake)]
+            numbers = [
+                float(part) for part in (*self.pan, self.roll, self.zoom, self.zooming, self.shake)
+            ]
         except (TypeError, ValueError):
             raise BadData(f"motion = {self!r}: wanted numbers") from None
         if len(numbers) != 6 or not all(map(isfinite, numbers)):
@@ -48,8 +50,11 @@ class Motion:
     def at(self, time: float) -> View:
         """What the camera sees at a time [s]. Raises OutOfRange where that is too wide a view."""
         down, right, turn = self._shaken(time)
-        return View((self.pan[0] * time + down, self.pan[1] * time + right), self.roll * time + turn,
-                    self.zoom * self.zooming**time)
+        return View(
+            (self.pan[0] * time + down, self.pan[1] * time + right),
+            self.roll * time + turn,
+            self.zoom * self.zooming**time,
+        )
 
     def _shaken(self, time):
         if not self.shake:

@@ -74,24 +74,59 @@ class Noise:
             raise UnknownName("noise.photon", str(self.photon), PHOTONS)
         for key in ("dark_current", "hot_current"):
             check(key, f"0 <= {key} <= 1e12", lambda value: 0 <= value <= MOST, "e-/s")
-        for key in ("read", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "telegraph"):
-            check(key, f"0 <= {key} <= 1e12", lambda value: 0 <= value <= MOST, "DN" if key == "adc" else "e-")
+        for key in (
+            "read",
+            "reset",
+            "adc",
+            "row",
+            "column",
+            "dsnu",
+            "row_dsnu",
+            "column_dsnu",
+            "telegraph",
+        ):
+            check(
+                key,
+                f"0 <= {key} <= 1e12",
+                lambda value: 0 <= value <= MOST,
+                "DN" if key == "adc" else "e-",
+            )
         for key in ("prnu", "row_prnu", "column_prnu"):
             check(key, f"0 <= {key} < 1", lambda value: 0 <= value < 1)
         for key in ("hot_pixels", "dead_pixels", "telegraph_pixels"):
             check(key, f"0 <= {key} <= 1, a part of all pixels", lambda value: 0 <= value <= 1)
         for key in ("temperature", "reference_temperature"):
-            check(key, f"-273.15 < {key} <= 1000", lambda value: -ZERO_CELSIUS < value <= 1000, "deg C")
-        check("doubling", "0.1 <= doubling <= 1000, and so that the dark current doubles or halves at most 60 times",
-              lambda value: 0.1 <= value <= 1000
-              and abs(self.temperature - self.reference_temperature) <= MOST_DOUBLINGS * value, "K")
-        check("telegraph_switching", "1/1024 <= telegraph_switching <= 1",
-              lambda value: SLOWEST_SWITCHING <= value <= 1, "per frame")
-        check("seed", "a whole number, 0 <= seed < 2**64",
-              lambda value: isinstance(value, Integral) and 0 <= value < 2**64)
+            check(
+                key,
+                f"-273.15 < {key} <= 1000",
+                lambda value: -ZERO_CELSIUS < value <= 1000,
+                "deg C",
+            )
+        check(
+            "doubling",
+            "0.1 <= doubling <= 1000, and so that the dark current doubles or halves at most 60 times",
+            lambda value: (
+                0.1 <= value <= 1000
+                and abs(self.temperature - self.reference_temperature) <= MOST_DOUBLINGS * value
+            ),
+            "K",
+        )
+        check(
+            "telegraph_switching",
+            "1/1024 <= telegraph_switching <= 1",
+            lambda value: SLOWEST_SWITCHING <= value <= 1,
+            "per frame",
+        )
+        check(
+            "seed",
+            "a whole number, 0 <= seed < 2**64",
+            lambda value: isinstance(value, Integral) and 0 <= value < 2**64,
+        )
         for part, size in (("hot_pixels", "hot_current"), ("telegraph_pixels", "telegraph")):
             if getattr(self, part) and not getattr(self, size):
-                raise BadData(f"noise.{part} = {getattr(self, part):.6g} without noise.{size}: wanted both")
+                raise BadData(
+                    f"noise.{part} = {getattr(self, part):.6g} without noise.{size}: wanted both"
+                )
 
     @property
     def warmth(self) -> float:
@@ -106,5 +141,9 @@ def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
     Raises OutOfRange. Source: Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
     """
     if not 1e-12 <= conversion_gain <= 1:
-        raise OutOfRange("conversion gain", f"{conversion_gain:.6g} V/e-", "1e-12 <= conversion_gain <= 1")
-    return math.sqrt(BOLTZMANN * (temperature + ZERO_CELSIUS) / (ELEMENTARY_CHARGE * conversion_gain))
+        raise OutOfRange(
+            "conversion gain", f"{conversion_gain:.6g} V/e-", "1e-12 <= conversion_gain <= 1"
+        )
+    return math.sqrt(
+        BOLTZMANN * (temperature + ZERO_CELSIUS) / (ELEMENTARY_CHARGE * conversion_gain)
+    )

@@ -59,43 +59,77 @@ class Optics:
         if not 0.1 <= self.f_number <= 1000:
             raise OutOfRange("optics.f_number", self.f_number, "0.1 <= f_number <= 1000")
         if not 0 < self.focal_length < np.inf:
-            raise OutOfRange("optics.focal_length", f"{self.focal_length:.6g} m", "0 < focal_length < inf")
+            raise OutOfRange(
+                "optics.focal_length", f"{self.focal_length:.6g} m", "0 < focal_length < inf"
+            )
         if not self.object_distance > self.focal_length:
             # At the focal length and nearer a lens forms no real image.
-            raise OutOfRange("optics.object_distance", f"{self.object_distance:.6g} m",
-                             f"object_distance > focal_length ({self.focal_length:.6g} m)")
+            raise OutOfRange(
+                "optics.object_distance",
+                f"{self.object_distance:.6g} m",
+                f"object_distance > focal_length ({self.focal_length:.6g} m)",
+            )
         if self.model not in MODELS:
             raise UnknownName("optics.model", self.model, MODELS)
         if (self.model == "measured") != (self.psf is not None):
-            raise BadData(f'optics.psf: model "{self.model}" '
-                          + ("wants point spreads" if self.psf is None else 'leaves it unused; set model = "measured"'))
-        if isinstance(self.relative_illumination, str) and self.relative_illumination not in RELATIVE_ILLUMINATIONS:
-            raise UnknownName("optics.relative_illumination", self.relative_illumination, RELATIVE_ILLUMINATIONS)
+            raise BadData(
+                f'optics.psf: model "{self.model}" '
+                + (
+                    "wants point spreads"
+                    if self.psf is None
+                    else 'leaves it unused; set model = "measured"'
+                )
+            )
+        if (
+            isinstance(self.relative_illumination, str)
+            and self.relative_illumination not in RELATIVE_ILLUMINATIONS
+        ):
+            raise UnknownName(
+                "optics.relative_illumination", self.relative_illumination, RELATIVE_ILLUMINATIONS
+            )
         values = self.transmission
         if isinstance(values, Spectrum):
             values = values.values
             if values.ndim != 1:
-                raise BadData(f"optics.transmission: wanted one function of wavelength, got {len(values)}")
+                raise BadData(
+                    f"optics.transmission: wanted one function of wavelength, got {len(values)}"
+                )
         low, high = np.min(values), np.max(values)
         if not (low >= 0 and high <= 1):
-            raise OutOfRange("optics.transmission", f"{low:.6g} .. {high:.6g}", "0 <= transmission <= 1")
+            raise OutOfRange(
+                "optics.transmission", f"{low:.6g} .. {high:.6g}", "0 <= transmission <= 1"
+            )
         defocus = self.defocus
         if isinstance(defocus, Spectrum):
             if defocus.values.ndim != 1:
-                raise BadData(f"optics.defocus: wanted one function of wavelength, got {len(defocus.values)}")
+                raise BadData(
+                    f"optics.defocus: wanted one function of wavelength, got {len(defocus.values)}"
+                )
             defocus = np.abs(defocus.values).max()
-        if not abs(defocus) < self.image_distance / 2:  # the formulas are first order in defocus / image distance
-            raise OutOfRange("optics.defocus", f"{defocus:.6g} m", f"less than half of {self.image_distance:.6g} m")
+        if (
+            not abs(defocus) < self.image_distance / 2
+        ):  # the formulas are first order in defocus / image distance
+            raise OutOfRange(
+                "optics.defocus",
+                f"{defocus:.6g} m",
+                f"less than half of {self.image_distance:.6g} m",
+            )
         lateral = self.lateral_color
         if isinstance(lateral, Spectrum):
             lateral = lateral.values
             if lateral.ndim != 1:
-                raise BadData(f"optics.lateral_color: wanted one function of wavelength, got {len(lateral)}")
+                raise BadData(
+                    f"optics.lateral_color: wanted one function of wavelength, got {len(lateral)}"
+                )
         if not (np.abs(lateral) < 0.5).all():  # also refuses NaN
-            raise OutOfRange("optics.lateral_color", self.lateral_color, "-0.5 < lateral_color < 0.5")
+            raise OutOfRange(
+                "optics.lateral_color", self.lateral_color, "-0.5 < lateral_color < 0.5"
+            )
         apart = np.asarray(self.birefringence)
         if apart.shape != (2,) or not ((apart >= 0) & (apart < 1e-3)).all():
-            raise OutOfRange("optics.birefringence", self.birefringence, "two lengths, 0 <= length < 1 mm")
+            raise OutOfRange(
+                "optics.birefringence", self.birefringence, "two lengths, 0 <= length < 1 mm"
+            )
         if not 0 <= self.diffuser < 1e-3:
             raise OutOfRange("optics.diffuser", f"{self.diffuser:.6g} m", "0 <= diffuser < 1 mm")
         self._check_measured()
@@ -107,25 +141,43 @@ class Optics:
         given = self._blurring() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
         for name, is_set in given.items():
             if is_set:
-                more = ", and put the pupil's area into optics.transmission" if "pupil" in name else ""
-                raise BadData(f'{name}: with model = "measured" the point spreads hold it, and it would be ignored; '
-                              f"leave it out{more}")
+                more = (
+                    ", and put the pupil's area into optics.transmission" if "pupil" in name else ""
+                )
+                raise BadData(
+                    f'{name}: with model = "measured" the point spreads hold it, and it would be ignored; '
+                    f"leave it out{more}"
+                )
 
     def _blurring(self):
         """Which settings, apart from the pupil, add to the blur of model "diffraction": name -> bool."""
+
         def has(value):
             return bool(np.any(value.values if isinstance(value, Spectrum) else value))
 
         own = self.wavefront
-        return {"optics.lateral_color": has(self.lateral_color), "optics.defocus": has(self.defocus),
-                "optics.zernike": bool(np.any(own.zernike)), "optics.seidel": any(own.seidel),
-                "optics.birefringence": any(self.birefringence), "optics.diffuser": bool(self.diffuser)}
+        return {
+            "optics.lateral_color": has(self.lateral_color),
+            "optics.defocus": has(self.defocus),
+            "optics.zernike": bool(np.any(own.zernike)),
+            "optics.seidel": any(own.seidel),
+            "optics.birefringence": any(self.birefringence),
+            "optics.diffuser": bool(self.diffuser),
+        }
 
     @property
     def unused(self) -> str:
         """Settings that model "none" leaves without effect on the blur, in words."""
-        return ", ".join(["diffraction", *(name.removeprefix("optics.").replace("lateral_color", "lateral colour")
-                                           for name, is_set in self._blurring().items() if is_set)])
+        return ", ".join(
+            [
+                "diffraction",
+                *(
+                    name.removeprefix("optics.").replace("lateral_color", "lateral colour")
+                    for name, is_set in self._blurring().items()
+                    if is_set
+                ),
+            ]
+        )
 
     @property
     def magnification(self) -> float:
@@ -166,9 +218,18 @@ class Optics:
     @cached_property
     def is_ideal(self) -> bool:
         """Whether nothing but the diffraction at a clear circle blurs the image."""
-        return (self.model != "measured" and self.pupil == Pupil() and not any(self.birefringence)
-                and self.diffuser == 0 and not self.waves(np.array([550.0])).any()
-                and (self.defocus == 0 if not isinstance(self.defocus, Spectrum) else not self.defocus.values.any()))
+        return (
+            self.model != "measured"
+            and self.pupil == Pupil()
+            and not any(self.birefringence)
+            and self.diffuser == 0
+            and not self.waves(np.array([550.0])).any()
+            and (
+                self.defocus == 0
+                if not isinstance(self.defocus, Spectrum)
+                else not self.defocus.values.any()
+            )
+        )
 
     @cached_property
     def is_symmetric(self) -> bool:
@@ -178,7 +239,10 @@ class Optics:
     @property
     def has_mirror(self) -> bool:
         """Whether the blur at a field point is the mirror image of that at the point on the other side of the axis."""
-        odd = [self.wavefront.polynomial(height)[:, 1::2] for height in (0.5, 1.0, *self.wavefront.heights)]
+        odd = [
+            self.wavefront.polynomial(height)[:, 1::2]
+            for height in (0.5, 1.0, *self.wavefront.heights)
+        ]
         return self.psf is None and self.pupil.blades == 0 and not np.any(odd)
 
     @property
@@ -205,17 +269,26 @@ class Optics:
     def description(self) -> str:
         """The pupil and what is in it, in words."""
         if self.psf is not None:
-            near = "" if np.isinf(self.object_distance) else f" of the lens focused at {self.object_distance:.4g} m"
+            near = (
+                ""
+                if np.isinf(self.object_distance)
+                else f" of the lens focused at {self.object_distance:.4g} m"
+            )
             return f"measured point spreads at {len(self.psf.wavelengths)} wavelengths{near}"
-        words = [f"polygon of {self.pupil.blades} blades" if self.pupil.blades else "circular pupil"]
+        words = [
+            f"polygon of {self.pupil.blades} blades" if self.pupil.blades else "circular pupil"
+        ]
         words += [f"{self.pupil.obscuration:g} obscured"] if self.pupil.obscuration else []
         words += ["out of focus"] if isinstance(self.defocus, Spectrum) or self.defocus else []
-        words += ["aberrated"] if any(self.wavefront.seidel) or np.any(self.wavefront.zernike) else []
+        words += (
+            ["aberrated"] if any(self.wavefront.seidel) or np.any(self.wavefront.zernike) else []
+        )
         words += ["low-pass"] if any(self.birefringence) or self.diffuser else []
         return ", ".join(words)
 
-    def waves(self, wavelengths, height: float = 0.0, azimuth: float = 0.0,
-              distance: float | None = None) -> np.ndarray:
+    def waves(
+        self, wavelengths, height: float = 0.0, azimuth: float = 0.0, distance: float | None = None
+    ) -> np.ndarray:
         """Wavefront coefficients [l, i, j] of x^i y^j [waves of each wavelength], shape (L, n, n), n >= 5.
 
         wavelengths: [nm]. height, azimuth: the field point, see `Wavefront.polynomial`. distance: of the object [m];
@@ -224,16 +297,26 @@ class Optics:
         LONGEST_WAVEFRONT waves.
         """
         wavelengths = np.asarray(wavelengths, np.float64)
-        table = self.wavefront.polynomial(height, azimuth) * (self.wavefront.reference / wavelengths)[:, None, None]
-        shift = (self.defocus.at(wavelengths, outside=None) if isinstance(self.defocus, Spectrum)
-                 else np.full(wavelengths.shape, float(self.defocus)))
+        table = (
+            self.wavefront.polynomial(height, azimuth)
+            * (self.wavefront.reference / wavelengths)[:, None, None]
+        )
+        shift = (
+            self.defocus.at(wavelengths, outside=None)
+            if isinstance(self.defocus, Spectrum)
+            else np.full(wavelengths.shape, float(self.defocus))
+        )
         if distance is not None:
             shift = shift + self.displacement(self.diopters(distance))
         w020 = shift / (8 * self.working_f_number**2) / (wavelengths * 1e-9)
         table[:, :3, :3] += w020[:, None, None] * disc_power(1)
         table[:, 0, 0] = 0
         if np.abs(w020).max(initial=0) > LONGEST_WAVEFRONT:
-            raise OutOfRange("optics.defocus", f"{np.abs(w020).max():.4g} waves", f"up to {LONGEST_WAVEFRONT:g} waves")
+            raise OutOfRange(
+                "optics.defocus",
+                f"{np.abs(w020).max():.4g} waves",
+                f"up to {LONGEST_WAVEFRONT:g} waves",
+            )
         return table
 
     def diopters(self, distance: float) -> float:

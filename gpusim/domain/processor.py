@@ -10,9 +10,25 @@ from gpusim.domain.short_repr import brief
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
-WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "preset", "none")
+WHITE_BALANCES = (
+    "illuminant",
+    "gray-world",
+    "max-rgb",
+    "shades-of-gray",
+    "red-blue",
+    "preset",
+    "none",
+)
 SCALINGS = ("exposure", "normalised")
-COLORS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal", "none")
+COLORS = (
+    "white-preserving",
+    "pseudo-inverse",
+    "ridge",
+    "cielab",
+    "diagonal",
+    "fixed-diagonal",
+    "none",
+)
 BRIGHTEST = 1e3  # of a tone curve's nodes, encoded
 
 
@@ -61,40 +77,74 @@ class Processor:
     __repr__ = brief
 
     def __post_init__(self):
-        for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
-                           ("color", COLORS), ("scaling", SCALINGS)):
+        for key, known in (
+            ("defects", DEFECTS),
+            ("demosaic", DEMOSAICS),
+            ("white_balance", WHITE_BALANCES),
+            ("color", COLORS),
+            ("scaling", SCALINGS),
+        ):
             if not is_known(getattr(self, key), known):
                 raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
-        check_range("processor", self, "shading", "True or False", lambda value: isinstance(value, bool))
-        check_range("processor", self, "table", "a FilterTable, see `gpusim.io.camera.learned.read_table`",
-                    lambda value: isinstance(value, FilterTable))
+        check_range(
+            "processor", self, "shading", "True or False", lambda value: isinstance(value, bool)
+        )
+        check_range(
+            "processor",
+            self,
+            "table",
+            "a FilterTable, see `gpusim.io.camera.learned.read_table`",
+            lambda value: isinstance(value, FilterTable),
+        )
         check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
         if self.table is not None and self.demosaic != "learned":
-            raise OutOfRange("processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"')
+            raise OutOfRange(
+                "processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"'
+            )
         self._check_white()
         if self.tone:
             try:
                 nodes = np.asarray(self.tone, np.float64)
             except (TypeError, ValueError):
-                raise BadData(f"processor.tone = {self.tone!r}: wanted (x, y) of two or more nodes") from None
-            if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 2 or not np.isfinite(nodes).all():
-                raise BadData(f"processor.tone: shape {nodes.shape}, wanted (x, y) of two or more nodes, finite")
-            if (not (np.diff(nodes, axis=0) > 0).all() or nodes[0, 0] < 0 or nodes[-1, 0] > BRIGHTEST
-                    or (nodes[0, 1], nodes[-1, 1]) != (0, 1)):
-                raise BadData("processor.tone: wanted x and y that increase from node to node, x from 0 on, at most "
-                              f"{BRIGHTEST:g}, y from 0 to 1")
+                raise BadData(
+                    f"processor.tone = {self.tone!r}: wanted (x, y) of two or more nodes"
+                ) from None
+            if (
+                nodes.ndim != 2
+                or nodes.shape[1] != 2
+                or len(nodes) < 2
+                or not np.isfinite(nodes).all()
+            ):
+                raise BadData(
+                    f"processor.tone: shape {nodes.shape}, wanted (x, y) of two or more nodes, finite"
+                )
+            if (
+                not (np.diff(nodes, axis=0) > 0).all()
+                or nodes[0, 0] < 0
+                or nodes[-1, 0] > BRIGHTEST
+                or (nodes[0, 1], nodes[-1, 1]) != (0, 1)
+            ):
+                raise BadData(
+                    "processor.tone: wanted x and y that increase from node to node, x from 0 on, at most "
+                    f"{BRIGHTEST:g}, y from 0 to 1"
+                )
             object.__setattr__(self, "tone", tuple(map(tuple, nodes.tolist())))
 
     def _check_white(self):
         try:
             white = tuple(float(value) for value in self.white)
         except (TypeError, ValueError):
-            raise BadData(f"processor.white = {self.white!r}: wanted a number for each channel") from None
+            raise BadData(
+                f"processor.white = {self.white!r}: wanted a number for each channel"
+            ) from None
         if not all(0 < value < np.inf for value in white):
             raise OutOfRange("processor.white", list(white), "numbers above 0")
         if bool(white) != (self.white_balance == "preset"):
-            raise OutOfRange("processor.white", list(white), 'camera values of white with white_balance = "preset", '
-                             "none without")
+            raise OutOfRange(
+                "processor.white",
+                list(white),
+                'camera values of white with white_balance = "preset", none without',
+            )
         object.__setattr__(self, "white", white)
 
     @property

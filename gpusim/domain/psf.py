@@ -40,32 +40,64 @@ class PointSpread:
         return np.array(self.values, dtype, copy=copy)
 
     def __post_init__(self):
-        wavelengths, values = np.asarray(self.wavelengths, np.float64), np.asarray(self.values, np.float64)
+        wavelengths, values = (
+            np.asarray(self.wavelengths, np.float64),
+            np.asarray(self.values, np.float64),
+        )
         if self.heights is not None and self.grid is not None:
             raise BadData("point spread: heights and grid are given; wanted one of them")
-        axes = [np.asarray(axis, np.float64) for axis in (self.grid or ([] if self.heights is None else
-                                                                        [self.heights]))]
+        axes = [
+            np.asarray(axis, np.float64)
+            for axis in (self.grid or ([] if self.heights is None else [self.heights]))
+        ]
         for axis in axes:
-            if axis.ndim != 1 or not np.isfinite(axis).all() or not (np.diff(axis) > 0).all() or len(axis) < 2:
-                raise BadData(f"point spread: wanted two or more field points, increasing, got {axis}")
+            if (
+                axis.ndim != 1
+                or not np.isfinite(axis).all()
+                or not (np.diff(axis) > 0).all()
+                or len(axis) < 2
+            ):
+                raise BadData(
+                    f"point spread: wanted two or more field points, increasing, got {axis}"
+                )
         if self.heights is not None and axes[0][0] != 0:
             raise BadData(f"point spread: the first field height is {axes[0][0]:g}, wanted 0")
         if self.heights is not None and self.integrated:
-            raise BadData("point spread: energies of pixels do not turn with the field, as square pixels do not; give "
-                          "samples of the irradiance, or a grid of field points")
-        if wavelengths.ndim != 1 or not np.isfinite(wavelengths).all() or not (np.diff(wavelengths) > 0).all():
-            raise BadData(f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ...")
+            raise BadData(
+                "point spread: energies of pixels do not turn with the field, as square pixels do not; give "
+                "samples of the irradiance, or a grid of field points"
+            )
+        if (
+            wavelengths.ndim != 1
+            or not np.isfinite(wavelengths).all()
+            or not (np.diff(wavelengths) > 0).all()
+        ):
+            raise BadData(
+                f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ..."
+            )
         wanted = (*map(len, axes), len(wavelengths))
-        if values.ndim != len(wanted) + 2 or not values.size or values.shape[: len(wanted)] != wanted:
-            raise BadData(f"point spread: wanted ({', '.join(map(str, wanted))}, rows, cols) for {len(wavelengths)} "
-                          f"wavelengths, none of them 0, got shape {values.shape}")
+        if (
+            values.ndim != len(wanted) + 2
+            or not values.size
+            or values.shape[: len(wanted)] != wanted
+        ):
+            raise BadData(
+                f"point spread: wanted ({', '.join(map(str, wanted))}, rows, cols) for {len(wavelengths)} "
+                f"wavelengths, none of them 0, got shape {values.shape}"
+            )
         if not np.isfinite(values).all():
-            raise BadData(f"point spread: {np.count_nonzero(~np.isfinite(values))} values are NaN or infinite")
+            raise BadData(
+                f"point spread: {np.count_nonzero(~np.isfinite(values))} values are NaN or infinite"
+            )
         if values.min() < 0:
-            raise BadData(f"point spread: {np.count_nonzero(values < 0)} values are negative, down to {values.min():g}")
+            raise BadData(
+                f"point spread: {np.count_nonzero(values < 0)} values are negative, down to {values.min():g}"
+            )
         sums = values.sum(axis=(-2, -1))
         if not (sums > 0).all():
-            raise BadData(f"point spread: no energy at {wavelengths[np.argwhere(~(sums > 0))[0][-1]]:g} nm")
+            raise BadData(
+                f"point spread: no energy at {wavelengths[np.argwhere(~(sums > 0))[0][-1]]:g} nm"
+            )
         if not 0 < self.spacing < np.inf:
             raise OutOfRange("point spread spacing", f"{self.spacing:.6g} m", "a positive length")
         object.__setattr__(self, "wavelengths", wavelengths)
@@ -80,8 +112,11 @@ class PointSpread:
         spreads = self.values
         for axis, place in zip(self._axes, point, strict=True):
             if not axis[0] - 1e-9 <= place <= axis[-1] + 1e-9:
-                raise OutOfRange("point spread field point", f"{place:.4g}",
-                                 f"{axis[0]:g} .. {axis[-1]:g}, the points that are given; 1 is the frame's corner")
+                raise OutOfRange(
+                    "point spread field point",
+                    f"{place:.4g}",
+                    f"{axis[0]:g} .. {axis[-1]:g}, the points that are given; 1 is the frame's corner",
+                )
             share = np.interp(place, axis, np.arange(len(axis)))
             low = min(int(share), len(axis) - 2)
             spreads = spreads[low] * (1 - share + low) + spreads[low + 1] * (share - low)
@@ -91,7 +126,9 @@ class PointSpread:
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
         # back into the table's frame, where the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
-        turned = np.stack([scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads])
+        turned = np.stack(
+            [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
+        )
         return turned / turned.sum(axis=(1, 2), keepdims=True)
 
 
@@ -124,9 +161,13 @@ def pillbox_kernel(diameter) -> np.ndarray:
 
 def _disc_below(x, y, r):
     """Area of the disc where its coordinates are below x and below y, both in -r .. r."""
+
     def column(a, b):  # integral over a .. b of sqrt(r^2 - t^2)
         def primitive(t):
-            return (t * np.sqrt(np.maximum(r * r - t * t, 0)) + r * r * np.arcsin(np.clip(t / r, -1, 1))) / 2
+            return (
+                t * np.sqrt(np.maximum(r * r - t * t, 0)) + r * r * np.arcsin(np.clip(t / r, -1, 1))
+            ) / 2
+
         return primitive(b) - primitive(a)
 
     w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w

@@ -13,7 +13,9 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
-LONGEST_WAVEFRONT = 40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+LONGEST_WAVEFRONT = (
+    40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+)
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,16 @@ class Pupil:
 
     def __post_init__(self):
         if not (self.blades == 0 or 3 <= self.blades <= 64):
-            raise OutOfRange("optics.pupil.blades", self.blades, "0 (a circle) or 3 <= blades <= 64")
+            raise OutOfRange(
+                "optics.pupil.blades", self.blades, "0 (a circle) or 3 <= blades <= 64"
+            )
         inner = np.cos(np.pi / self.blades) if self.blades else 1.0
         if not 0 <= self.obscuration < inner:
-            raise OutOfRange("optics.pupil.obscuration", self.obscuration,
-                             f"0 <= obscuration < {inner:.4g}, the radius of the circle that fits in")
+            raise OutOfRange(
+                "optics.pupil.obscuration",
+                self.obscuration,
+                f"0 <= obscuration < {inner:.4g}, the radius of the circle that fits in",
+            )
         if not np.isfinite(self.rotation):
             raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
 
@@ -69,27 +76,50 @@ class Wavefront:
 
     def __post_init__(self):
         try:
-            zernike, heights = np.asarray(self.zernike, np.float64), np.asarray(self.heights, np.float64)
+            zernike, heights = (
+                np.asarray(self.zernike, np.float64),
+                np.asarray(self.heights, np.float64),
+            )
         except (TypeError, ValueError):
-            raise BadData("optics.zernike: wanted a list of numbers, or one of them for each field height, equally "
-                          "long") from None
+            raise BadData(
+                "optics.zernike: wanted a list of numbers, or one of them for each field height, equally "
+                "long"
+            ) from None
         seidel = tuple(float(value) for value in self.seidel)
-        if zernike.ndim != (2 if heights.size else 1) or (heights.size and zernike.shape[0] != heights.size):
-            raise BadData(f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
-                          "or one per height")
+        if zernike.ndim != (2 if heights.size else 1) or (
+            heights.size and zernike.shape[0] != heights.size
+        ):
+            raise BadData(
+                f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
+                "or one per height"
+            )
         if heights.ndim != 1 or not (np.isfinite(heights).all() and (np.diff(heights) > 0).all()):
             raise BadData("optics.zernike: field heights must increase")
         if zernike.shape[-1] > 66:
-            raise OutOfRange("optics.zernike", f"{zernike.shape[-1]} coefficients", "up to 66 (radial order 10)")
+            raise OutOfRange(
+                "optics.zernike", f"{zernike.shape[-1]} coefficients", "up to 66 (radial order 10)"
+            )
         if len(seidel) != 5:
-            raise BadData(f"optics.seidel: wanted W040, W131, W222, W220, W311, got {len(seidel)} numbers")
-        if not (np.abs(zernike).sum(-1).max(initial=0) <= LONGEST_WAVEFRONT
-                and np.abs(seidel).sum() <= LONGEST_WAVEFRONT):  # also refuses NaN
-            raise OutOfRange("optics.zernike and optics.seidel", "more", f"up to {LONGEST_WAVEFRONT:g} waves in all")
+            raise BadData(
+                f"optics.seidel: wanted W040, W131, W222, W220, W311, got {len(seidel)} numbers"
+            )
+        if not (
+            np.abs(zernike).sum(-1).max(initial=0) <= LONGEST_WAVEFRONT
+            and np.abs(seidel).sum() <= LONGEST_WAVEFRONT
+        ):  # also refuses NaN
+            raise OutOfRange(
+                "optics.zernike and optics.seidel",
+                "more",
+                f"up to {LONGEST_WAVEFRONT:g} waves in all",
+            )
         if not 100 <= self.reference <= 100000:
             raise OutOfRange("optics.reference_nm", self.reference, "100 <= reference_nm <= 100000")
         rows = tuple(map(tuple, zernike.tolist())) if heights.size else tuple(zernike.tolist())
-        for name, value in (("zernike", rows), ("heights", tuple(heights.tolist())), ("seidel", seidel)):
+        for name, value in (
+            ("zernike", rows),
+            ("heights", tuple(heights.tolist())),
+            ("seidel", seidel),
+        ):
             object.__setattr__(self, name, value)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
@@ -141,11 +171,19 @@ def noll(j) -> np.ndarray:
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1
     table = np.zeros((n + 1, n + 1))
     norm = np.sqrt((n + 1) * (2 if m else 1))
-    for s in range((n - m) // 2 + 1):  # R = sum of c r^(n - 2 s); r^m cos m t = Re (x + i y)^m, sine = Im
-        c = (-1) ** s * factorial(n - s) / (factorial(s) * factorial((n + m) // 2 - s) * factorial((n - m) // 2 - s))
+    for s in range(
+        (n - m) // 2 + 1
+    ):  # R = sum of c r^(n - 2 s); r^m cos m t = Re (x + i y)^m, sine = Im
+        c = (
+            (-1) ** s
+            * factorial(n - s)
+            / (factorial(s) * factorial((n + m) // 2 - s) * factorial((n - m) // 2 - s))
+        )
         radial = disc_power((n - m) // 2 - s)
         for k in range(m + 1):
-            if (k % 2 == 1) == (m > 0 and j % 2 == 1):  # even j: cosine (even powers of y), odd j: sine
+            if (k % 2 == 1) == (
+                m > 0 and j % 2 == 1
+            ):  # even j: cosine (even powers of y), odd j: sine
                 sign = (-1) ** (k // 2)
                 for a, b in zip(*np.nonzero(radial), strict=True):
                     table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]
@@ -165,6 +203,8 @@ def _turned(table, angle):
     for i, j in zip(*np.nonzero(table), strict=True):  # (cos x + sin y)^i (-sin x + cos y)^j
         for a in range(i + 1):
             for b in range(j + 1):
-                weight = comb(i, a) * cos ** (i - a) * sin**a * comb(j, b) * (-sin) ** (j - b) * cos**b
+                weight = (
+                    comb(i, a) * cos ** (i - a) * sin**a * comb(j, b) * (-sin) ** (j - b) * cos**b
+                )
                 out[i - a + j - b, a + b] += table[i, j] * weight
     return out

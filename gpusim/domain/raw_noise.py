@@ -36,11 +36,17 @@ class RawNoise:
     def of(cls, sensor: Sensor, averaged: int = 1) -> "RawNoise":
         """The noise of a sensor as operated; averaged: see the class."""
         noise, gain = sensor.noise, sensor.gain_dn_per_electron
-        return cls(photons=float(noise.photon != "none"), read=sensor.read_sigma**2,
-                   lines=noise.row**2 + noise.column**2,
-                   offsets=noise.dsnu**2, line_offsets=noise.row_dsnu**2 + noise.column_dsnu**2,
-                   response=noise.prnu**2, line_response=noise.row_prnu**2 + noise.column_prnu**2,
-                   rounding=0.0 if sensor.bits == FLOAT_BITS else ROUNDING / gain**2, averaged=averaged)
+        return cls(
+            photons=float(noise.photon != "none"),
+            read=sensor.read_sigma**2,
+            lines=noise.row**2 + noise.column**2,
+            offsets=noise.dsnu**2,
+            line_offsets=noise.row_dsnu**2 + noise.column_dsnu**2,
+            response=noise.prnu**2,
+            line_response=noise.row_prnu**2 + noise.column_prnu**2,
+            rounding=0.0 if sensor.bits == FLOAT_BITS else ROUNDING / gain**2,
+            averaged=averaged,
+        )
 
     @property
     def rounding_of_mean(self) -> float:
@@ -50,7 +56,9 @@ class RawNoise:
         equally likely, -(n - 1) / 2 .. (n - 1) / 2 for odd n: the mean of (k / n)^2 is (1 - 1 / n^2) / 12. For even n
         k goes from -n / 2 to n / 2, of which the two ends, halves, share one place: (1 + 2 / n^2) / 12.
         """
-        return self.rounding * (1 - self.averaged**-2 if self.averaged % 2 else 1 + 2 * self.averaged**-2)
+        return self.rounding * (
+            1 - self.averaged**-2 if self.averaged % 2 else 1 + 2 * self.averaged**-2
+        )
 
     def variance(self, electrons: Any = 0.0, *, temporal: bool = False) -> Any:
         """Variance of a raw value around `electrons`, a number or an array [e-^2], without PRNU.

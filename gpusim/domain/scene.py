@@ -67,26 +67,39 @@ class Scene(Pictured):
 
     def __post_init__(self):
         if not isinstance(self.content, Content):
-            raise BadData(f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials, "
-                          "Picture or Illuminated")
+            raise BadData(
+                f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials, "
+                "Picture or Illuminated"
+            )
         self.content.check(self.name)
         if self.border not in BORDERS:
             raise UnknownName("border", self.border, BORDERS)
         if self.fov is not None and not 0 < self.fov < np.pi:
             raise OutOfRange("scene.fov", f"{self.fov:.4g} rad", "0 < fov < pi rad")
         if self.margin < 0 or (self.margin > 0) != (self.border == "scene"):
-            raise OutOfRange("scene.margin", self.margin, 'margin >= 1 with border = "scene", 0 otherwise')
+            raise OutOfRange(
+                "scene.margin", self.margin, 'margin >= 1 with border = "scene", 0 otherwise'
+            )
         if min(self.samples) < 1:
-            raise BadData(f"{self.name}: nothing left of the {self.content.shape} samples inside margin {self.margin}")
+            raise BadData(
+                f"{self.name}: nothing left of the {self.content.shape} samples inside margin {self.margin}"
+            )
         if not 1 <= self.samples_per_pixel <= min(self.samples):  # NaN is refused as well
             rows, cols = self.samples
-            raise OutOfRange("scene.samples_per_pixel", self.samples_per_pixel,
-                             f"1 .. {min(self.samples)}: the frame of {cols} x {rows} samples has at least one pixel")
+            raise OutOfRange(
+                "scene.samples_per_pixel",
+                self.samples_per_pixel,
+                f"1 .. {min(self.samples)}: the frame of {cols} x {rows} samples has at least one pixel",
+            )
         if (self.illuminant.values < 0).any():
-            raise BadData(f"{self.name}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})")
+            raise BadData(
+                f"{self.name}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})"
+            )
         if self.depth is not None:
             if self.depth.shape != self.content.shape:
-                raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}")
+                raise BadData(
+                    f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}"
+                )
             if not (self.depth > 0).all():
                 raise BadData(f"{self.name}: depth must be positive everywhere [m]")
         self._check_view()
@@ -96,7 +109,9 @@ class Scene(Pictured):
         if not isinstance(self.view, View):
             raise BadData(f"{self.name}: view {type(self.view).__name__}, wanted a View")
         if self.depth is not None and not self.view.is_plain:
-            raise BadData(f"{self.name}: a view of a scene with depth, which is not moved with it; wanted either")
+            raise BadData(
+                f"{self.name}: a view of a scene with depth, which is not moved with it; wanted either"
+            )
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -107,12 +122,24 @@ class Scene(Pictured):
             name, content, shape = f"{self.name}: layer {number}", layer.content, self.content.shape
             content.check(name)
             if not content.is_like(self.content):
-                raise BadData(f"{name}: wanted the scene's kind of content, its wavelengths and its basis or materials")
-            if content.shape != shape or np.shape(layer.alpha) != shape or np.shape(layer.depth) not in ((), shape):
-                raise BadData(f"{name}: content {content.shape}, alpha {np.shape(layer.alpha)} and depth "
-                              f"{np.shape(layer.depth)} do not match the scene {shape}")
+                raise BadData(
+                    f"{name}: wanted the scene's kind of content, its wavelengths and its basis or materials"
+                )
+            if (
+                content.shape != shape
+                or np.shape(layer.alpha) != shape
+                or np.shape(layer.depth) not in ((), shape)
+            ):
+                raise BadData(
+                    f"{name}: content {content.shape}, alpha {np.shape(layer.alpha)} and depth "
+                    f"{np.shape(layer.depth)} do not match the scene {shape}"
+                )
             if not (np.min(layer.alpha) >= 0 and np.max(layer.alpha) <= 1):
-                raise OutOfRange(f"{name}: alpha", f"{np.min(layer.alpha):.4g} .. {np.max(layer.alpha):.4g}", "0 .. 1")
+                raise OutOfRange(
+                    f"{name}: alpha",
+                    f"{np.min(layer.alpha):.4g} .. {np.max(layer.alpha):.4g}",
+                    "0 .. 1",
+                )
             if not np.min(layer.depth) > 0:
                 raise BadData(f"{name}: depth must be positive everywhere [m]")
             if np.max(layer.depth) < farther:
@@ -120,11 +147,17 @@ class Scene(Pictured):
             farther = np.min(layer.depth)
 
     def __repr__(self):
-        more = ["light unknown"] * (not self.light_is_known) + ["with depth"] * (self.depth is not None)
-        more += [f"{len(self.layers)} layers"] * bool(self.layers) + [repr(self.view)] * (not self.view.is_plain)
+        more = ["light unknown"] * (not self.light_is_known) + ["with depth"] * (
+            self.depth is not None
+        )
+        more += [f"{len(self.layers)} layers"] * bool(self.layers) + [repr(self.view)] * (
+            not self.view.is_plain
+        )
         if self.samples_per_pixel != 1:
             more += [f"{self.samples_per_pixel:g} samples per pixel"]
-        return shortened(f"Scene({', '.join([repr(self.name), repr(self.content), *more, f'border {self.border!r}'])})")
+        return shortened(
+            f"Scene({', '.join([repr(self.name), repr(self.content), *more, f'border {self.border!r}'])})"
+        )
 
     def stored(self, **arrays) -> "Scene":
         """The same with its samples, by their names in `content`, kept elsewhere: on a device; nothing is looked at."""
@@ -144,7 +177,9 @@ class Scene(Pictured):
     def brightened(self, factor: float) -> "Scene":
         """The same in so many times the light; its samples are not looked at again."""
         scene = copy(self)
-        object.__setattr__(scene, "illuminant", replace(self.illuminant, values=factor * self.illuminant.values))
+        object.__setattr__(
+            scene, "illuminant", replace(self.illuminant, values=factor * self.illuminant.values)
+        )
         return scene
 
     @property
@@ -174,8 +209,10 @@ class Scene(Pictured):
 def checked_scene(scene) -> Scene:
     """Return a scene as it is. Raises BadData for anything else."""
     if not isinstance(scene, Scene):
-        raise BadData(f"scene: {type(scene).__name__}, wanted a Scene, such as of " + (
-            "gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart"))
+        raise BadData(
+            f"scene: {type(scene).__name__}, wanted a Scene, such as of "
+            + ("gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart")
+        )
     return scene
 
 

@@ -32,12 +32,24 @@ class Microlens:
     __repr__ = brief
 
     def __post_init__(self):
-        angles, response = np.asarray(self.angles, np.float64), np.asarray(self.response, np.float64)
-        if angles.ndim != 1 or angles.shape != response.shape or len(angles) < 2 or angles[0] != 0 \
-                or not (np.diff(angles) > 0).all():
-            raise BadData("sensor.microlens: wanted two or more angles rising from 0 and as many responses")
+        angles, response = (
+            np.asarray(self.angles, np.float64),
+            np.asarray(self.response, np.float64),
+        )
+        if (
+            angles.ndim != 1
+            or angles.shape != response.shape
+            or len(angles) < 2
+            or angles[0] != 0
+            or not (np.diff(angles) > 0).all()
+        ):
+            raise BadData(
+                "sensor.microlens: wanted two or more angles rising from 0 and as many responses"
+            )
         if not (np.isfinite(response).all() and response.min() >= 0 and response[0] > 0):
-            raise BadData("sensor.microlens: a response is negative or not finite, or that on the axis is 0")
+            raise BadData(
+                "sensor.microlens: a response is negative or not finite, or that on the axis is 0"
+            )
         if not 0 <= self.shift <= 2:
             raise OutOfRange("sensor.microlens.shift", self.shift, "0 <= shift <= 2")
         object.__setattr__(self, "angles", angles)
@@ -114,14 +126,18 @@ class Sensor:
     def __post_init__(self):
         for key, kind in (("qe", Spectrum), ("noise", Noise), ("auto_exposure", AutoExposure)):
             if not isinstance(getattr(self, key), kind):
-                raise BadData(f"sensor.{key} = {shown(getattr(self, key))}: wanted a gpusim.{kind.__name__}")
+                raise BadData(
+                    f"sensor.{key} = {shown(getattr(self, key))}: wanted a gpusim.{kind.__name__}"
+                )
         for key in ("channels", "cfa", "binning"):
             if isinstance(getattr(self, key), (str, list, tuple, np.ndarray)):
                 object.__setattr__(self, key, tuple(getattr(self, key)))
         for key, wanted in (("channels", '("R", "G", "B")'), ("cfa", '("RG", "GB")')):
             value = getattr(self, key)
             if not isinstance(value, tuple) or not all(isinstance(text, str) for text in value):
-                raise BadData(f"sensor.{key} = {shown(value)}: wanted a tuple of texts, such as {wanted}")
+                raise BadData(
+                    f"sensor.{key} = {shown(value)}: wanted a tuple of texts, such as {wanted}"
+                )
         self._check_pixel()
         self._check_numbers()
         self._check_mosaic()
@@ -133,29 +149,53 @@ class Sensor:
         check("pixel_pitch", "0 < pixel_pitch <= 0.001 m", lambda value: 0 < value <= 1e-3, "m")
         check("fill_factor", "0 < fill_factor <= 1", lambda value: 0 < value <= 1)
         for key, allowed, good in (
-                ("photodetector", "height and width over the pitch, 0 < each <= 1", lambda value: 0 < value <= 1),
-                ("centre", "rows and columns, within -0.5 .. 0.5", lambda value: abs(value) <= 0.5),
-                ("offset", "rows and columns [pixel], within -1e4 .. 1e4", lambda value: abs(value) <= 1e4)):
+            (
+                "photodetector",
+                "height and width over the pitch, 0 < each <= 1",
+                lambda value: 0 < value <= 1,
+            ),
+            ("centre", "rows and columns, within -0.5 .. 0.5", lambda value: abs(value) <= 0.5),
+            (
+                "offset",
+                "rows and columns [pixel], within -1e4 .. 1e4",
+                lambda value: abs(value) <= 1e4,
+            ),
+        ):
             check(key, allowed, lambda pair, good=good: len(pair) == 2 and all(map(good, pair)))
         if self.photodetector is not None:
             height, width = self.photodetector
-            if self.fill_factor not in (1.0, height * width):  # the latter in copies made by dataclasses.replace
-                raise BadData("sensor.photodetector and sensor.fill_factor: wanted one of them; the former's product "
-                              "is the latter")
+            if self.fill_factor not in (
+                1.0,
+                height * width,
+            ):  # the latter in copies made by dataclasses.replace
+                raise BadData(
+                    "sensor.photodetector and sensor.fill_factor: wanted one of them; the former's product "
+                    "is the latter"
+                )
             object.__setattr__(self, "fill_factor", height * width)
         height, width = self.aperture
         for side, middle in ((height, self.centre[0]), (width, self.centre[1])):
             if side / 2 + abs(middle) * self.pixel_pitch > self.pixel_pitch / 2 * (1 + 1e-9):
-                raise OutOfRange("sensor.centre", self.centre, "so that the photodetector stays inside its pixel")
+                raise OutOfRange(
+                    "sensor.centre", self.centre, "so that the photodetector stays inside its pixel"
+                )
         if self.vignetting is not None:
             try:
                 map_ = np.asarray(self.vignetting, np.float64)
             except (TypeError, ValueError):
                 raise BadData("sensor.vignetting: wanted equally long rows of numbers") from None
-            if map_.ndim != 2 or min(map_.shape) < 2 or not (map_.min() >= 0 and 0 < map_.max() <= 1):
-                raise BadData("sensor.vignetting: wanted two or more rows and columns of responses within 0 .. 1, not "
-                              "all 0")
-            object.__setattr__(self, "vignetting", tuple(map(tuple, map_.tolist())))  # comparable, and stays as it is
+            if (
+                map_.ndim != 2
+                or min(map_.shape) < 2
+                or not (map_.min() >= 0 and 0 < map_.max() <= 1)
+            ):
+                raise BadData(
+                    "sensor.vignetting: wanted two or more rows and columns of responses within 0 .. 1, not "
+                    "all 0"
+                )
+            object.__setattr__(
+                self, "vignetting", tuple(map(tuple, map_.tolist()))
+            )  # comparable, and stays as it is
 
     def _check_numbers(self):
         def check(key, allowed, good, unit=""):
@@ -167,32 +207,62 @@ class Sensor:
         check("exposure_time", "0 < exposure_time <= 1e12, or automatic", positive, "s")
         check("row_time", "0 <= row_time <= 1e12", lambda value: 0 <= value <= HUGE, "s")
         check("full_well", "0 < full_well <= 1e12", positive, "e-")
-        check("bits", "a whole number, 1 <= bits <= 16, or 32 for float32 without a converter",
-              lambda value: value in (*range(1, 17), FLOAT_BITS))
+        check(
+            "bits",
+            "a whole number, 1 <= bits <= 16, or 32 for float32 without a converter",
+            lambda value: value in (*range(1, 17), FLOAT_BITS),
+        )
         top = 2**16 if self.bits == FLOAT_BITS else self.white_level
-        check("black_level", f"a whole number, 0 <= black_level < {top} (the white level)",
-              lambda value: value in range(top), "DN")
+        check(
+            "black_level",
+            f"a whole number, 0 <= black_level < {top} (the white level)",
+            lambda value: value in range(top),
+            "DN",
+        )
         for key, unit in (("gain", "DN/e-"), ("conversion_gain", "V/e-"), ("adc_range", "V")):
             check(key, f"0 < {key} <= 1e12, or automatic", positive, unit)
-        if (self.conversion_gain is None) != (self.adc_range is None) or None not in (self.gain, self.adc_range):
-            raise BadData("sensor.gain, conversion_gain and adc_range: wanted gain alone, or the other two, or none")
+        if (self.conversion_gain is None) != (self.adc_range is None) or None not in (
+            self.gain,
+            self.adc_range,
+        ):
+            raise BadData(
+                "sensor.gain, conversion_gain and adc_range: wanted gain alone, or the other two, or none"
+            )
         check("analog_gain", "0 < analog_gain <= 1e4", lambda value: 0 < value <= 1e4)
-        check("analog_offset", "-1e12 <= analog_offset <= 1e12", lambda value: abs(value) <= HUGE, "e-")
-        check("binning", f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
-              lambda pair: len(pair) == 2 and all(n in range(1, LONGEST_PERIOD + 1) for n in pair))
+        check(
+            "analog_offset",
+            "-1e12 <= analog_offset <= 1e12",
+            lambda value: abs(value) <= HUGE,
+            "e-",
+        )
+        check(
+            "binning",
+            f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
+            lambda pair: len(pair) == 2 and all(n in range(1, LONGEST_PERIOD + 1) for n in pair),
+        )
         if self.binning_mode not in ("charge", "digital"):
             raise UnknownName("sensor.binning_mode", str(self.binning_mode), ("charge", "digital"))
         if self.binning != (1, 1) and self.stacked:
-            raise BadData("sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False")
+            raise BadData(
+                "sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False"
+            )
         if self.binning != (1, 1) and self.binning_mode == "digital" and self.bits == FLOAT_BITS:
-            raise BadData('sensor.binning_mode = "digital" without a converter: wanted "charge", or bits 1 .. 16')
+            raise BadData(
+                'sensor.binning_mode = "digital" without a converter: wanted "charge", or bits 1 .. 16'
+            )
         well = self.full_well * self.gain_dn_per_electron
         if well < self.black_level:
-            raise OutOfRange("sensor.full_well", f"{self.full_well:.6g} e- = {well:.6g} DN above black",
-                             f"at least the black level, {self.black_level} DN: a larger gain or well")
+            raise OutOfRange(
+                "sensor.full_well",
+                f"{self.full_well:.6g} e- = {well:.6g} DN above black",
+                f"at least the black level, {self.black_level} DN: a larger gain or well",
+            )
         if not (self.saturation > 0 and self.black_level < self.white_level):
-            raise OutOfRange("sensor.analog_offset", f"{self.analog_offset:.6g} e-",
-                             "so little that a dark pixel is below the white level")
+            raise OutOfRange(
+                "sensor.analog_offset",
+                f"{self.analog_offset:.6g} e-",
+                "so little that a dark pixel is below the white level",
+            )
 
     def _check_mosaic(self):
         if not self.channels or any(len(letter) != 1 for letter in self.channels):
@@ -200,25 +270,37 @@ class Sensor:
         if len(set(self.channels)) != len(self.channels):
             raise BadData(f"sensor.channels = {self.channels}: a letter occurs twice")
         if self.qe.values.shape[:-1] != (len(self.channels),):
-            raise BadData(f"sensor.qe: shape {self.qe.values.shape}, wanted ({len(self.channels)}, wavelengths), "
-                          f"one curve for each of {', '.join(self.channels)}")
+            raise BadData(
+                f"sensor.qe: shape {self.qe.values.shape}, wanted ({len(self.channels)}, wavelengths), "
+                f"one curve for each of {', '.join(self.channels)}"
+            )
         low, high = self.qe.values.min(), self.qe.values.max()
         if not (low >= 0 and high <= 1):
             raise OutOfRange("sensor.qe", f"{low:.6g} .. {high:.6g} e-/photon", "0 <= qe <= 1")
         widths = {len(row) for row in self.cfa}
-        if len(widths) != 1 or not 1 <= max(widths) <= LONGEST_PERIOD or len(self.cfa) > LONGEST_PERIOD:
-            raise BadData(f"sensor.cfa = {self.cfa}: wanted 1 to {LONGEST_PERIOD} rows of equally many letters, "
-                          f"at most {LONGEST_PERIOD}")
+        if (
+            len(widths) != 1
+            or not 1 <= max(widths) <= LONGEST_PERIOD
+            or len(self.cfa) > LONGEST_PERIOD
+        ):
+            raise BadData(
+                f"sensor.cfa = {self.cfa}: wanted 1 to {LONGEST_PERIOD} rows of equally many letters, "
+                f"at most {LONGEST_PERIOD}"
+            )
         letters = set("".join(self.cfa))
         if letters != set(self.channels):
-            raise BadData(f"sensor.cfa = {self.cfa}: its letters must be those of the curves, "
-                          f"{', '.join(self.channels)}")
+            raise BadData(
+                f"sensor.cfa = {self.cfa}: its letters must be those of the curves, "
+                f"{', '.join(self.channels)}"
+            )
 
     @property
     def white_level(self) -> int:
         """Highest digital number [DN]; without a converter, that of a full well."""
         if self.bits == FLOAT_BITS:
-            return math.ceil(self.black_level + self.gain_dn_per_electron * (self.full_well + self.analog_offset))
+            return math.ceil(
+                self.black_level + self.gain_dn_per_electron * (self.full_well + self.analog_offset)
+            )
         return 2 ** int(self.bits) - 1
 
     @property
@@ -227,9 +309,17 @@ class Sensor:
         if self.gain is not None:
             gain = self.gain
         elif self.conversion_gain is not None and self.adc_range is not None:
-            gain = self.conversion_gain * (2**16 - 1 if self.bits == FLOAT_BITS else self.white_level) / self.adc_range
+            gain = (
+                self.conversion_gain
+                * (2**16 - 1 if self.bits == FLOAT_BITS else self.white_level)
+                / self.adc_range
+            )
         else:
-            gain = 1.0 if self.bits == FLOAT_BITS else (self.white_level - self.black_level) / self.full_well
+            gain = (
+                1.0
+                if self.bits == FLOAT_BITS
+                else (self.white_level - self.black_level) / self.full_well
+            )
         return gain * self.analog_gain
 
     @property
@@ -242,7 +332,9 @@ class Sensor:
         """Electrons at which the digital number stops rising [e-]: the full well or the converter, whichever first."""
         if self.bits == FLOAT_BITS:
             return self.full_well
-        at_white = (self.white_level - self.black_level) / self.gain_dn_per_electron - self.analog_offset
+        at_white = (
+            self.white_level - self.black_level
+        ) / self.gain_dn_per_electron - self.analog_offset
         # the automatic gain is the quotient of the two: no rounding error may decide which saturates first
         return self.full_well if at_white >= self.full_well * (1 - 1e-12) else at_white
 
@@ -257,7 +349,9 @@ class Sensor:
         """One period of the mosaic as indices into `channels`, int32 (rows, cols); of stacked pixels each once."""
         if self.stacked:
             return np.arange(len(self.channels), dtype=np.int32)[None]
-        return np.array([[self.channels.index(letter) for letter in row] for row in self.cfa], np.int32)
+        return np.array(
+            [[self.channels.index(letter) for letter in row] for row in self.cfa], np.int32
+        )
 
     @property
     def is_monochrome(self) -> bool:

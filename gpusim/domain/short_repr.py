@@ -9,8 +9,12 @@ LONGEST, NESTED = 200, 60  # letters of a repr, and of a part of it
 
 def brief(made) -> str:
     """The repr of a dataclass: its name, and fields that are not as by default; of arrays the type and the shape."""
-    parts = [f"{field.name}={_part(getattr(made, field.name))}" for field in dataclasses.fields(made)
-             if field.repr and (field.name == "name" or not _is_default(field, getattr(made, field.name)))]
+    parts = [
+        f"{field.name}={_part(getattr(made, field.name))}"
+        for field in dataclasses.fields(made)
+        if field.repr
+        and (field.name == "name" or not _is_default(field, getattr(made, field.name)))
+    ]
     return shortened(f"{type(made).__name__}({', '.join(parts)})")
 
 
@@ -27,7 +31,9 @@ def span(wavelengths) -> str:
 def _is_default(field, value):
     if field.default_factory is not dataclasses.MISSING:
         return value == field.default_factory()
-    return value is field.default or (isinstance(value, int | float | str | tuple) and value == field.default)
+    return value is field.default or (
+        isinstance(value, int | float | str | tuple) and value == field.default
+    )
 
 
 def _part(value):

@@ -34,7 +34,9 @@ class Spectrum:
         label = self.name or "spectrum"
         check_wavelengths(wavelengths, label, 2)
         if values.ndim not in (1, 2) or values.shape[-1] != len(wavelengths):
-            raise BadData(f"{label}: values of shape {values.shape} do not match {len(wavelengths)} wavelengths")
+            raise BadData(
+                f"{label}: values of shape {values.shape} do not match {len(wavelengths)} wavelengths"
+            )
         if not np.isfinite(values).all():
             raise BadData(f"{label}: NaN or infinite entries")
         object.__setattr__(self, "wavelengths", wavelengths)
@@ -45,8 +47,10 @@ class Spectrum:
 
     def __repr__(self):
         name, curves = f"{self.name!r}, " if self.name else "", len(np.atleast_2d(self.values))
-        return shortened(f"Spectrum({name}{f'{curves} curves, ' if curves > 1 else ''}{span(self.wavelengths)}, "
-                         f"values {self.values.min():.4g} .. {self.values.max():.4g})")
+        return shortened(
+            f"Spectrum({name}{f'{curves} curves, ' if curves > 1 else ''}{span(self.wavelengths)}, "
+            f"values {self.values.min():.4g} .. {self.values.max():.4g})"
+        )
 
     def at(self, wavelengths, outside: float | None = 0.0) -> np.ndarray:
         """Values at `wavelengths` [nm], shape (..., len(wavelengths)).
@@ -54,7 +58,10 @@ class Spectrum:
         outside: the value beyond the table's ends, or None to hold the end values.
         """
         edge = {} if outside is None else {"left": outside, "right": outside}
-        rows = [np.interp(wavelengths, self.wavelengths, row, **edge) for row in np.atleast_2d(self.values)]
+        rows = [
+            np.interp(wavelengths, self.wavelengths, row, **edge)
+            for row in np.atleast_2d(self.values)
+        ]
         return rows[0] if self.values.ndim == 1 else np.stack(rows)
 
     def scaled(self, factor: float) -> "Spectrum":
@@ -65,15 +72,21 @@ class Spectrum:
 def check_wavelengths(wavelengths, label: str, least: int = 1):
     """Raise BadData for wavelengths, shape (L,), that are fewer than `least`, not light, or do not increase."""
     if wavelengths.ndim != 1 or len(wavelengths) < least:
-        raise BadData(f"{label}: needs at least {least} wavelength{'s' if least > 1 else ''}, got shape "
-                      f"{wavelengths.shape}")
+        raise BadData(
+            f"{label}: needs at least {least} wavelength{'s' if least > 1 else ''}, got shape "
+            f"{wavelengths.shape}"
+        )
     if not np.isfinite(wavelengths).all():
         raise BadData(f"{label}: NaN or infinite entries")
     if not (wavelengths[0] >= SHORTEST and wavelengths[-1] <= LONGEST):
-        raise BadData(f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
-                      f"{SHORTEST:g} .. {LONGEST:g} nm")
+        raise BadData(
+            f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
+            f"{SHORTEST:g} .. {LONGEST:g} nm"
+        )
     if not (np.diff(wavelengths) > 0).all():
-        raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
+        raise BadData(
+            f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]"
+        )
 
 
 def seen_band(wavelengths) -> tuple[float, float]:

@@ -41,7 +41,9 @@ class Tolerance:
         try:
             return cls(rms=float(text))
         except ValueError:
-            raise UnknownName("tolerance (a preset or a relative RMS error)", str(text), PRESETS) from None
+            raise UnknownName(
+                "tolerance (a preset or a relative RMS error)", str(text), PRESETS
+            ) from None
 
 
 PRESETS = {

@@ -29,11 +29,15 @@ class View:
             down, right = (float(part) for part in self.shift)
             rotation, zoom = float(self.rotation), float(self.zoom)
         except (TypeError, ValueError):
-            raise BadData(f"view = {self!r}: wanted a shift of two numbers, a rotation and a zoom") from None
+            raise BadData(
+                f"view = {self!r}: wanted a shift of two numbers, a rotation and a zoom"
+            ) from None
         if not all(map(isfinite, (down, right, rotation))) or max(abs(down), abs(right)) > FARTHEST:
             raise OutOfRange("view", self, f"finite numbers, the shift up to {FARTHEST:g} pixels")
         if not 1 <= zoom <= MOST_ZOOM:
-            raise OutOfRange("view.zoom", zoom, f"1 .. {MOST_ZOOM:g}; a wider view is that of a larger scene")
+            raise OutOfRange(
+                "view.zoom", zoom, f"1 .. {MOST_ZOOM:g}; a wider view is that of a larger scene"
+            )
         object.__setattr__(self, "shift", (down, right))
         object.__setattr__(self, "rotation", rotation % (2 * pi))
         object.__setattr__(self, "zoom", zoom)
@@ -45,7 +49,11 @@ class View:
 
     def is_whole(self, ratio: float = 1.0) -> bool:
         """Whether it shows samples where they are: displaced by whole ones. ratio: samples per pixel."""
-        return not self.rotation and self.zoom == 1 and all((ratio * move).is_integer() for move in self.shift)
+        return (
+            not self.rotation
+            and self.zoom == 1
+            and all((ratio * move).is_integer() for move in self.shift)
+        )
 
     def place(self, y, x, ratio: float = 1.0) -> tuple[Any, Any]:
         """Rows and columns of the scene that places of the frame show, both from the middle [sample].

@@ -18,8 +18,15 @@ from gpusim.io.files import file_size, open_file, reading
 NUMBERS, WHOLE, TEXT = "uif", "ui", "U"  # NumPy's letters for kinds of types
 KINDS = {NUMBERS: "real numbers", WHOLE: "whole numbers", TEXT: "text"}
 WHAT = "an .npz archive of plain arrays"
-VERSIONS = ((1, 0), (2, 0), (3, 0))  # of an array's header; the last two differ in letters of names alone
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of NumPy; zipfile inflates the others without a bound
+VERSIONS = (
+    (1, 0),
+    (2, 0),
+    (3, 0),
+)  # of an array's header; the last two differ in letters of names alone
+METHODS = (
+    zipfile.ZIP_STORED,
+    zipfile.ZIP_DEFLATED,
+)  # those of NumPy; zipfile inflates the others without a bound
 ENCRYPTED = 1  # bit of a zip member's flags
 LARGEST_RATIO = 1032  # of deflate: 258 bytes of 2 bits (RFC 1951)
 LONGEST_DIRECTORY = 2**20  # [byte]; some ten thousand arrays
@@ -59,11 +66,17 @@ class Archive(Mapping):
         """Header of a member, whose declared sizes the file can hold."""
         what = f"array {info.filename!r}"
         if info.flag_bits & ENCRYPTED or info.compress_type not in METHODS:
-            raise BadFile(self.path, f"{what} is encrypted, or packed by another method than NumPy's; write it with "
-                                     "np.savez or np.savez_compressed")
+            raise BadFile(
+                self.path,
+                f"{what} is encrypted, or packed by another method than NumPy's; write it with "
+                "np.savez or np.savez_compressed",
+            )
         if info.compress_size > self._size or info.file_size > LARGEST_RATIO * info.compress_size:
-            raise BadFile(self.path, f"{what}, truncated or damaged: {info.file_size} bytes cannot come of "
-                                     f"{info.compress_size} in a file of {self._size}")
+            raise BadFile(
+                self.path,
+                f"{what}, truncated or damaged: {info.file_size} bytes cannot come of "
+                f"{info.compress_size} in a file of {self._size}",
+            )
         with self._zip.open(info) as stream:
             head = io.BytesIO(stream.read(LONGEST_HEADER))
         shape, fortran, dtype = array_header(head)
@@ -71,10 +84,15 @@ class Archive(Mapping):
         if dtype.kind not in "biufcUS" or dtype.subdtype:
             raise BadFile(self.path, f"{what} holds {dtype}: not {WHAT}")
         if min(shape, default=0) < 0 or member.nbytes != info.file_size - member.start:
-            raise BadFile(self.path, f"{what}, truncated or damaged: shape {shape} of {dtype} are not its "
-                                     f"{info.file_size - member.start} bytes")
+            raise BadFile(
+                self.path,
+                f"{what}, truncated or damaged: shape {shape} of {dtype} are not its "
+                f"{info.file_size - member.start} bytes",
+            )
         if dtype.kind in "US" and member.nbytes > LONGEST_TEXT:
-            raise BadFile(self.path, f"{what}: {member.nbytes} bytes of text; at most {LONGEST_TEXT} are read")
+            raise BadFile(
+                self.path, f"{what}: {member.nbytes} bytes of text; at most {LONGEST_TEXT} are read"
+            )
         return member
 
     def __contains__(self, name):  # Mapping's own would read the array
@@ -90,7 +108,9 @@ class Archive(Mapping):
         """Raise BadFile unless all these arrays are there."""
         missing = [name for name in names if name not in self]
         if missing:
-            raise BadFile(self.path, f"lacks {', '.join(missing)}; it has {', '.join(self) or 'nothing'}")
+            raise BadFile(
+                self.path, f"lacks {', '.join(missing)}; it has {', '.join(self) or 'nothing'}"
+            )
 
     def shape(self, name, kinds=NUMBERS, *, wanted=None) -> tuple[int, ...]:
         """Shape of an array, before it is read.
@@ -99,12 +119,17 @@ class Archive(Mapping):
         any length, or None for any shape. Raises BadFile if it is missing or something else.
         """
         if name not in self:
-            raise BadFile(self.path, f"key {name!r} is missing; there are {', '.join(self) or 'none'}")
+            raise BadFile(
+                self.path, f"key {name!r} is missing; there are {', '.join(self) or 'none'}"
+            )
         shape, dtype = self._members[name].shape, self._members[name].dtype
         if dtype.kind not in kinds:
             raise BadFile(self.path, f"{name}: {dtype}, wanted {KINDS.get(kinds, KINDS[NUMBERS])}")
-        if wanted is not None and not (len(shape) == len(wanted) and 0 not in shape
-                                       and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))):
+        if wanted is not None and not (
+            len(shape) == len(wanted)
+            and 0 not in shape
+            and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))
+        ):
             lengths = ", ".join("any" if n is None else str(n) for n in wanted)
             raise BadFile(self.path, f"{name}: shape {shape}, wanted ({lengths})")
         return shape
@@ -117,18 +142,23 @@ class Archive(Mapping):
             numbers = array.reshape(-1).view(np.uint8).data if member.nbytes else memoryview(b"")
             stream.read(member.start)
             for first in range(0, member.nbytes, PIECE):
-                piece = numbers[first:first + PIECE]
+                piece = numbers[first : first + PIECE]
                 if stream.readinto(piece) != len(piece):
                     raise EOFError(f"{member.info.filename!r} ends early")
             if array.dtype.kind == "U" and array.size:
-                letters = array.reshape(-1).view(np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+                letters = array.reshape(-1).view(
+                    np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
+                )
                 if letters.max() > sys.maxunicode:  # Python would raise what no file should cause
                     raise UnicodeError(f"{member.info.filename!r} holds letters that are none")
         return array.transpose() if member.fortran else array
 
     def require_memory(self, copies: float):
         """Raise DoesNotFit unless all arrays fit as stored, with `copies` of their numbers as float64 beside."""
-        needed = sum(member.nbytes + 8 * copies * math.prod(member.shape) for member in self._members.values())
+        needed = sum(
+            member.nbytes + 8 * copies * math.prod(member.shape)
+            for member in self._members.values()
+        )
         require_memory(f"{self.path}: {len(self)} arrays", math.ceil(needed))
 
 
@@ -143,7 +173,9 @@ def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
         if version not in VERSIONS:
             raise ValueError(f"version {version[0]}.{version[1]} of its header")
         long = version != (1, 0)
-        header = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
+        header = (
+            np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
+        )
         return header(head)
 
 
@@ -155,7 +187,9 @@ class _Bounded:
 
     def read(self, size=-1):
         if size > LONGEST_DIRECTORY:
-            raise zipfile.BadZipFile(f"a directory of {size} bytes; at most {LONGEST_DIRECTORY} are read")
+            raise zipfile.BadZipFile(
+                f"a directory of {size} bytes; at most {LONGEST_DIRECTORY} are read"
+            )
         return self.file.read(size)
 
 

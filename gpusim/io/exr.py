@@ -17,8 +17,10 @@ from gpusim.io.files import named, open_file, reading
 
 UNITS = "W.m^-2.sr^-1.nm^-1"
 PLANES_OF_COLORS = 9  # that are held at once, beside the three, while colours become sRGB's
-OUTSIDE = ("colours outside sRGB, of which no reflectances are made: {:.2g} % of the samples, drawn towards grey of "
-           "the same luminance until they fit")
+OUTSIDE = (
+    "colours outside sRGB, of which no reflectances are made: {:.2g} % of the samples, drawn towards grey of "
+    "the same luminance until they fit"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,10 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     path = Path(path)
     open_file(path).close()  # OpenEXR opens it once more, by its name
     with reading(path, "an OpenEXR file"):
-        parts = [part.header for part in OpenEXR.File(str(path), separate_channels=True, header_only=True).parts]
+        parts = [
+            part.header
+            for part in OpenEXR.File(str(path), separate_channels=True, header_only=True).parts
+        ]
         sizes = [_size(header) for header in parts]
         names = [channel.name for channel in parts[0]["channels"]]
         deep = any("deep" in str(header.get("type")) for header in parts)
@@ -65,9 +70,14 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     held = contents(path, names, bands or {})
     rows, cols = sizes[0]
     # Every channel of every part is read, at worst as 4-byte numbers, and what was chosen is copied into the cube.
-    stored = sum(len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True))
+    stored = sum(
+        len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True)
+    )
     copied = len(held.channels) + (PLANES_OF_COLORS if held.is_picture else 1)
-    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", 4 * (stored + copied * rows * cols))
+    require_memory(
+        f"{path}: {len(names)} channels of {cols} x {rows} pixels",
+        4 * (stored + copied * rows * cols),
+    )
     with reading(path, "an OpenEXR file whose pixels can be read"):
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
     values = np.empty((len(held.channels), rows, cols), np.float32)
@@ -81,17 +91,29 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
             values, notes = _colors(values, held.kind, parts[0].get("chromaticities"))
     distances = _pixels(path, channels, held.depth, (rows, cols)) if depth and held.depth else None
     if distances is not None and held.other_depths:
-        notes = [*notes, f"depth is channel {held.depth!r}; not read: {', '.join(held.other_depths[:4])}"]
-    return Exr("rgb" if held.is_picture else held.kind,
-               None if held.is_picture else np.array([nm for _, nm in held.channels]), values,
-               None if distances is None else held.depth, distances, tuple(notes))
+        notes = [
+            *notes,
+            f"depth is channel {held.depth!r}; not read: {', '.join(held.other_depths[:4])}",
+        ]
+    return Exr(
+        "rgb" if held.is_picture else held.kind,
+        None if held.is_picture else np.array([nm for _, nm in held.channels]),
+        values,
+        None if distances is None else held.depth,
+        distances,
+        tuple(notes),
+    )
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):
     """The numbers of a channel."""
-    pixels = getattr(channels.get(name), "pixels", None)  # not there: what OpenEXR finds differs from its own list
+    pixels = getattr(
+        channels.get(name), "pixels", None
+    )  # not there: what OpenEXR finds differs from its own list
     if pixels is None or pixels.shape != shape:
-        raise BadFile(path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels")
+        raise BadFile(
+            path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
+        )
     if pixels.dtype.kind != "f":
         raise BadFile(path, f"channel {name!r}: {pixels.dtype}, wanted half or float")
     if finite and not np.isfinite([pixels.min(), pixels.max()]).all():
@@ -125,7 +147,9 @@ def _size(header):
     return bottom - top + 1, right - left + 1
 
 
-def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=False, more=None, **attributes):
+def write_spectral_exr(
+    path, wavelengths, values, *, reflectance=False, half=False, more=None, **attributes
+):
     """Write a spectral OpenEXR.
 
     wavelengths: [nm], shape (L,). values: shape (L, rows, cols), radiance [photon s-1 m-2 sr-1 nm-1], written as
@@ -142,7 +166,9 @@ def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=Fal
         name = ("T." if reflectance else "S0.") + f"{nm:.6f}nm".replace(".", ",")
         channels[name] = _narrowed(path, name, np.asarray(plane, np.float64) * energy, half)
     if len(channels) < len(values):
-        raise BadData(f"{path}: wavelengths nearer to each other than the 1e-6 nm that channels' names tell apart")
+        raise BadData(
+            f"{path}: wavelengths nearer to each other than the 1e-6 nm that channels' names tell apart"
+        )
     channels |= {name: _narrowed(path, name, plane, False) for name, plane in (more or {}).items()}
     units = {} if reflectance else {"emissiveUnits": UNITS}
     _write(path, channels, spectralLayoutVersion="1.0", **units, **attributes)
@@ -156,15 +182,21 @@ def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):
     rgb = np.asarray(rgb)
     if rgb.ndim != 3 or rgb.shape[-1] != 3 or rgb.size == 0:
         raise BadData(f"{path}: a picture needs shape (rows, cols, 3), got {rgb.shape}")
-    channels = {name: _narrowed(path, name, rgb[..., index], half) for index, name in enumerate("RGB")}
-    _write(path, channels, chromaticities=tuple(np.ravel((*display.primaries, display.white)).tolist()))
+    channels = {
+        name: _narrowed(path, name, rgb[..., index], half) for index, name in enumerate("RGB")
+    }
+    _write(
+        path, channels, chromaticities=tuple(np.ravel((*display.primaries, display.white)).tolist())
+    )
 
 
 def _narrowed(path, name, plane, half):
     if not np.isfinite([plane.min(), plane.max()]).all():
         raise BadData(f"{path}: channel {name!r}: NaN or infinite values")
     if half and np.abs(plane).max() > np.finfo(np.float16).max:
-        raise BadData(f"{path}: channel {name!r}: {np.abs(plane).max():.3g} does not fit 16-bit floats (65504)")
+        raise BadData(
+            f"{path}: channel {name!r}: {np.abs(plane).max():.3g} does not fit 16-bit floats (65504)"
+        )
     return np.ascontiguousarray(plane, np.float16 if half else np.float32)
 
 
@@ -175,6 +207,8 @@ def _write(path, channels, **attributes):
     with atomic_path(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
-            OpenEXR.File(str(temporary))  # what does not fit the disk as the file is closed is lost without a word
+            OpenEXR.File(
+                str(temporary)
+            )  # what does not fit the disk as the file is closed is lost without a word
         except (RuntimeError, ValueError) as error:
             raise OSError(f"the disk may be full ({error})") from error

@@ -53,7 +53,9 @@ def contents(path, names, bands) -> Contents:
     found = _picture(path, names, bands, depths)
     if found.kind == "xyz" and "Z" in depths:
         depths.remove("Z")
-    return Contents(found.kind, found.channels, found.unit, depths[0] if depths else None, tuple(depths[1:]))
+    return Contents(
+        found.kind, found.channels, found.unit, depths[0] if depths else None, tuple(depths[1:])
+    )
 
 
 def _picture(path, names, bands, depths):
@@ -66,8 +68,11 @@ def _picture(path, names, bands, depths):
     found = _fichet(path, names) or _indigo(path, names) or _colors(path, names, depths)
     if found is None:
         listed = ", ".join(sorted(names)[:8])
-        raise BadFile(path, "no spectral channels (S0.<wavelength>nm, T.<wavelength>nm, wavelength<nm>) and no picture "
-                            f"of R, G, B alone; there are {listed}; say wavelengths with --band NAME=nm")
+        raise BadFile(
+            path,
+            "no spectral channels (S0.<wavelength>nm, T.<wavelength>nm, wavelength<nm>) and no picture "
+            f"of R, G, B alone; there are {listed}; say wavelengths with --band NAME=nm",
+        )
     return found
 
 
@@ -75,22 +80,34 @@ def _require_intensity(path, names):
     """Refuse light of which the polarisation is told, and surfaces that answer at another wavelength."""
     for name in sorted(names):
         if POLARISED.fullmatch(name):
-            raise BadFile(path, f"channel {name!r}: polarised light, which is not simulated; write the file without "
-                                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm")
+            raise BadFile(
+                path,
+                f"channel {name!r}: polarised light, which is not simulated; write the file without "
+                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm",
+            )
         if BISPECTRAL.fullmatch(name):
-            raise BadFile(path, f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated; "
-                                "write the file without its T.<nm>.<nm> channels")
+            raise BadFile(
+                path,
+                f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated; "
+                "write the file without its T.<nm>.<nm> channels",
+            )
 
 
 def _fichet(path, names):
     matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
     for name, match in matches:
         if not match:
-            raise BadFile(path, f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
-                                "(other units and frequencies are not supported)")
+            raise BadFile(
+                path,
+                f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
+                "(other units and frequencies are not supported)",
+            )
     kinds = {match[1] for _, match in matches}
     if len(kinds) > 1:
-        raise BadFile(path, "holds both emissive (S0) and reflective (T) channels, which cannot be told apart as light")
+        raise BadFile(
+            path,
+            "holds both emissive (S0) and reflective (T) channels, which cannot be told apart as light",
+        )
     if not kinds:
         return None
     found = [(name, float(match[2].replace(",", "."))) for name, match in matches]
@@ -99,16 +116,26 @@ def _fichet(path, names):
 
 def _indigo(path, names):
     """Buckets of light in W m-2 sr-1 m-1, each named by its lower edge; its wavelength here is its middle."""
-    edges = [(name, float(match[1].replace("_", "."))) for name in names if (match := BUCKET.fullmatch(name))]
+    edges = [
+        (name, float(match[1].replace("_", ".")))
+        for name in names
+        if (match := BUCKET.fullmatch(name))
+    ]
     if not edges:
         return None
     edges = _ascending(path, edges)
     if len(edges) < 2:
-        raise BadFile(path, f"only one bucket ({edges[0][0]!r}), whose width nothing says; at least 2 are needed")
+        raise BadFile(
+            path,
+            f"only one bucket ({edges[0][0]!r}), whose width nothing says; at least 2 are needed",
+        )
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
-        raise BadFile(path, f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "
-                            "that are equally spaced")
+        raise BadFile(
+            path,
+            f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "
+            "that are equally spaced",
+        )
     return Contents("radiance", [(name, edge + width / 2) for name, edge in edges], unit=1e-9)
 
 
@@ -131,7 +158,9 @@ def _ascending(path, channels):
     channels = sorted(channels, key=lambda channel: channel[1])
     for (one, first), (two, second) in pairwise(channels):
         if first == second:
-            raise BadFile(path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm")
+            raise BadFile(
+                path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm"
+            )
     for name, nm in channels:
         if not 0 < nm < np.inf:
             raise BadFile(path, f"channel {name!r}: {nm:g} nm, wanted a positive wavelength")

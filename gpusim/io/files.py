@@ -11,9 +11,16 @@ from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
 from gpusim.domain.memory import require_memory
 
 LONGEST_TEXT = 2**20  # [byte] of what people write; TOML takes up to 3 s for as much
-TEXT_COST = 64  # [byte] that a parser takes per byte of text: one Python object for every two letters
-KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"),
-         (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"))
+TEXT_COST = (
+    64  # [byte] that a parser takes per byte of text: one Python object for every two letters
+)
+KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
 
 
 def open_file(path) -> io.BufferedReader:
@@ -25,9 +32,15 @@ def open_file(path) -> io.BufferedReader:
         raise BadFile(shown(path), f"{type(path).__name__}, wanted a file's path")
     path = Path(path)
     try:
-        _require_regular(path, path.stat())  # before it is opened: to open a device may do something
+        _require_regular(
+            path, path.stat()
+        )  # before it is opened: to open a device may do something
         # nor does it wait if it has become a pipe meanwhile
-        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
+        file = open(
+            path,
+            "rb",
+            opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)),
+        )
     except FileNotFoundError:
         raise BadFile(path, "no such file") from None
     except OSError as error:
@@ -53,7 +66,9 @@ def file_size(file) -> int:
     return os.fstat(file.fileno()).st_size
 
 
-def read_text(path, what: str, longest: int = LONGEST_TEXT, *, older: bool = False, cost: int = TEXT_COST) -> str:
+def read_text(
+    path, what: str, longest: int = LONGEST_TEXT, *, older: bool = False, cost: int = TEXT_COST
+) -> str:
     """Read a text in UTF-8, with or without a byte-order mark.
 
     what: as in `reading`. longest: [byte]. older: read UTF-16 with its mark as well, and Windows' letters where it is
@@ -63,7 +78,9 @@ def read_text(path, what: str, longest: int = LONGEST_TEXT, *, older: bool = Fal
         require_memory(f"{path}: a text", cost * min(file_size(file), longest))
         data = file.read(longest + 1)  # files of the system are longer than they say
         if len(data) > longest:
-            raise BadFile(path, f"more than {longest / 2**20:g} MiB: longer than it can sensibly be")
+            raise BadFile(
+                path, f"more than {longest / 2**20:g} MiB: longer than it can sensibly be"
+            )
         if older and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return data.decode("utf-16", "replace")
         try:
@@ -82,9 +99,16 @@ def read_cells(path, longest: int) -> list[list[str]]:
     """
     text = read_text(path, "a CSV table", longest, older=True)
     with reading(path, "a CSV table"):
-        lines = [line for line in text.splitlines() if line.strip(" \t,;") and not line.lstrip().startswith("#")]
+        lines = [
+            line
+            for line in text.splitlines()
+            if line.strip(" \t,;") and not line.lstrip().startswith("#")
+        ]
         divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
-        cells = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)]
+        cells = [
+            [cell.strip() for cell in row]
+            for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)
+        ]
     if divider == ";":
         cells = [[cell.replace(",", ".") for cell in row] for row in cells]
     width = max(map(len, cells), default=0)
@@ -108,9 +132,13 @@ def reading(path, what: str):
     except MemoryError:
         raise BadFile(path, f"not {what} that this computer has the memory to read") from None
     except OSError as error:
-        raise BadFile(path, f"cannot be read: not {what}, or truncated ({error.strerror or error})") from error
+        raise BadFile(
+            path, f"cannot be read: not {what}, or truncated ({error.strerror or error})"
+        ) from error
     except Exception as error:
-        raise BadFile(path, f"not {what}, or truncated ({str(error) or type(error).__name__})") from error
+        raise BadFile(
+            path, f"not {what}, or truncated ({str(error) or type(error).__name__})"
+        ) from error
 
 
 @contextmanager

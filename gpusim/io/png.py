@@ -13,7 +13,15 @@ from gpusim.domain.errors import BadFile
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # of PNG's colour types
-ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+ADAM7 = (
+    (0, 0, 8, 8),
+    (4, 0, 8, 8),
+    (0, 4, 4, 8),
+    (2, 0, 4, 4),
+    (0, 2, 2, 4),
+    (1, 0, 2, 2),
+    (0, 1, 1, 2),
+)
 PIECE = 2**20  # [byte] of lines that are inflated at once
 
 
@@ -31,9 +39,15 @@ class Header:
     def nbytes(self) -> int:
         """Bytes of all lines, each with its filter byte."""
         passes = ADAM7 if self.interlaced else ((0, 0, 1, 1),)
-        sizes = [(math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx)) for x, y, dx, dy in passes]
-        return sum(rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
-                   for rows, cols in sizes if rows > 0 and cols > 0)
+        sizes = [
+            (math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx))
+            for x, y, dx, dy in passes
+        ]
+        return sum(
+            rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
+            for rows, cols in sizes
+            if rows > 0 and cols > 0
+        )
 
 
 def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
@@ -48,13 +62,19 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             lines = inflate.decompress(piece, min(PIECE, header.nbytes - found + 1))
             found += len(lines)
             if found > header.nbytes:
-                raise BadFile(path, f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels")
+                raise BadFile(
+                    path,
+                    f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels",
+                )
             if keep:
                 kept.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
-        raise BadFile(path, f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
-                            "pixels take")
+        raise BadFile(
+            path,
+            f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
+            "pixels take",
+        )
     return header, b"".join(kept)
 
 
@@ -66,10 +86,13 @@ def _chunks(path, data):
         if place + 12 > len(data):
             raise BadFile(path, "truncated: its end is missing")
         length, kind = struct.unpack_from(">I4s", data, place)
-        body = view[place + 8:place + 8 + length]
+        body = view[place + 8 : place + 8 + length]
         if place + 12 + length > len(data):
             raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a part are there")
-        if zlib.crc32(body, zlib.crc32(kind)) != struct.unpack_from(">I", data, place + 8 + length)[0]:
+        if (
+            zlib.crc32(body, zlib.crc32(kind))
+            != struct.unpack_from(">I", data, place + 8 + length)[0]
+        ):
             raise BadFile(path, f"damaged: wrong checksum of a part at byte {place}")
         if header is None:
             cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", body)
@@ -85,7 +108,11 @@ def _chunks(path, data):
 
 def png(header: Header, packed: bytes, chunks: dict | None = None) -> bytes:
     """A PNG of these compressed lines; chunks: {kind: body} of those before them."""
-    start = struct.pack(">IIBBBBB", header.cols, header.rows, header.bits, header.colour, 0, 0, header.interlaced)
+    start = struct.pack(
+        ">IIBBBBB", header.cols, header.rows, header.bits, header.colour, 0, 0, header.interlaced
+    )
     parts = [(b"IHDR", start), *(chunks or {}).items(), (b"IDAT", packed), (b"IEND", b"")]
-    return SIGNATURE + b"".join(struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-                                for kind, body in parts)
+    return SIGNATURE + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in parts
+    )

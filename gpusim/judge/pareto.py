@@ -25,7 +25,12 @@ from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, None)
-LATER = ("spectral.survey", "sensor.meter", "sensor.pattern", "sensor.chip")  # stages beside the mean electrons
+LATER = (
+    "spectral.survey",
+    "sensor.meter",
+    "sensor.pattern",
+    "sensor.chip",
+)  # stages beside the mean electrons
 REPEATS, SECONDS = 5, 2.0  # frames of a point, at least, and the time that they may take beyond
 
 
@@ -38,7 +43,9 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     """
     require_truth(camera, scene)
     if camera.optics.varies:
-        raise BadData("bench --pareto: a blur that varies over the field; wanted one that is the same everywhere")
+        raise BadData(
+            "bench --pareto: a blur that varies over the field; wanted one that is the same everywhere"
+        )
     exact = Simulator(camera, device=device)
     seconds = exact.expose(scene).exposure_time
     start = time.perf_counter()
@@ -47,23 +54,46 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
     def row(point, kind, ms, mean, **more):
         error = Error.between(mean, truth, camera.sensor.read_sigma)
-        return {"point": point, "kind": kind, "tolerance": None, "ms": ms, "predicted_ms": None, "rms": error.rms,
-                "p999_sigma": error.p999_sigma, "max_sigma": error.max_sigma, "predicted": None, "met": None,
-                "words": ""} | more
+        return {
+            "point": point,
+            "kind": kind,
+            "tolerance": None,
+            "ms": ms,
+            "predicted_ms": None,
+            "rms": error.rms,
+            "p999_sigma": error.p999_sigma,
+            "max_sigma": error.max_sigma,
+            "predicted": None,
+            "met": None,
+            "words": "",
+        } | more
 
     speeds, seen = Speeds(device), set()
     for tolerance in TOLERANCES:
-        simulator = Simulator(camera, device=device, tolerance=None if tolerance is None else Tolerance(rms=tolerance))
+        simulator = Simulator(
+            camera, device=device, tolerance=None if tolerance is None else Tolerance(rms=tolerance)
+        )
         ms, mean, plan = _frames(simulator, scene, seconds)
-        words = "; ".join(text for stage, text in plan.models.items() if stage in ("optics.mosaic", "optics.blur"))
+        words = "; ".join(
+            text for stage, text in plan.models.items() if stage in ("optics.mosaic", "optics.blur")
+        )
         words = f"{words or 'no blur'}, {plan.period[1]} x {plan.period[0]}"
         if words in seen:
             continue
         seen.add(words)
         name = "exact" if tolerance is None else f"{tolerance:g}"
         kind = "exact" if tolerance is None else "plan"
-        yield row(name, kind, ms, mean, tolerance=tolerance, words=words, predicted=plan.account.total.rms,
-                  met=plan.verdict and plan.verdict.met, predicted_ms=sum(frame_ms(simulator, plan, speeds).values()))
+        yield row(
+            name,
+            kind,
+            ms,
+            mean,
+            tolerance=tolerance,
+            words=words,
+            predicted=plan.account.total.rms,
+            met=plan.verdict and plan.verdict.met,
+            predicted_ms=sum(frame_ms(simulator, plan, speeds).values()),
+        )
     for name, made in _naive(camera, scene, seconds).items():
         times: list[float] = []
         while len(times) < 3:
@@ -84,22 +114,40 @@ def _frames(simulator, scene, seconds):
         program.update(scene=replace(scene, content=copied))
         exposure = program.exposure
         times.append(sum(ms for stage, ms in exposure.ms.items() if stage not in LATER))
-    return float(np.median(times[1:])), np.array(simulator.device.numpy(exposure.mean)), program.plan
+    return (
+        float(np.median(times[1:])),
+        np.array(simulator.device.numpy(exposure.mean)),
+        program.plan,
+    )
 
 
 def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
     """What a user of SciPy writes: functions that give the mean electrons, for cameras of a mosaic of whole samples."""
     exact = Simulator(camera, device="numpy")
     plan = exact.plan(scene)
-    if plan.mix is None or plan.taps is not None or camera.sensor.stacked or plan.depth is not None or plan.distortion:
+    if (
+        plan.mix is None
+        or plan.taps is not None
+        or camera.sensor.stacked
+        or plan.depth is not None
+        or plan.distortion
+    ):
         return {}
-    cube = np.ascontiguousarray(exact.imaging.light(replace(plan, content=scene.content)), np.float32)
+    cube = np.ascontiguousarray(
+        exact.imaging.light(replace(plan, content=scene.content)), np.float32
+    )
     bands = exact.imaging.tables.all_bands(plan)
-    tables = np.asarray(_whole(bands, plan.period), np.complex64 if np.iscomplexobj(bands) else np.float32)
+    tables = np.asarray(
+        _whole(bands, plan.period), np.complex64 if np.iscomplexobj(bands) else np.float32
+    )
     weights = (plan.weights / plan.flat).astype(np.float32)
-    mode: dict = {"zero": {"mode": "constant"}, "reflect": {"mode": "symmetric"}}.get(scene.border, {"mode": "edge"})
-    pads = [((length - n) // 2, length - n - (length - n) // 2)
-            for length, n in zip(plan.period, cube.shape[1:], strict=True)]
+    mode: dict = {"zero": {"mode": "constant"}, "reflect": {"mode": "symmetric"}}.get(
+        scene.border, {"mode": "edge"}
+    )
+    pads = [
+        ((length - n) // 2, length - n - (length - n) // 2)
+        for length, n in zip(plan.period, cube.shape[1:], strict=True)
+    ]
     workers, margin = os.cpu_count(), scene.margin
     cfa = camera.sensor.cfa_indices
 
@@ -117,12 +165,16 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
         channels = np.zeros((len(weights), *plan.period), np.float32)
         for band, table, weight in zip(cube, tables, weights.T, strict=True):
             spectrum = scipy.fft.rfft2(np.pad(band, pads, **mode), workers=workers) * table
-            channels += weight[:, None, None] * scipy.fft.irfft2(spectrum, plan.period, workers=workers)
+            channels += weight[:, None, None] * scipy.fft.irfft2(
+                spectrum, plan.period, workers=workers
+            )
         return mosaic(channels)
 
     def each_channel():
         light = np.abs(plan.weights) * cube.reshape(len(cube), -1).mean(axis=1)
-        mean = np.tensordot((light / light.sum(axis=1, keepdims=True)).astype(np.float32), tables, 1)
+        mean = np.tensordot(
+            (light / light.sum(axis=1, keepdims=True)).astype(np.float32), tables, 1
+        )
         planes = np.tensordot(weights, cube, 1)
         spectra = scipy.fft.rfft2(np.pad(planes, [(0, 0), *pads], **mode), workers=workers) * mean
         return mosaic(scipy.fft.irfft2(spectra, plan.period, workers=workers))
@@ -151,12 +203,25 @@ def draw(rows: list[dict], path, title: str):
 
     figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
     for kind, marker in (("plan", "o-"), ("exact", "D"), ("scipy", "s"), ("truth", "*")):
-        points = sorted((max(row["rms"], 1e-8), row["ms"], row["point"]) for row in rows if row["kind"] == kind)
+        points = sorted(
+            (max(row["rms"], 1e-8), row["ms"], row["point"]) for row in rows if row["kind"] == kind
+        )
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
         for number, (x, y, name) in enumerate(points):  # beside one another above and below
-            axes.annotate(name, (x, y), textcoords="offset points", xytext=(5, -12 if number % 2 else 5), fontsize=8)
-    axes.set(xscale="log", yscale="log", xlabel="true relative RMS error of the mean electrons", ylabel="time [ms]",
-             title=title)
+            axes.annotate(
+                name,
+                (x, y),
+                textcoords="offset points",
+                xytext=(5, -12 if number % 2 else 5),
+                fontsize=8,
+            )
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="true relative RMS error of the mean electrons",
+        ylabel="time [ms]",
+        title=title,
+    )
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     figure.savefig(path, dpi=110)

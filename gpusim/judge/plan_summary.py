@@ -31,8 +31,15 @@ class Forecast:
     def of(cls, simulator: Simulator, scene: Scene) -> "Forecast":
         """For a scene. Raises as `Simulator.plan` does."""
         plan, speeds = simulator.plan(scene), Speeds(simulator.device)
-        front = tuple(sorted(((sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
-                              for option in plan.front), key=lambda one: one[0]))
+        front = tuple(
+            sorted(
+                (
+                    (sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
+                    for option in plan.front
+                ),
+                key=lambda one: one[0],
+            )
+        )
         return cls(plan, simulator.device.name, frame_ms(simulator, plan, speeds), front)
 
     @property
@@ -42,21 +49,34 @@ class Forecast:
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         plan = self.plan
-        return {"plan": plan.name, "scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
-                "models": plan.models, "left_out": plan.left_out,
-                "bounds": {name: bound.as_dict() for name, bound in plan.account.bounds.items()},
-                "predicted": plan.account.total.as_dict(), "beside": plan.beside,
-                "tolerance": plan.tolerance and asdict(plan.tolerance),
-                "verdict": plan.verdict and plan.verdict.as_dict(), "ms": self.ms, "frame_ms": sum(self.ms.values()),
-                "bytes": plan.bytes_needed,
-                "front": [{"ms": ms, **option.as_dict()} for ms, option in self.front]}
+        return {
+            "plan": plan.name,
+            "scene": plan.scene.name,
+            "camera": plan.camera.name,
+            "device": self.device,
+            "models": plan.models,
+            "left_out": plan.left_out,
+            "bounds": {name: bound.as_dict() for name, bound in plan.account.bounds.items()},
+            "predicted": plan.account.total.as_dict(),
+            "beside": plan.beside,
+            "tolerance": plan.tolerance and asdict(plan.tolerance),
+            "verdict": plan.verdict and plan.verdict.as_dict(),
+            "ms": self.ms,
+            "frame_ms": sum(self.ms.values()),
+            "bytes": plan.bytes_needed,
+            "front": [{"ms": ms, **option.as_dict()} for ms, option in self.front],
+        }
 
     def __str__(self):
         plan, rows = self.plan, self.plan.scene.shape[0]
-        lines = [f"{plan.scene.name} {plan.scene.shape[1]}x{rows} by {plan.camera.name} on {self.device}: about "
-                 f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"]
-        lines += [f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
-                  for stage in [*plan.models, *(stage for stage in self.ms if stage not in plan.models)]]
+        lines = [
+            f"{plan.scene.name} {plan.scene.shape[1]}x{rows} by {plan.camera.name} on {self.device}: about "
+            f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"
+        ]
+        lines += [
+            f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
+            for stage in [*plan.models, *(stage for stage in self.ms if stage not in plan.models)]
+        ]
         lines.append(f"  plan: {plan.name}")
         lines += [f"  not modelled: {what}" for what in plan.left_out]
         lines += self._errors()
@@ -65,10 +85,18 @@ class Forecast:
             lines.append(f"  tolerance: {plan.verdict}")
         for ms, option in self.front:
             _, _, value, _, unit = option.error.nearest(self._tolerance)
-            chosen = " (chosen)" if option.words in " ".join(plan.models.values()) and (
-                (option.period, option.tiling) == (plan.period, plan.tiling)
-                and (option.far is None) is (plan.far is None)) else ""
-            lines.append(f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.words}, {option.surroundings}{chosen}")
+            chosen = (
+                " (chosen)"
+                if option.words in " ".join(plan.models.values())
+                and (
+                    (option.period, option.tiling) == (plan.period, plan.tiling)
+                    and (option.far is None) is (plan.far is None)
+                )
+                else ""
+            )
+            lines.append(
+                f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.words}, {option.surroundings}{chosen}"
+            )
         return "\n".join(lines)
 
     def _errors(self):
@@ -78,14 +106,28 @@ class Forecast:
         values = {name: getattr(bound, figure) for name, bound in bounds.items() if bound.is_known}
         values["all together"] = getattr(self.plan.account.total, figure)
         most = max(values.values()) or 1.0
-        return [f"  error: {name:22s} {value:8.2g}{unit}  {'#' * int(np.ceil(BAR * value / most))}"
-                for name, value in values.items()] + [
-                    f"  error: {name:22s} not known" for name, bound in bounds.items() if not bound.is_known]
+        return [
+            f"  error: {name:22s} {value:8.2g}{unit}  {'#' * int(np.ceil(BAR * value / most))}"
+            for name, value in values.items()
+        ] + [
+            f"  error: {name:22s} not known" for name, bound in bounds.items() if not bound.is_known
+        ]
 
 
 def _varied(plan, option):
     """The plan as far as its cost goes, by another option."""
     count, channels = option.planes, len(plan.weights)
-    table = None if count == len(plan.content.entry_spectra) and plan.content.labels is None else np.empty((count, 0))
-    return replace(plan, period=option.period, tiling=option.tiling, far=option.far, table=table,
-                   mix=np.empty((channels, count)), transfers=np.empty((channels, count, 0)))
+    table = (
+        None
+        if count == len(plan.content.entry_spectra) and plan.content.labels is None
+        else np.empty((count, 0))
+    )
+    return replace(
+        plan,
+        period=option.period,
+        tiling=option.tiling,
+        far=option.far,
+        table=table,
+        mix=np.empty((channels, count)),
+        transfers=np.empty((channels, count, 0)),
+    )

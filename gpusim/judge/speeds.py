@@ -27,13 +27,22 @@ class Speeds:
     """
 
     def __init__(self, device: Device, cache: Path | None = None):
-        self.device, self.cache = device, cache or cache_file(f"speeds-{device.name.replace(':', '-')}")
+        self.device, self.cache = (
+            device,
+            cache or cache_file(f"speeds-{device.name.replace(':', '-')}"),
+        )
         self.known: dict[str, list[float]] = self._read()
 
     def of(self, stage: str) -> tuple[float, float]:
         """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
         if stage not in self.known:
-            sizes = REFERENCE_SIZES if self.device.kind == "numpy" else GPU_SIZES if self.device.is_gpu else SIZES
+            sizes = (
+                REFERENCE_SIZES
+                if self.device.kind == "numpy"
+                else GPU_SIZES
+                if self.device.is_gpu
+                else SIZES
+            )
             (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
@@ -53,8 +62,10 @@ class Speeds:
     def _timed(self, stage, rows, cols):
         """Work of a stage's benchmark, and its median milliseconds with its arrays on the device."""
         inputs = stage_module(stage).bench(rows, cols)
-        resident = {key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-                    for key, value in inputs.items()}
+        resident = {
+            key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+            for key, value in inputs.items()
+        }
         function, times, in_a_row, tape = public_function(stage), [], 0, Tape()
 
         def run():
@@ -62,7 +73,9 @@ class Speeds:
 
         with noted(tape if self.device.is_gpu else None):
             run()  # and built
-        if self.device.is_gpu and tape.is_replayable:  # as in a program's frames, where nothing small is copied again
+        if (
+            self.device.is_gpu and tape.is_replayable
+        ):  # as in a program's frames, where nothing small is copied again
             run = tape.replay
         warm = time.perf_counter() + SECONDS / 4
         while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:
@@ -81,7 +94,9 @@ class Speeds:
     def _read(self):
         try:
             known = json.loads(self.cache.read_text()) if self.cache else {}
-            return {str(stage): [float(always), float(unit)] for stage, (always, unit) in known.items()}
+            return {
+                str(stage): [float(always), float(unit)] for stage, (always, unit) in known.items()
+            }
         except (OSError, ValueError, TypeError, AttributeError, RecursionError):
             return {}
 
@@ -94,5 +109,11 @@ def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
     """
     speeds = Speeds(simulator.device) if speeds is None else speeds
     developer = Developer(plan.camera, simulator.device, edges=np.empty(0))
-    stages = [*simulator.readout.models(), *developer.models(), "sensor.meter", "processor.color", "display.encode"]
+    stages = [
+        *simulator.readout.models(),
+        *developer.models(),
+        "sensor.meter",
+        "processor.color",
+        "display.encode",
+    ]
     return speeds.ms(of_plan(plan, stages))

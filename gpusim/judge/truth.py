@@ -35,19 +35,33 @@ def require_truth(camera, scene):
     """Raise OutOfRange for a camera and a scene of which the truth is not known."""
     optics = camera.optics
     for what, allowed, is_so in (
-            (f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
-             "1 sample per pixel", optics.varies and scene.samples_per_pixel != 1),
-            (f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
-             "1 sample per pixel, or samples of the irradiance",
-             optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1),
-            ("depth beside distortion, a calibration or measured point spreads", "a scene without depth, or a lens "
-             "without them", scene.depth is not None and optics.model != "none"
-             and (optics.distortion is not None or optics.psf is not None))):
+        (
+            f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
+            "1 sample per pixel",
+            optics.varies and scene.samples_per_pixel != 1,
+        ),
+        (
+            f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
+            "1 sample per pixel, or samples of the irradiance",
+            optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1,
+        ),
+        (
+            "depth beside distortion, a calibration or measured point spreads",
+            "a scene without depth, or a lens without them",
+            scene.depth is not None
+            and optics.model != "none"
+            and (optics.distortion is not None or optics.psf is not None),
+        ),
+    ):
         if is_so:
             raise OutOfRange("verify", what, allowed)
     if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
-        raise OutOfRange("verify", "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
-                         "middle".format(*axis), "an axis in the middle")
+        raise OutOfRange(
+            "verify",
+            "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
+            "middle".format(*axis),
+            "an axis in the middle",
+        )
 
 
 def true_error(simulator, scene, exposure) -> Error:
@@ -67,7 +81,10 @@ def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
     if len(parts) == 1:
         return mean, found[0]
-    rows = [np.concatenate([one.ravel() for one in every]) for every in ([mean[..., *part] for part in parts], found)]
+    rows = [
+        np.concatenate([one.ravel() for one in every])
+        for every in ([mean[..., *part] for part in parts], found)
+    ]
     return rows[0], rows[1]
 
 
@@ -78,7 +95,9 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
     Light between points that are sampled too coarsely may come out negative, and stays so. Raises DoesNotFit.
     """
     del plan
-    return _electrons(simulator, camera, scene, exposure_time, [tuple(slice(0, n) for n in scene.shape)])[0]
+    return _electrons(
+        simulator, camera, scene, exposure_time, [tuple(slice(0, n) for n in scene.shape)]
+    )[0]
 
 
 def _electrons(simulator, camera, scene, exposure_time, parts):
@@ -86,20 +105,31 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
     optics, cfa = camera.optics, camera.sensor.cfa_indices
     light = placed_light(camera, scene)
     if optics.model == "none":
-        rates = plain_rates(np.tensordot(electrons_per_content(scene, camera), light, 1), camera, scene)
+        rates = plain_rates(
+            np.tensordot(electrons_per_content(scene, camera), light, 1), camera, scene
+        )
     elif scene.depth is not None:
-        rates = _rates_by_depth(simulator, dataclasses.replace(camera, optics=optics.on_axis()), scene, light)
+        rates = _rates_by_depth(
+            simulator, dataclasses.replace(camera, optics=optics.on_axis()), scene, light
+        )
     else:
         rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
-    more = varying_rates(light, camera, scene, _within(parts, scene.shape)) if optics.varies else [0.0] * len(parts)
+    more = (
+        varying_rates(light, camera, scene, _within(parts, scene.shape))
+        if optics.varies
+        else [0.0] * len(parts)
+    )
     gain = exposure_time * falloff_gain(camera, scene)
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
     found = []
     for part, own in zip(parts, more, strict=True):
         electrons = gain[part] * (rates[:, *part] + own)
-        found.append(electrons if camera.sensor.stacked
-                     else np.take_along_axis(electrons, channel[part][None], 0)[0])
+        found.append(
+            electrons
+            if camera.sensor.stacked
+            else np.take_along_axis(electrons, channel[part][None], 0)[0]
+        )
     return found
 
 
@@ -112,9 +142,13 @@ def _rates_by_depth(simulator, camera, scene, light):
     reference = simulator(camera, device="numpy", period=period)
     own = reference.plan(scene)
     weights = own.weights / own.flat * own.q
-    return reference.imaging.channels(own) + far_rates(weights, light, camera.optics, scene, period,
-                                                       pixel_places(camera, scene))
+    return reference.imaging.channels(own) + far_rates(
+        weights, light, camera.optics, scene, period, pixel_places(camera, scene)
+    )
 
 
 def _within(parts, shape):
-    return [tuple(slice(*at.indices(n)[:2]) for at, n in zip(part, shape, strict=True)) for part in parts]
+    return [
+        tuple(slice(*at.indices(n)[:2]) for at, n in zip(part, shape, strict=True))
+        for part in parts
+    ]

@@ -28,12 +28,17 @@ RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the sprea
 CELLS = 32  # of the coarse grid along the reach
 
 
-def period_of(optics: Optics, scene, pitch: float, depth_reach: float = 0.0, displaced: int = 0) -> tuple[int, int]:
+def period_of(
+    optics: Optics, scene, pitch: float, depth_reach: float = 0.0, displaced: int = 0
+) -> tuple[int, int]:
     """Rows and columns of the transforms that this scene needs; pitch: of its samples [m], displaced: how far, too."""
     shape = [n + 2 * scene.margin for n in scene.samples]
     reach = ceil(max(depth_reach, spread_radius(optics, scene.wavelengths, pitch))) + 2
     if scene.border == "reflect":
-        return tuple(2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n)) for n in shape)
+        return tuple(
+            2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n))
+            for n in shape
+        )
     if tail_of(optics):
         q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
         reach = max(RADII * reach, ceil(RINGS * q), BLADES_REACH if optics.pupil.blades else REACH)
@@ -48,11 +53,19 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
     optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
     weights, pitch = electrons_per_content(scene, camera), sensor.pixel_pitch / ratio
     places = pixel_places(camera, scene)
-    period = period_of(optics, scene, pitch, displaced=ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio))
+    period = period_of(
+        optics,
+        scene,
+        pitch,
+        displaced=ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio),
+    )
     q = scene.wavelengths * 1e-9 * optics.working_f_number / pitch
     wide = [side / pitch for side in sensor.aperture]
     before = [(length - n) // 2 for length, n in zip(period, light.shape[1:], strict=True)]
-    pads = [(first, length - n - first) for first, n, length in zip(before, light.shape[1:], period, strict=True)]
+    pads = [
+        (first, length - n - first)
+        for first, n, length in zip(before, light.shape[1:], period, strict=True)
+    ]
     at = [first + scene.margin + place for first, place in zip(before, places, strict=True)]
     total, tails = np.zeros((len(weights), *scene.shape)), weights * q
     for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
@@ -73,9 +86,18 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
     seen = np.tensordot(weights, light, 1)
     around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2
     rows, cols = (scene.margin + place for place in places)
-    return np.stack([at_samples(
-        unseen(one, period, border, max(around / CELLS, 1), tail, times=(3, 5, 7), soft=2), one.shape, period, rows,
-        cols) for one in seen])
+    return np.stack(
+        [
+            at_samples(
+                unseen(one, period, border, max(around / CELLS, 1), tail, times=(3, 5, 7), soft=2),
+                one.shape,
+                period,
+                rows,
+                cols,
+            )
+            for one in seen
+        ]
+    )
 
 
 def _at_pixels(spectrum, period, transfer, cut, wide, places):
@@ -96,19 +118,25 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
         y, x = fy + a, fx + b
         if cut and np.hypot(np.abs(y).min(), np.abs(x).min()) > cut:
             continue
-        down, across = ((np.sinc(side * f) if cut else 1.0) * np.exp(2j * np.pi * f * start)
-                        for side, f, start in zip(wide, (y, x), first, strict=True))
+        down, across = (
+            (np.sinc(side * f) if cut else 1.0) * np.exp(2j * np.pi * f * start)
+            for side, f, start in zip(wide, (y, x), first, strict=True)
+        )
         table = transfer(y, x) * down[:, None] * across
         if whole:
             folded += table
             continue
-        to_y, to_x = (np.exp(2j * np.pi * np.outer(place, f)) for place, f in zip(rest, (y, x), strict=True))
+        to_y, to_x = (
+            np.exp(2j * np.pi * np.outer(place, f)) for place, f in zip(rest, (y, x), strict=True)
+        )
         seen = seen + (to_y @ ((table * spectrum * twice) @ to_x.T)).real / np.prod(period)
         even = even + (to_y[:, :1] * table[0, 0] * to_x[:, 0]).real
     if not whole:
         return seen / even, float(np.mean(even))
     picture = scipy.fft.irfft2(folded * spectrum, period, workers=-1)
-    at = np.ix_(*(np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True)))
+    at = np.ix_(
+        *(np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True))
+    )
     even = float(folded[0, 0].real)
     return picture[at] / even, even
 
@@ -123,7 +151,10 @@ def _transfer(optics: Optics, wavelength, pitch):
     """Transfer function of the lens at all fy and fx [cycle/sample], and the frequency that ends it."""
     if optics.psf is not None:
         return _measured(optics.psf, wavelength, pitch)
-    q, waves = wavelength * 1e-9 * optics.working_f_number / pitch, optics.waves(np.array([wavelength]))
+    q, waves = (
+        wavelength * 1e-9 * optics.working_f_number / pitch,
+        optics.waves(np.array([wavelength])),
+    )
     if optics.is_ideal:
         own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
     else:
@@ -134,8 +165,10 @@ def _transfer(optics: Optics, wavelength, pitch):
         out = np.zeros((len(fy), len(fx)), complex)
         inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
         out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
-        down, across = (np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
-                        for spot, f in zip(spots, (fy, fx), strict=True))
+        down, across = (
+            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
+            for spot, f in zip(spots, (fy, fx), strict=True)
+        )
         return out * down[:, None] * across
 
     return transfer, 1 / q
@@ -147,9 +180,17 @@ def _measured(spread, wavelength, pitch):
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):
-        to_y, to_x = (np.exp(-2j * np.pi * step * np.outer(f, at)) for f, at in zip((fy, fx), along, strict=True))
-        if not spread.integrated:  # a frequency of exactly half the rate counts half for either sign
-            to_y, to_x = (to * _passed(np.abs(f) * step)[:, None] for to, f in zip((to_y, to_x), (fy, fx), strict=True))
+        to_y, to_x = (
+            np.exp(-2j * np.pi * step * np.outer(f, at))
+            for f, at in zip((fy, fx), along, strict=True)
+        )
+        if (
+            not spread.integrated
+        ):  # a frequency of exactly half the rate counts half for either sign
+            to_y, to_x = (
+                to * _passed(np.abs(f) * step)[:, None]
+                for to, f in zip((to_y, to_x), (fy, fx), strict=True)
+            )
         return to_y @ values @ to_x.T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step

@@ -24,7 +24,11 @@ LEAST_PLACES, LEAST_WAVELENGTHS = 13, 5  # along an axis, and of a scene, to beg
 ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may err half-way between places
 ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
 MOST_BYTES = 2**30  # of the differences at all places
-LEAST_REACH, RINGS, RADII = 48, 16, 2  # [sample] of the differences, at least; rings of the diffraction; radii of rays
+LEAST_REACH, RINGS, RADII = (
+    48,
+    16,
+    2,
+)  # [sample] of the differences, at least; rings of the diffraction; radii of rays
 WHOLE = 2**17  # pixels of a frame up to which all are looked at
 BLOCKS, SIDE = 16, 32  # of others
 
@@ -35,7 +39,10 @@ def blocks(shape) -> list[tuple[slice, slice]]:
         return [(slice(0, shape[0]), slice(0, shape[1]))]
     fractions = scipy.stats.qmc.Halton(2, scramble=False).random(BLOCKS + 1)[1:]
     first = (fractions * np.maximum(np.array(shape) - SIDE, 0)).astype(int)
-    return [(slice(y, min(y + SIDE, shape[0])), slice(x, min(x + SIDE, shape[1]))) for y, x in first.tolist()]
+    return [
+        (slice(y, min(y + SIDE, shape[0])), slice(x, min(x + SIDE, shape[1])))
+        for y, x in first.tolist()
+    ]
 
 
 def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
@@ -52,7 +59,13 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
             continue
         kernels = lens.differences(wavelength)
         for one, part in zip(total, parts, strict=True):
-            _spread(one, _taken(seen, part, lens.half, scene.margin, scene.border), kernels, lens.limits, part)
+            _spread(
+                one,
+                _taken(seen, part, lens.half, scene.margin, scene.border),
+                kernels,
+                lens.limits,
+                part,
+            )
     return total
 
 
@@ -64,7 +77,13 @@ class Field:
     """
 
     def __init__(self, lens, middle, corner, limits, half):
-        self.lens, self.middle, self.corner, self.limits, self.half = lens, middle, corner, limits, half
+        self.lens, self.middle, self.corner, self.limits, self.half = (
+            lens,
+            middle,
+            corner,
+            limits,
+            half,
+        )
 
     @classmethod
     def of(cls, camera, scene) -> "Field":
@@ -75,22 +94,30 @@ class Field:
         axis = axis_of(camera, scene.shape)
         limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.shape]
         middle = [(n - 1) / 2 + at for n, at in zip(scene.shape, axis, strict=True)]
-        farthest = np.hypot(*(max(at - low, high - at) for at, (low, high) in zip(middle, limits, strict=True)))
+        farthest = np.hypot(
+            *(max(at - low, high - at) for at, (low, high) in zip(middle, limits, strict=True))
+        )
         q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
         lateral = np.abs(optics.lateral_color_at(scene.wavelengths)).max() * farthest
         rays = spread_radius(optics, scene.wavelengths, pitch, float(farthest / corner))
         half = ceil(max(LEAST_REACH, RINGS * q, RADII * rays) + lateral)
         if optics.psf is None:
-            lens: PupilLens | MeasuredLens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
+            lens: PupilLens | MeasuredLens = PupilLens(
+                optics, pitch, aperture, corner, sensor.displacement
+            )
         else:
-            lens = MeasuredLens(optics, optics.psf, pitch, aperture, (np.inf, np.inf), sensor.displacement)
+            lens = MeasuredLens(
+                optics, optics.psf, pitch, aperture, (np.inf, np.inf), sensor.displacement
+            )
             half = max(half, lens.least_size // 2)
             limits = [(-0.5, n - 0.5) for n in scene.shape]
         return cls(lens, middle, corner, limits, half)
 
     def kernel(self, wavelength, y, x) -> np.ndarray:
         """Energy of the pixels around a point at the place (y, x), (size, size)."""
-        place = [(at - middle) / self.corner for at, middle in zip((y, x), self.middle, strict=True)]
+        place = [
+            (at - middle) / self.corner for at, middle in zip((y, x), self.middle, strict=True)
+        ]
         return self.lens.kernels([wavelength], place, 2 * self.half + 1)[0]
 
     def wavelengths(self, known):
@@ -98,19 +125,39 @@ class Field:
         known = np.asarray(known, np.float64)
         if isinstance(self.lens, MeasuredLens):
             own = self.lens.spread.wavelengths
-            return (known, np.eye(len(known))) if len(known) <= len(own) else (own, np.stack(
-                [np.interp(known, own, one) for one in np.eye(len(own))]))
-        places = [[limit[1] for limit in self.limits], [(middle + limit[1]) / 2 for middle, limit in zip(
-            self.middle, self.limits, strict=True)]]
+            return (
+                (known, np.eye(len(known)))
+                if len(known) <= len(own)
+                else (own, np.stack([np.interp(known, own, one) for one in np.eye(len(own))]))
+            )
+        places = [
+            [limit[1] for limit in self.limits],
+            [
+                (middle + limit[1]) / 2
+                for middle, limit in zip(self.middle, self.limits, strict=True)
+            ],
+        ]
         for count in (LEAST_WAVELENGTHS, 2 * LEAST_WAVELENGTHS - 1, 4 * LEAST_WAVELENGTHS - 3):
             if count >= len(known):
                 break
             nodes = np.linspace(known[0], known[-1], count)
-            share = scipy.interpolate.make_interp_spline(nodes, np.eye(count), min(DEGREE, count - 1))
-            tried = known[np.abs(known[:, None] - (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2).argmin(axis=0)]
-            if all(np.abs(np.tensordot(share(one), [self.kernel(node, *place) for node in nodes], 1)
-                          - (own := self.kernel(one, *place))).max() <= ERROR * own.max()
-                   for place in places for one in tried):
+            share = scipy.interpolate.make_interp_spline(
+                nodes, np.eye(count), min(DEGREE, count - 1)
+            )
+            tried = known[
+                np.abs(known[:, None] - (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2).argmin(
+                    axis=0
+                )
+            ]
+            if all(
+                np.abs(
+                    np.tensordot(share(one), [self.kernel(node, *place) for node in nodes], 1)
+                    - (own := self.kernel(one, *place))
+                ).max()
+                <= ERROR * own.max()
+                for place in places
+                for one in tried
+            ):
                 return nodes, share(known).T
         return known, np.eye(len(known))
 
@@ -125,15 +172,25 @@ class Field:
             return own - own.mean()
 
         if spread.grid is not None:
-            axes = [middle + self.corner * np.asarray(at) for middle, at in zip(self.middle, spread.grid, strict=True)]
-            return Splines(np.array([[difference(y, x) for x in axes[1]] for y in axes[0]]), axes, 1)
+            axes = [
+                middle + self.corner * np.asarray(at)
+                for middle, at in zip(self.middle, spread.grid, strict=True)
+            ]
+            return Splines(
+                np.array([[difference(y, x) for x in axes[1]] for y in axes[0]]), axes, 1
+            )
         heights = self.corner * np.asarray(spread.heights)
 
         def around(count, first=0.0):
             angles = first + 2 * np.pi * np.arange(count) / count
-            at = [(self.middle[0] + height * np.sin(angle), self.middle[1] + height * np.cos(angle))
-                  for height in np.maximum(heights, 1e-9) for angle in angles]
-            return np.array([difference(*one) for one in at]).reshape(len(heights), count, *axis.shape)
+            at = [
+                (self.middle[0] + height * np.sin(angle), self.middle[1] + height * np.cos(angle))
+                for height in np.maximum(heights, 1e-9)
+                for angle in angles
+            ]
+            return np.array([difference(*one) for one in at]).reshape(
+                len(heights), count, *axis.shape
+            )
 
         for count in ANGLES:
             turned = Turned(around(count), heights, self.middle)
@@ -147,12 +204,21 @@ class Field:
 
         def difference(y, x):
             """At a place; of a lens that has a mirror, from the quadrant where both are on the positive side."""
-            mirrored = isinstance(self.lens, PupilLens) and self.lens.optics.has_mirror and not any(
-                self.lens.displacement)
+            mirrored = (
+                isinstance(self.lens, PupilLens)
+                and self.lens.optics.has_mirror
+                and not any(self.lens.displacement)
+            )
             side = [1, 1]
             if mirrored:
-                side = [1 if at >= middle else -1 for at, middle in zip((y, x), self.middle, strict=True)]
-                y, x = (middle + abs(at - middle) for at, middle in zip((y, x), self.middle, strict=True))
+                side = [
+                    1 if at >= middle else -1
+                    for at, middle in zip((y, x), self.middle, strict=True)
+                ]
+                y, x = (
+                    middle + abs(at - middle)
+                    for at, middle in zip((y, x), self.middle, strict=True)
+                )
             at = round(y, 6), round(x, 6)
             if at not in known:
                 own = self.kernel(wavelength, y, x) - axis
@@ -166,14 +232,21 @@ class Field:
             for i, j in np.ndindex(*count):
                 table[i, j] = difference(axes[0][i], axes[1][j])
             splines = Splines(table, axes)
-            more = [min(2 * n - 1, ceil(high - low) + 1) for n, (low, high) in zip(count, self.limits, strict=True)]
+            more = [
+                min(2 * n - 1, ceil(high - low) + 1)
+                for n, (low, high) in zip(count, self.limits, strict=True)
+            ]
             if more == count or splines.between(difference) <= ERROR * axis.max():
                 return splines
             count = more
             needed = 8 * prod(count) * axis.size
             if needed > MOST_BYTES:
-                raise DoesNotFit(f"verify: kernels at {count[1]} x {count[0]} places of the field", needed, MOST_BYTES,
-                                 "the reference")
+                raise DoesNotFit(
+                    f"verify: kernels at {count[1]} x {count[0]} places of the field",
+                    needed,
+                    MOST_BYTES,
+                    "the reference",
+                )
 
 
 class Splines:
@@ -182,7 +255,9 @@ class Splines:
     def __init__(self, table, axes, degree=DEGREE):
         self.axes, self.degree = axes, degree
         for number, places in enumerate(axes):
-            spline = scipy.interpolate.make_interp_spline(places, np.moveaxis(table, number, 0), self._degree(places))
+            spline = scipy.interpolate.make_interp_spline(
+                places, np.moveaxis(table, number, 0), self._degree(places)
+            )
             table = np.moveaxis(spline.c.astype(table.dtype), 0, number)
         self.table = table
 
@@ -191,15 +266,22 @@ class Splines:
         worst = 0.0
         for share in (0.5, 0.77, 1.0):
             cells = [min(int(share * (len(places) - 1)), len(places) - 2) for places in self.axes]
-            y, x = ((places[k] + places[k + 1]) / 2 for places, k in zip(self.axes, cells, strict=True))
-            down, across = (self._basis(places, np.array([at])) for places, at in zip(self.axes, (y, x), strict=True))
+            y, x = (
+                (places[k] + places[k + 1]) / 2 for places, k in zip(self.axes, cells, strict=True)
+            )
+            down, across = (
+                self._basis(places, np.array([at]))
+                for places, at in zip(self.axes, (y, x), strict=True)
+            )
             found = np.einsum("i,j,ijab->ab", down[0], across[0], self.table, optimize=True)
             worst = max(worst, float(np.abs(found - kernel(y, x)).max()))
         return worst
 
     def parts(self, y, x):
         """Shares of sources at rows y and columns x, as (rows, columns, their shares, kernel)."""
-        down, across = (self._basis(places, at) for places, at in zip(self.axes, (y, x), strict=True))
+        down, across = (
+            self._basis(places, at) for places, at in zip(self.axes, (y, x), strict=True)
+        )
         for i, j in np.ndindex(self.table.shape[:2]):
             rows, cols = np.flatnonzero(down[:, i]), np.flatnonzero(across[:, j])
             if len(rows) and len(cols):
@@ -211,7 +293,9 @@ class Splines:
 
     def _basis(self, places, at):
         """Weights of the coefficients at places `at`, (len(at), len(places))."""
-        knots = scipy.interpolate.make_interp_spline(places, np.zeros(len(places)), self._degree(places)).t
+        knots = scipy.interpolate.make_interp_spline(
+            places, np.zeros(len(places)), self._degree(places)
+        ).t
         at = np.clip(at * 1.0, places[0], places[-1])
         return scipy.interpolate.BSpline.design_matrix(at, knots, self._degree(places)).toarray()
 
@@ -228,12 +312,17 @@ class Turned:
     def between(self, table, angle) -> float:
         """Largest difference from kernels (H, 4, size, size) at even angles from `angle` on."""
         share = self._series(angle + np.arange(4) * np.pi / 2)
-        return float(np.abs(np.einsum("am,hmyx->hayx", share, self.table, optimize=True) - table).max())
+        return float(
+            np.abs(np.einsum("am,hmyx->hayx", share, self.table, optimize=True) - table).max()
+        )
 
     def parts(self, y, x):
         """See `Splines`."""
         y, x = y[:, None] - self.middle[0], x - self.middle[1]
-        height, series = np.clip(np.hypot(y, x), 0, self.heights[-1]), self._series(np.arctan2(y, x))
+        height, series = (
+            np.clip(np.hypot(y, x), 0, self.heights[-1]),
+            self._series(np.arctan2(y, x)),
+        )
         for one, kernels in zip(np.eye(len(self.heights)), self.table, strict=True):
             share = np.interp(height, self.heights, one)
             for number, kernel in enumerate(kernels):
@@ -243,13 +332,17 @@ class Turned:
         """Weights of the angles in the trigonometric polynomial through them, (..., M), M odd."""
         count = self.table.shape[1]
         apart = np.asarray(angle)[..., None] - 2 * np.pi * np.arange(count) / count
-        return 1 / count + 2 / count * sum((np.cos(k * apart) for k in range(1, count // 2 + 1)), np.zeros(apart.shape))
+        return 1 / count + 2 / count * sum(
+            (np.cos(k * apart) for k in range(1, count // 2 + 1)), np.zeros(apart.shape)
+        )
 
 
 def _taken(light, part, half, margin, border):
     """Light of a part and `half` samples around it, as the border says."""
     at = [np.arange(one.start - half, one.stop + half) + margin for one in part]
-    y, x = (border_indices(places, n, border) for places, n in zip(at, light.shape[1:], strict=True))
+    y, x = (
+        border_indices(places, n, border) for places, n in zip(at, light.shape[1:], strict=True)
+    )
     window = light[:, y[:, None], x]
     if border == "zero":
         window = window * ((y == at[0])[:, None] & (x == at[1]))
@@ -259,8 +352,10 @@ def _taken(light, part, half, margin, border):
 def _spread(total, light, kernels, limits, part):
     """Add light (C, h + 2 half, w + 2 half) as it is spread to `total` (C, h, w), that from beyond limits as there."""
     half = (light.shape[1] - total.shape[1]) // 2
-    places = [np.clip(np.arange(at.start - half, at.stop + half), *limit)
-              for at, limit in zip(part, limits, strict=True)]
+    places = [
+        np.clip(np.arange(at.start - half, at.stop + half), *limit)
+        for at, limit in zip(part, limits, strict=True)
+    ]
     for rows, cols, share, kernel in kernels.parts(*places):
         own = light[:, rows, cols] * share
         lit = [np.flatnonzero(own.any(axis=axes)) for axes in ((0, 2), (0, 1))]
@@ -271,8 +366,13 @@ def _spread(total, light, kernels, limits, part):
         wide = scipy.signal.fftconvolve(own, kernel[None].astype(np.float64), axes=(1, 2))
         # light at s gives the pixel x its kernel's entry x - s: the first of `wide` is `half` before its first source
         top, left = top + (rows.start or 0) - 2 * half, left + (cols.start or 0) - 2 * half
-        inside = [slice(max(-first, 0), min(n - first, length))
-                  for first, n, length in zip((top, left), total.shape[1:], wide.shape[1:], strict=True)]
+        inside = [
+            slice(max(-first, 0), min(n - first, length))
+            for first, n, length in zip((top, left), total.shape[1:], wide.shape[1:], strict=True)
+        ]
         if all(one.stop > one.start for one in inside):
-            total[:, top + inside[0].start : top + inside[0].stop, left + inside[1].start : left + inside[1].stop] += (
-                wide[:, inside[0], inside[1]])
+            total[
+                :,
+                top + inside[0].start : top + inside[0].stop,
+                left + inside[1].start : left + inside[1].stop,
+            ] += wide[:, inside[0], inside[1]]

@@ -18,10 +18,23 @@ from gpusim.optics.geometry import microlens_gain, relative_illumination, vignet
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
 TAPS = 10
-SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
-MODES: dict[str, Any] = {"zero": "constant", "edge": "edge", "scene": "edge", "reflect": "symmetric"}
-RIM, FARTHEST = 32, 512  # [sample] around the scene that take part in the series, beside those that are shown, at most
-FINER, PARTS = 2.0, 4  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
+SHAPE = np.pi * np.sqrt(
+    (TAPS / 2) ** 2 * 2.25 - 0.8
+)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
+MODES: dict[str, Any] = {
+    "zero": "constant",
+    "edge": "edge",
+    "scene": "edge",
+    "reflect": "symmetric",
+}
+RIM, FARTHEST = (
+    32,
+    512,
+)  # [sample] around the scene that take part in the series, beside those that are shown, at most
+FINER, PARTS = (
+    2.0,
+    4,
+)  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
 
 
 def axis_of(camera, shape) -> tuple[float, float]:
@@ -42,7 +55,9 @@ def placed_light(camera, scene) -> np.ndarray:
         return light
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-    model = None if distortion is None else framed(distortion, scene.shape, camera.sensor.pixel_pitch)
+    model = (
+        None if distortion is None else framed(distortion, scene.shape, camera.sensor.pixel_pitch)
+    )
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
@@ -76,8 +91,10 @@ def _most_samples(source, y, x):
 
 def band_limited(planes, y, x, border: str) -> np.ndarray:
     """Values of planes (L, rows, cols) at places (y, x) [sample], of one shape, between and beyond the samples."""
-    rim = [0 if border == "reflect" else int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
-           for at, n in zip((y, x), planes.shape[1:], strict=True)]
+    rim = [
+        0 if border == "reflect" else int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
+        for at, n in zip((y, x), planes.shape[1:], strict=True)
+    ]
     lengths = [2 * (n + 2 * more) for n, more in zip(planes.shape[1:], rim, strict=True)]
     taps, inside = [], np.ones(np.shape(y), bool)
     for at, n, more, length in zip((y, x), planes.shape[1:], rim, lengths, strict=True):
@@ -88,7 +105,9 @@ def band_limited(planes, y, x, border: str) -> np.ndarray:
         at = 2 * (at + more)
         first = np.ceil(at - TAPS / 2).astype(int)
         taps.append([((first + k) % (2 * length), _kernel(at - first - k)) for k in range(TAPS)])
-    series = [_kernel_transform(np.fft.fftfreq(length, 1 / length) / (2 * length)) for length in lengths]
+    series = [
+        _kernel_transform(np.fft.fftfreq(length, 1 / length) / (2 * length)) for length in lengths
+    ]
     out = np.empty((len(planes), *np.shape(y)))
     for total, plane in zip(out, planes, strict=True):
         wide = np.pad(plane, [(more, more) for more in rim], mode=MODES[border])
@@ -98,7 +117,9 @@ def band_limited(planes, y, x, border: str) -> np.ndarray:
         at = [np.fft.fftfreq(length, 1 / length).astype(int) for length in lengths]
         longer[np.ix_(*at)] = spectrum
         fine = 4 * scipy.fft.ifft2(longer, workers=-1).real
-        total[:] = sum(down * sum(across * fine[row, col] for col, across in taps[1]) for row, down in taps[0])
+        total[:] = sum(
+            down * sum(across * fine[row, col] for col, across in taps[1]) for row, down in taps[0]
+        )
         total *= inside
     return out
 
@@ -115,16 +136,30 @@ def _kernel_transform(f):
 
 def falloff_gain(camera, scene) -> np.ndarray:
     """Light of every pixel over that on the axis, (rows, cols): lens, microlenses and pixels. Raises OutOfRange."""
-    optics, sensor, shape, pitch = camera.optics, camera.sensor, scene.shape, camera.sensor.pixel_pitch
-    from_axis = tuple(move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True))
+    optics, sensor, shape, pitch = (
+        camera.optics,
+        camera.sensor,
+        scene.shape,
+        camera.sensor.pixel_pitch,
+    )
+    from_axis = tuple(
+        move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True)
+    )
     gain = np.ones(shape)
     if optics.relative_illumination == "cos4":
         gain = (1 + _tangent(camera, scene) ** 2) ** -2
     elif optics.relative_illumination != "none":
-        gain = relative_illumination(optics.relative_illumination, shape, pitch, optics.image_distance,
-                                     displacement=from_axis)
+        gain = relative_illumination(
+            optics.relative_illumination,
+            shape,
+            pitch,
+            optics.image_distance,
+            displacement=from_axis,
+        )
     if sensor.microlens is not None:
-        gain = gain * microlens_gain(sensor.microlens, shape, pitch, optics.image_distance, from_axis)
+        gain = gain * microlens_gain(
+            sensor.microlens, shape, pitch, optics.image_distance, from_axis
+        )
     if sensor.vignetting is not None:
         gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
     return gain
@@ -136,13 +171,20 @@ def _tangent(camera, scene):
     slope = sensor.pixel_pitch / optics.image_distance
     if scene.fov:
         slope = 2 * np.tan(scene.fov / 2) * scene.samples_per_pixel / scene.samples[1]
-    y, x = (np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, sensor.displacement, strict=True))
+    y, x = (
+        np.arange(n) - (n - 1) / 2 + move
+        for n, move in zip(scene.shape, sensor.displacement, strict=True)
+    )
     if optics.distortion is None:
         return np.hypot(y[:, None], x) * slope
     model = framed(optics.distortion, scene.shape, sensor.pixel_pitch)
     step = sensor.pixel_pitch / model.radius
     u, v = ideal(model, x * step, y[:, None] * step)
-    return np.hypot(*model.normalised(u, v)) if isinstance(model, Framed) else np.hypot(u, v) / step * slope
+    return (
+        np.hypot(*model.normalised(u, v))
+        if isinstance(model, Framed)
+        else np.hypot(u, v) / step * slope
+    )
 
 
 def pixel_places(camera, scene) -> list[np.ndarray]:
@@ -161,13 +203,25 @@ def pixel_places(camera, scene) -> list[np.ndarray]:
 def plain_rates(channels, camera, scene) -> np.ndarray:
     """Channels (C, rows, cols) at the pixels without any blur: samples are even over their cells."""
     out = channels
-    widths = [side / camera.sensor.pixel_pitch * scene.samples_per_pixel for side in camera.sensor.aperture]
-    for axis, (places, width) in enumerate(zip(pixel_places(camera, scene), widths, strict=True), 1):
+    widths = [
+        side / camera.sensor.pixel_pitch * scene.samples_per_pixel
+        for side in camera.sensor.aperture
+    ]
+    for axis, (places, width) in enumerate(
+        zip(pixel_places(camera, scene), widths, strict=True), 1
+    ):
         n, margin = scene.samples[axis - 1], scene.margin
         low, high = places - width / 2, places + width / 2
         more = max(0, ceil(-low.min()), ceil(high.max() - n)) + 1
         cells = np.arange(-more, n + more)
-        share = np.clip(np.minimum(high[:, None], cells + 0.5) - np.maximum(low[:, None], cells - 0.5), 0, None) / width
+        share = (
+            np.clip(
+                np.minimum(high[:, None], cells + 0.5) - np.maximum(low[:, None], cells - 0.5),
+                0,
+                None,
+            )
+            / width
+        )
         short = max(0, more - margin)
         pads = [(0, 0)] * 3
         pads[axis] = (short, short)

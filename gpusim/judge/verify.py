@@ -15,8 +15,24 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
     for name in stages or stage_names():
         try:
             for case, error in compare(name, device):
-                yield {"stage": name, "device": device.name, "case": case.name, "max_error": error,
-                       "tolerance": case.tolerance, "ok": bool(error <= case.tolerance), "why": case.why}
-        except Exception as error:  # whatever a driver raises, the row says it and the other stages go on
-            yield {"stage": name, "device": device.name, "case": "(failed to run)", "max_error": float("inf"),
-                   "tolerance": 0.0, "ok": False, "why": f"{type(error).__name__}: {error}".splitlines()[0]}
+                yield {
+                    "stage": name,
+                    "device": device.name,
+                    "case": case.name,
+                    "max_error": error,
+                    "tolerance": case.tolerance,
+                    "ok": bool(error <= case.tolerance),
+                    "why": case.why,
+                }
+        except (
+            Exception
+        ) as error:  # whatever a driver raises, the row says it and the other stages go on
+            yield {
+                "stage": name,
+                "device": device.name,
+                "case": "(failed to run)",
+                "max_error": float("inf"),
+                "tolerance": 0.0,
+                "ok": False,
+                "why": f"{type(error).__name__}: {error}".splitlines()[0],
+            }

@@ -8,6 +8,22 @@ from gpusim.measure.photon_transfer import PhotonTransfer, photon_transfer
 from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
 from gpusim.measure.snr import SnrCurve, snr, snr_curve, visible_snr
 
-__all__ = ["EdgeResponse", "MergeInputs", "PhotonTransfer", "SnrCurve", "ciede2000", "cpsnr", "ideal", "merge_inputs",
-           "mtf50", "photon_transfer", "samples_per_degree", "scielab", "sfr", "snr", "snr_curve", "ssim",
-           "visible_snr"]
+__all__ = [
+    "EdgeResponse",
+    "MergeInputs",
+    "PhotonTransfer",
+    "SnrCurve",
+    "ciede2000",
+    "cpsnr",
+    "ideal",
+    "merge_inputs",
+    "mtf50",
+    "photon_transfer",
+    "samples_per_degree",
+    "scielab",
+    "sfr",
+    "snr",
+    "snr_curve",
+    "ssim",
+    "visible_snr",
+]

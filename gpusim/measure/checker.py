@@ -21,7 +21,9 @@ class Checker:
         parts = colorchecker_patches(scene.shape[::-1])
         side = parts[0][0].stop - parts[0][0].start
         rim = max(1, side // INSIDE) if side > 2 else 0
-        self._parts = [tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts]
+        self._parts = [
+            tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts
+        ]
         self.true = self._means(ideal(scene))
 
     def _means(self, picture):

@@ -10,11 +10,19 @@ from gpusim.measure.ideal import ideal
 DIFFERENCES = ("cielab", "ciede2000")
 
 # XYZ to luminance, red-green and blue-yellow, by the digits of the authors' program (the paper rounds them).
-OPPONENT = np.array([[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569],
-                     [0.0859513, -0.5899859, 0.5011089]])
+OPPONENT = np.array(
+    [
+        [0.2787336, 0.7218031, -0.1065520],
+        [-0.4487736, 0.2898056, 0.0771569],
+        [0.0859513, -0.5899859, 0.5011089],
+    ]
+)
 # Weights and spreads [degree] of the Gaussians exp(-r^2 / spread^2) of each of them: table 1 of the paper.
-GAUSSIANS = (((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)), ((0.531, 0.0392), (0.330, 0.494)),
-             ((0.488, 0.0536), (0.371, 0.386)))
+GAUSSIANS = (
+    ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
+    ((0.531, 0.0392), (0.330, 0.494)),
+    ((0.488, 0.0536), (0.371, 0.386)),
+)
 
 
 def ciede2000(picture, reference, white=None) -> np.ndarray:
@@ -30,7 +38,9 @@ def ciede2000(picture, reference, white=None) -> np.ndarray:
     return _difference("ciede2000", *_pair(picture, reference, white))
 
 
-def scielab(picture, reference, samples_per_degree: float, *, difference: str = "cielab", white=None) -> np.ndarray:
+def scielab(
+    picture, reference, samples_per_degree: float, *, difference: str = "cielab", white=None
+) -> np.ndarray:
     """S-CIELAB: colour difference of every pixel after the blur of the eye's colour channels, float64 (rows, cols).
 
     picture, reference, white: see `ciede2000`; two dimensions. samples_per_degree: pixels to a degree of visual angle,
@@ -74,11 +84,15 @@ def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
         raise BadData(f"wanted XYZ of the shape (rows, cols, 3), got {xyz.shape}")
     if not 0 < samples_per_degree < np.inf:
         raise OutOfRange("samples_per_degree", samples_per_degree, "0 < samples_per_degree < inf")
-    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2])  # [cycle/degree]
+    y, x = (
+        np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2]
+    )  # [cycle/degree]
     squared = y[:, None] ** 2 + x**2
     channels = []
     for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):
-        transfer = sum(weight * np.exp(-((np.pi * spread) ** 2) * squared) for weight, spread in gaussians)
+        transfer = sum(
+            weight * np.exp(-((np.pi * spread) ** 2) * squared) for weight, spread in gaussians
+        )
         channels.append(idctn(dctn(plane) * transfer / transfer[0, 0]))
     return np.stack(channels, axis=-1) @ np.linalg.inv(OPPONENT).T
 
@@ -99,7 +113,9 @@ def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
     white = np.asarray(display.xyz_from_rgb.sum(1) if white is None else white, np.float64)
     xyz = np.asarray(picture)
     if xyz.dtype.kind not in "uif" or xyz.ndim < 1 or xyz.shape[-1] != 3:
-        raise BadData(f"picture of shape {xyz.shape} and type {xyz.dtype}: wanted a frame, a scene or XYZ (..., 3)")
+        raise BadData(
+            f"picture of shape {xyz.shape} and type {xyz.dtype}: wanted a frame, a scene or XYZ (..., 3)"
+        )
     if not np.isfinite(xyz).all():
         raise BadData("picture: NaN or infinite values")
     if white.shape != (3,) or not (np.isfinite(white) & (white > 0)).all():
@@ -112,7 +128,10 @@ def _pair(picture, reference, white):
     pair = [picture, reference]
     frame = next((one for one in pair if hasattr(one, "camera")), None)
     display = frame.camera.display if frame is not None else DISPLAYS["srgb"]
-    shape = next((np.shape(getattr(one, "linear", one))[:-1] for one in pair if not isinstance(one, Scene)), None)
+    shape = next(
+        (np.shape(getattr(one, "linear", one))[:-1] for one in pair if not isinstance(one, Scene)),
+        None,
+    )
     pair = [ideal(one, display, shape) if isinstance(one, Scene) else one for one in pair]
     white = display.xyz_from_rgb.sum(1) if white is None else white
     (picture, white), (reference, _) = (shown(one, white) for one in pair)

@@ -27,16 +27,27 @@ def ssim(image, reference, border: int = 10, peak: float | None = None) -> float
     image, reference, peak = _inside(image, reference, border, peak, WINDOW)
     from skimage.metrics import structural_similarity
 
-    return float(structural_similarity(image, reference, data_range=peak, channel_axis=-1, gaussian_weights=True,
-                                       sigma=1.5, use_sample_covariance=False))
+    return float(
+        structural_similarity(
+            image,
+            reference,
+            data_range=peak,
+            channel_axis=-1,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+        )
+    )
 
 
 def _inside(image, reference, border, peak, least):
     """Both as float64 (rows, cols, channels) without the border, and the peak."""
     image, reference = np.asarray(image), np.asarray(reference)
     if image.shape != reference.shape or image.ndim not in (2, 3):
-        raise BadData(f"pictures of shapes {image.shape} and {reference.shape}; wanted both (rows, cols, channels) "
-                      "or (rows, cols)")
+        raise BadData(
+            f"pictures of shapes {image.shape} and {reference.shape}; wanted both (rows, cols, channels) "
+            "or (rows, cols)"
+        )
     if image.dtype.kind not in "uif" or reference.dtype.kind not in "uif":
         raise BadData(f"pictures of types {image.dtype} and {reference.dtype}; wanted numbers")
     if int(border) != border or border < 0:
@@ -47,10 +58,14 @@ def _inside(image, reference, border, peak, least):
         raise OutOfRange("peak", peak, "0 < peak < inf")
     rows, cols = (count - 2 * int(border) for count in image.shape[:2])
     if min(rows, cols) < least:
-        raise BadData(f"pictures of {image.shape[0]} x {image.shape[1]} pixels (channels come last): wanted {least} "
-                      f"or more each way inside the border of {border}")
+        raise BadData(
+            f"pictures of {image.shape[0]} x {image.shape[1]} pixels (channels come last): wanted {least} "
+            f"or more each way inside the border of {border}"
+        )
     cut = np.s_[border : border + rows, border : border + cols]
-    image, reference = (one[cut].astype(np.float64).reshape(rows, cols, -1) for one in (image, reference))
+    image, reference = (
+        one[cut].astype(np.float64).reshape(rows, cols, -1) for one in (image, reference)
+    )
     if not (np.isfinite(image).all() and np.isfinite(reference).all()):
         raise BadData("pictures: NaN or infinite values")
     return image, reference, float(peak)

@@ -56,11 +56,15 @@ def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
     times = np.array([frame.exposure_time for frame in frames], np.float64)
     for number, (frame, time) in enumerate(zip(frames, times, strict=True)):
         if not 0 < time < np.inf:
-            raise OutOfRange(f"exposure_time of frame {number}", f"{time} s", "0 < exposure_time < inf")
+            raise OutOfRange(
+                f"exposure_time of frame {number}", f"{time} s", "0 < exposure_time < inf"
+            )
         raw = np.asarray(frame.raw, np.float64)
         if raw.shape != shape or raw.ndim not in (2, 3) or not raw.size:
-            raise BadData(f"merge_inputs: frame {number} has the shape {raw.shape}; wanted (rows, cols) or "
-                          f"(C, rows, cols), all like frame 0, {shape}")
+            raise BadData(
+                f"merge_inputs: frame {number} has the shape {raw.shape}; wanted (rows, cols) or "
+                f"(C, rows, cols), all like frame 0, {shape}"
+            )
         if not np.isfinite(raw).all():
             raise BadData(f"merge_inputs: frame {number} has NaN or infinite values")
         sensor = frame.camera.sensor
@@ -72,8 +76,14 @@ def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
         good.append(~full if sensor.bits == FLOAT_BITS else ~full & (raw < sensor.white_level))
     rates, valid = np.stack(found), np.stack(good)
     each = (-1, *[1] * len(shape))
-    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(each)  # where none is valid, all are as good
+    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(
+        each
+    )  # where none is valid, all are as good
     light = np.maximum((rates * counts).sum(axis=0) / counts.sum(axis=0), 0.0)
-    variances = np.stack([noise.variance(light * time + dark, temporal=True) / time**2
-                          for noise, dark, time in zip(noises, darks, times, strict=True)])
+    variances = np.stack(
+        [
+            noise.variance(light * time + dark, temporal=True) / time**2
+            for noise, dark, time in zip(noises, darks, times, strict=True)
+        ]
+    )
     return MergeInputs(rates, variances, valid)

@@ -4,8 +4,16 @@ import numpy as np
 
 from gpusim.domain.sensor import Sensor
 
-LIGHTS = {"R": (1, 0, 0), "G": (0, 1, 0), "B": (0, 0, 1), "C": (0, 1, 1), "M": (1, 0, 1), "Y": (1, 1, 0),
-          "E": (0, 1, 0.5), "W": (1, 1, 1)}  # linear RGB; letters that are not in it are grey
+LIGHTS = {
+    "R": (1, 0, 0),
+    "G": (0, 1, 0),
+    "B": (0, 0, 1),
+    "C": (0, 1, 1),
+    "M": (1, 0, 1),
+    "Y": (1, 1, 0),
+    "E": (0, 1, 0.5),
+    "W": (1, 1, 1),
+}  # linear RGB; letters that are not in it are grey
 GREY = (1, 1, 1)
 
 
@@ -18,8 +26,12 @@ def colored(sensor: Sensor, codes) -> np.ndarray:
     if codes.ndim == 3:
         if sensor.channels == ("R", "G", "B"):
             return np.ascontiguousarray(np.moveaxis(codes, 0, -1))
-        return np.repeat(codes.mean(axis=0, dtype=np.float32).astype(np.uint8)[..., None], 3, axis=2)
-    lights = [GREY if sensor.is_monochrome else LIGHTS.get(letter, GREY) for letter in sensor.channels]
+        return np.repeat(
+            codes.mean(axis=0, dtype=np.float32).astype(np.uint8)[..., None], 3, axis=2
+        )
+    lights = [
+        GREY if sensor.is_monochrome else LIGHTS.get(letter, GREY) for letter in sensor.channels
+    ]
     period = np.array(lights, np.float32)[sensor.cfa_indices]
     (rows, cols), (high, wide) = codes.shape, period.shape[:2]
     tiled = np.tile(period, (-(-rows // high), -(-cols // wide), 1))[:rows, :cols]

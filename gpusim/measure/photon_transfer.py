@@ -11,7 +11,9 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
 QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
-LEAST_DARK_VARIANCE = 0.24  # [DN^2]; below, rounding hides the dark noise and the standard puts this instead
+LEAST_DARK_VARIANCE = (
+    0.24  # [DN^2]; below, rounding hides the dark noise and the standard puts this instead
+)
 FIT = 0.7  # part of saturation up to which lines are fitted
 LINEAR = 0.05, 0.95  # parts of saturation between which linearity is judged
 MIDDLE = 0.3, FIT  # part of saturation at which PRNU may be measured; the standard aims at 0.5
@@ -73,10 +75,25 @@ class PhotonTransfer:
 
         Nonuniformities that the frames do not resolve are left out.
         """
-        names = ("gain", "quantum_efficiency", "saturation_capacity", "dark_noise", "dark_current", "dsnu", "dsnu_row",
-                 "dsnu_column", "prnu", "prnu_row", "prnu_column")
+        names = (
+            "gain",
+            "quantum_efficiency",
+            "saturation_capacity",
+            "dark_noise",
+            "dark_current",
+            "dsnu",
+            "dsnu_row",
+            "dsnu_column",
+            "prnu",
+            "prnu_row",
+            "prnu_column",
+        )
         found = {name: getattr(self, name) for name in names}
-        return {name: value for name, value in found.items() if value is not None and not math.isnan(value)}
+        return {
+            name: value
+            for name, value in found.items()
+            if value is not None and not math.isnan(value)
+        }
 
     @property
     def snr_max_db(self) -> float:
@@ -89,8 +106,16 @@ class PhotonTransfer:
         return 20 * math.log10(self.dynamic_range)
 
 
-def photon_transfer(bright, dark, photons, *, dark_stack=None, bright_stack=None, dark_series=None,
-                    saturation_level=None) -> PhotonTransfer:
+def photon_transfer(
+    bright,
+    dark,
+    photons,
+    *,
+    dark_stack=None,
+    bright_stack=None,
+    dark_series=None,
+    saturation_level=None,
+) -> PhotonTransfer:
     """Measure a linear camera by the photon transfer method.
 
     bright: frames of evenly lit pixels at E levels of light, from darkness to beyond saturation; any iterable of E
@@ -117,7 +142,9 @@ def photon_transfer(bright, dark, photons, *, dark_stack=None, bright_stack=None
         raise BadData("photons: wanted numbers above 0, rising; darkness belongs into `dark`")
     dark_mean, dark_variance = _temporal(dark, "dark")
     shape = np.shape(dark)[1:]
-    levels = np.array([_temporal(frames, f"bright[{index}]", shape) for index, frames in enumerate(bright)])
+    levels = np.array(
+        [_temporal(frames, f"bright[{index}]", shape) for index, frames in enumerate(bright)]
+    )
     if len(levels) != len(photons):
         raise BadData(f"bright has {len(levels)} levels, photons {len(photons)}: wanted as many")
     signal, variance = (levels - (dark_mean, dark_variance)).T
@@ -126,29 +153,52 @@ def photon_transfer(bright, dark, photons, *, dark_stack=None, bright_stack=None
     fit = signal <= FIT * signal[last]
     fit[last:] = False
     if fit.sum() < 3:
-        raise BadData(f"bright: {fit.sum()} levels below 70 % of saturation, bright[{last}], where the variance is "
-                      "greatest; wanted 3 or more, in the order of `photons`")
-    gain, responsivity = _through_origin(signal[fit], variance[fit]), _through_origin(photons[fit], signal[fit])
+        raise BadData(
+            f"bright: {fit.sum()} levels below 70 % of saturation, bright[{last}], where the variance is "
+            "greatest; wanted 3 or more, in the order of `photons`"
+        )
+    gain, responsivity = (
+        _through_origin(signal[fit], variance[fit]),
+        _through_origin(photons[fit], signal[fit]),
+    )
     if not (gain > 0 and responsivity > 0):
-        raise BadData("bright: neither mean nor variance may fall as the light rises; is `dark` dark, and are the "
-                      "levels in the order of `photons`?")
+        raise BadData(
+            "bright: neither mean nor variance may fall as the light rises; is `dark` dark, and are the "
+            "levels in the order of `photons`?"
+        )
 
     currents = {}
     if dark_series is not None:
         dark_variance, *slopes = _dark_lines(dark_series, shape)
-        currents = {"dark_current": slopes[0] / gain, "dark_current_from_variance": slopes[1] / gain**2}
+        currents = {
+            "dark_current": slopes[0] / gain,
+            "dark_current_from_variance": slopes[1] / gain**2,
+        }
     limited = bool(dark_variance < LEAST_DARK_VARIANCE)
     noise_dn = math.sqrt(max(dark_variance, LEAST_DARK_VARIANCE))
     efficiency = responsivity / gain
     saturation = float(photons[last])
     threshold, capacity = (noise_dn / gain + 0.5) / efficiency, efficiency * saturation
     return PhotonTransfer(
-        gain=gain, responsivity=responsivity, quantum_efficiency=efficiency,
-        dark_noise=math.sqrt(noise_dn**2 - QUANTISATION) / gain, dark_noise_dn=noise_dn, quantisation_limited=limited,
-        sensitivity_threshold=threshold, saturation_photons=saturation, saturation_capacity=capacity,
-        snr_max=math.sqrt(capacity), dynamic_range=saturation / threshold, **_linearity(photons, signal, last),
-        photons=photons, signal=signal, variance=variance, saturation_level=last,
-        **_nonuniformity(dark_stack, bright_stack, gain, signal[last], shape), **currents)
+        gain=gain,
+        responsivity=responsivity,
+        quantum_efficiency=efficiency,
+        dark_noise=math.sqrt(noise_dn**2 - QUANTISATION) / gain,
+        dark_noise_dn=noise_dn,
+        quantisation_limited=limited,
+        sensitivity_threshold=threshold,
+        saturation_photons=saturation,
+        saturation_capacity=capacity,
+        snr_max=math.sqrt(capacity),
+        dynamic_range=saturation / threshold,
+        **_linearity(photons, signal, last),
+        photons=photons,
+        signal=signal,
+        variance=variance,
+        saturation_level=last,
+        **_nonuniformity(dark_stack, bright_stack, gain, signal[last], shape),
+        **currents,
+    )
 
 
 def _checked(values, name, dimensions, shape=None):
@@ -162,10 +212,14 @@ def _checked(values, name, dimensions, shape=None):
         wanted = "(levels,)" if dimensions == 1 else "(frames, rows, cols)"
         raise BadData(f"{name} has the shape {values.shape}, wanted {wanted}")
     if dimensions == 3 and (len(values) < 2 or min(values.shape[1:]) < 3):
-        raise BadData(f"{name} has the shape {values.shape}: wanted 2 frames or more of 3 x 3 pixels or more")
+        raise BadData(
+            f"{name} has the shape {values.shape}: wanted 2 frames or more of 3 x 3 pixels or more"
+        )
     if shape is not None and values.shape[1:] != tuple(shape):
-        raise BadData(f"{name} has frames of {values.shape[1]} x {values.shape[2]} pixels, the dark frames have "
-                      f"{shape[0]} x {shape[1]}")
+        raise BadData(
+            f"{name} has frames of {values.shape[1]} x {values.shape[2]} pixels, the dark frames have "
+            f"{shape[0]} x {shape[1]}"
+        )
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         raise BadData(f"{name}: NaN or infinite values")
     return values
@@ -185,12 +239,16 @@ def _saturation(variance, level):
     """Index of the saturated level: that of the greatest temporal variance, unless given."""
     if level is not None:
         if level not in range(len(variance)):
-            raise OutOfRange("saturation_level", level, f"an index of a level, 0 to {len(variance) - 1}")
+            raise OutOfRange(
+                "saturation_level", level, f"an index of a level, 0 to {len(variance) - 1}"
+            )
         return int(level)
     level = int(variance.argmax())
     if level == len(variance) - 1:
-        raise BadData("bright: the variance still grows at the last level, so saturation is not reached; wanted "
-                      "brighter levels, or saturation_level = index")
+        raise BadData(
+            "bright: the variance still grows at the last level, so saturation is not reached; wanted "
+            "brighter levels, or saturation_level = index"
+        )
     return level
 
 
@@ -204,9 +262,15 @@ def _dark_lines(series, shape):
         raise BadData("dark_series: wanted {exposure time [s]: frames}")
     times = np.array(sorted(series), np.float64)
     if len(times) < 3 or not (np.isfinite(times).all() and times[0] >= 0):
-        raise BadData(f"dark_series has the exposure times {times.tolist()} s: wanted three or more, 0 or above")
-    points = np.array([_temporal(series[time], f"dark_series[{time:g}]", shape) for time in sorted(series)])
-    (mean_slope, _), (variance_slope, variance) = (np.polyfit(times, column, 1) for column in points.T)
+        raise BadData(
+            f"dark_series has the exposure times {times.tolist()} s: wanted three or more, 0 or above"
+        )
+    points = np.array(
+        [_temporal(series[time], f"dark_series[{time:g}]", shape) for time in sorted(series)]
+    )
+    (mean_slope, _), (variance_slope, variance) = (
+        np.polyfit(times, column, 1) for column in points.T
+    )
     return variance, float(mean_slope), float(variance_slope)
 
 
@@ -214,14 +278,17 @@ def _linearity(photons, signal, last):
     """Relative deviations from the line that makes the sum of their squares least, 5 to 95 % of saturation [%]."""
     low, high = (part * signal[last] for part in LINEAR)
     inside = (signal >= low) & (signal <= high)
-    inside[last + 1:] = False
+    inside[last + 1 :] = False
     x, y = photons[inside], signal[inside]
     if len(x) < 3:
         raise BadData(f"bright: {len(x)} levels between 5 and 95 % of saturation, wanted 3 or more")
     slope, offset = np.polyfit(x, y, 1, w=1 / y)
     deviations = 100 * (y / (slope * x + offset) - 1)
-    return {"linearity_error": float(np.abs(deviations).mean()), "linearity_min": float(deviations.min()),
-            "linearity_max": float(deviations.max())}
+    return {
+        "linearity_error": float(np.abs(deviations).mean()),
+        "linearity_min": float(deviations.min()),
+        "linearity_max": float(deviations.max()),
+    }
 
 
 def _nonuniformity(dark_stack, bright_stack, gain, saturation, shape):
@@ -229,7 +296,9 @@ def _nonuniformity(dark_stack, bright_stack, gain, saturation, shape):
     names = "", "_row", "_column", "_pixel"
     if dark_stack is None:
         if bright_stack is not None:
-            raise BadData("bright_stack without dark_stack: PRNU is what the light adds to the dark pattern")
+            raise BadData(
+                "bright_stack without dark_stack: PRNU is what the light adds to the dark pattern"
+            )
         return {}
     mean, dark = _spatial(dark_stack, "dark_stack", shape)
     found = {f"dsnu{name}": _root(part) / gain for name, part in zip(names, dark, strict=True)}
@@ -239,10 +308,14 @@ def _nonuniformity(dark_stack, bright_stack, gain, saturation, shape):
     low, high = MIDDLE
     signal = bright_mean - mean
     if not low <= signal / saturation <= high:
-        raise BadData(f"bright_stack is at {100 * signal / saturation:.3g} % of saturation, wanted about 50 % "
-                      f"({100 * low:g} .. {100 * high:g})")
-    return found | {f"prnu{name}": 100 * _root(part) / signal
-                    for name, part in zip(names, bright - dark, strict=True)}
+        raise BadData(
+            f"bright_stack is at {100 * signal / saturation:.3g} % of saturation, wanted about 50 % "
+            f"({100 * low:g} .. {100 * high:g})"
+        )
+    return found | {
+        f"prnu{name}": 100 * _root(part) / signal
+        for name, part in zip(names, bright - dark, strict=True)
+    }
 
 
 def _spatial(stack, name, shape):

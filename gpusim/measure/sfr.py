@@ -64,8 +64,10 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     if order not in (1, 2):
         raise OutOfRange("order", order, "1 or 2")
     found = [_response(plane, order) for plane in planes.reshape(-1, *planes.shape[-2:])]
-    response, angle, error = (np.array(part).reshape((*planes.shape[:-2], *np.shape(part[0])))
-                              for part in zip(*found, strict=True))
+    response, angle, error = (
+        np.array(part).reshape((*planes.shape[:-2], *np.shape(part[0])))
+        for part in zip(*found, strict=True)
+    )
     per_mm = None if pitch is None else FREQUENCIES / (pitch * 1e3)
     return EdgeResponse(FREQUENCIES.copy(), response, angle, per_mm, error)
 
@@ -94,8 +96,10 @@ def _checked(image, limits):
     """The picture's channels as float64 planes, (C, rows, cols) or (rows, cols); refuses what cannot hold an edge."""
     image = np.asarray(image)
     if image.ndim not in (2, 3) or image.dtype.kind not in "uif" or min(image.shape[:2]) < LEAST:
-        raise BadData(f"sfr: picture of shape {image.shape} and type {image.dtype}; wanted numbers (rows, cols) or "
-                      f"(rows, cols, channels), {LEAST} x {LEAST} pixels or more")
+        raise BadData(
+            f"sfr: picture of shape {image.shape} and type {image.dtype}; wanted numbers (rows, cols) or "
+            f"(rows, cols, channels), {LEAST} x {LEAST} pixels or more"
+        )
     if limits is None and image.dtype.kind in "ui":
         limits = np.iinfo(image.dtype).min, np.iinfo(image.dtype).max
     values = image.astype(np.float64)
@@ -105,8 +109,10 @@ def _checked(image, limits):
         low, high = limits
         clipped = np.count_nonzero((values <= low) | (values >= high))
         if clipped:
-            raise BadData(f"sfr: {clipped} of {values.size} values are clipped, at or beyond {low:g} or {high:g}; "
-                          "expose so that both sides of the edge lie between")
+            raise BadData(
+                f"sfr: {clipped} of {values.size} values are clipped, at or beyond {low:g} or {high:g}; "
+                "expose so that both sides of the edge lie between"
+            )
     return values if values.ndim == 2 else np.moveaxis(values, -1, 0)
 
 
@@ -117,37 +123,53 @@ def _response(plane, order):
     rows = np.arange(len(plane))
     turns = abs(fit(rows[-1]) - fit(0)) * len(plane) / (len(plane) - 1)
     if turns < 1:
-        raise BadData(f"sfr: the edge shifts by {turns:.2g} pixels over the {len(plane)} rows or columns that it "
-                      "crosses, wanted 1 or more: turn it by about 5 degrees")
-    spare = len(plane) - round(len(plane) * np.floor(turns) / turns)  # of whole periods; left out on both sides
+        raise BadData(
+            f"sfr: the edge shifts by {turns:.2g} pixels over the {len(plane)} rows or columns that it "
+            "crosses, wanted 1 or more: turn it by about 5 degrees"
+        )
+    spare = len(plane) - round(
+        len(plane) * np.floor(turns) / turns
+    )  # of whole periods; left out on both sides
     rows = rows[spare // 2 : len(plane) - (spare - spare // 2)]
-    distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / np.hypot(1, fit.deriv()(rows))[:, None]
+    distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / np.hypot(1, fit.deriv()(rows))[
+        :, None
+    ]
     read = int(reach * BINS) - 1
     number = np.floor(distance * BINS + 0.5).astype(int)
     used = np.abs(number) <= read
     number = number[used] + read
     count = np.bincount(number, minlength=2 * read + 1)
     if not count.all():
-        raise BadData(f"sfr: the edge, {np.degrees(np.arctan(abs(fit.deriv()(rows.mean())))):.3g} degrees from the "
-                      f"pixels over {len(plane)} of them, meets too few phases to fill bins of a quarter pixel; turn "
-                      "it to about 5 degrees, or use a larger picture")
+        raise BadData(
+            f"sfr: the edge, {np.degrees(np.arctan(abs(fit.deriv()(rows.mean())))):.3g} degrees from the "
+            f"pixels over {len(plane)} of them, meets too few phases to fill bins of a quarter pixel; turn "
+            "it to about 5 degrees, or use a larger picture"
+        )
     spread = np.bincount(number, plane[rows][used]) / count
     place = np.bincount(number, distance[used]) / count
     line, middle = np.diff(spread), (place[1:] + place[:-1]) / 2
     inner = np.interp([-reach / 2, reach / 2], place, spread)
     if np.diff(inner)[0] < INSIDE * (spread[-1] - spread[0]):
-        raise BadData("sfr: no edge, or one too blurred for the picture: values still change at the borders")
-    response, narrower = (_transform(line, middle, width) for width in (read / BINS, read / BINS / 2))
+        raise BadData(
+            "sfr: no edge, or one too blurred for the picture: values still change at the borders"
+        )
+    response, narrower = (
+        _transform(line, middle, width) for width in (read / BINS, read / BINS / 2)
+    )
     error = float(np.abs(narrower - response)[FREQUENCIES <= 0.5].max())
     if error > MOST_ERROR:
-        raise BadData(f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge give "
-                      f"a response that differs by {error:.2g}, wanted {MOST_ERROR:g} or less: a larger picture")
+        raise BadData(
+            f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge give "
+            f"a response that differs by {error:.2g}, wanted {MOST_ERROR:g} or less: a larger picture"
+        )
     return response, np.arctan(abs(fit.deriv()(rows.mean()))), error
 
 
 def _transform(line, middle, reach):
     """Response of a line spread at the places `middle` [pixel], windowed to `reach` on each side."""
-    line = np.where(np.abs(middle) <= reach, line * (0.54 + 0.46 * np.cos(np.pi * middle / reach)), 0)
+    line = np.where(
+        np.abs(middle) <= reach, line * (0.54 + 0.46 * np.cos(np.pi * middle / reach)), 0
+    )
     response = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * middle) @ line) / line.sum()
     return response / np.sinc(FREQUENCIES / BINS) ** 2
 
@@ -174,15 +196,23 @@ def _edge(plane, order):
         weight = slope * window
         total = weight.sum(axis=1)
         if not (total > 0).all():
-            raise BadData("sfr: no edge found in some of the rows or columns; wanted one edge that crosses them all")
-        fit = np.polynomial.Polynomial.fit(rows, (weight * between).sum(axis=1) / total, order).convert()
+            raise BadData(
+                "sfr: no edge found in some of the rows or columns; wanted one edge that crosses them all"
+            )
+        fit = np.polynomial.Polynomial.fit(
+            rows, (weight * between).sum(axis=1) / total, order
+        ).convert()
         reach = min(fit(rows).min(), slope.shape[1] - fit(rows).max())
         if reach < LEAST / 2:
-            raise BadData(f"sfr: the edge comes within {max(reach, 0):.2g} pixels of the border, wanted {LEAST // 2} "
-                          "or more on both sides: a larger picture, or an edge that is turned less")
+            raise BadData(
+                f"sfr: the edge comes within {max(reach, 0):.2g} pixels of the border, wanted {LEAST // 2} "
+                "or more on both sides: a larger picture, or an edge that is turned less"
+            )
         away = (between - fit(rows)[:, None]) / reach
         window = np.where(np.abs(away) < 1, 0.54 + 0.46 * np.cos(np.pi * away), 0)
     tilt = np.abs(fit.deriv()(rows)).max()
     if tilt > 1:
-        raise BadData(f"sfr: the edge is {np.degrees(np.arctan(tilt)):.3g} degrees from the pixels, wanted below 45")
+        raise BadData(
+            f"sfr: the edge is {np.degrees(np.arctan(tilt)):.3g} degrees from the pixels, wanted below 45"
+        )
     return fit, reach / np.hypot(1, tilt)

@@ -40,8 +40,9 @@ class SnrCurve:
     saturation: np.ndarray
 
 
-def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float = 0.0,
-              temporal: bool = False) -> SnrCurve:
+def snr_curve(
+    sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float = 0.0, temporal: bool = False
+) -> SnrCurve:
     """Signal to noise ratio that is expected of each channel against the exposure, up to saturation of the last.
 
     light: name of an illuminant, or its relative power in energy units. seconds: in which the dark current is
@@ -58,12 +59,16 @@ def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float =
     dark = sensor.noise.dark_current * sensor.noise.warmth * seconds
     room = sensor.saturation - dark
     if not room > 0:
-        raise BadData(f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the {sensor.saturation:.4g} e- "
-                      "that a pixel holds; wanted fewer seconds")
+        raise BadData(
+            f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the {sensor.saturation:.4g} e- "
+            "that a pixel holds; wanted fewer seconds"
+        )
     with np.errstate(divide="ignore"):
         saturation = room / per_exposure
     most = saturation[np.isfinite(saturation)].max()
-    exposure = np.union1d(np.geomspace(most * 10**-DECADES, most, POINTS), saturation[np.isfinite(saturation)])
+    exposure = np.union1d(
+        np.geomspace(most * 10**-DECADES, most, POINTS), saturation[np.isfinite(saturation)]
+    )
     electrons = np.minimum(np.outer(per_exposure, exposure), room)
     noise = RawNoise.of(sensor)
     variance = noise.variance(electrons + dark, temporal=temporal)
@@ -76,8 +81,12 @@ def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float =
 
 def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
     """Electrons that 1 lx s of a light (relative power in energy units) makes in a pixel of each channel, (C,)."""
-    nodes = np.array([max(light.wavelengths[0], sensor.qe.wavelengths[0]),
-                      min(light.wavelengths[-1], sensor.qe.wavelengths[-1])])
+    nodes = np.array(
+        [
+            max(light.wavelengths[0], sensor.qe.wavelengths[0]),
+            min(light.wavelengths[-1], sensor.qe.wavelengths[-1]),
+        ]
+    )
     if not nodes[0] < nodes[1]:
         return np.zeros(len(sensor.channels))
     height, width = sensor.aperture
@@ -121,16 +130,24 @@ def visible_snr(patch, samples_per_degree: float, white=None) -> float:
     rows, cols = (round((1 - MIDDLE) / 2 * count) for count in lab.shape[:2])
     middle = lab[rows : lab.shape[0] - rows, cols : lab.shape[1] - cols]
     if middle[..., 0].size < 2:
-        raise BadData(f"visible_snr: patch of {lab.shape[0]} x {lab.shape[1]} pixels, wanted 2 or more")
+        raise BadData(
+            f"visible_snr: patch of {lab.shape[0]} x {lab.shape[1]} pixels, wanted 2 or more"
+        )
     spread = np.sqrt(middle.var(axis=(0, 1), ddof=1).sum())
     return float(1 / spread) if spread > 0 else np.inf
 
 
 def _numbers(values, name):
     values = np.asarray(values)
-    if values.ndim not in (2, 3) or values.dtype.kind not in "uif" or values.shape[0] * values.shape[1] < 2:
-        raise BadData(f"snr: {name} of shape {values.shape} and type {values.dtype}; wanted numbers (rows, cols) or "
-                      "(rows, cols, channels), 2 pixels or more")
+    if (
+        values.ndim not in (2, 3)
+        or values.dtype.kind not in "uif"
+        or values.shape[0] * values.shape[1] < 2
+    ):
+        raise BadData(
+            f"snr: {name} of shape {values.shape} and type {values.dtype}; wanted numbers (rows, cols) or "
+            "(rows, cols, channels), 2 pixels or more"
+        )
     values = values.astype(np.float64)
     if not np.isfinite(values).all():
         raise BadData(f"snr: {name}: NaN or infinite values")

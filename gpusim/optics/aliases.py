@@ -26,7 +26,9 @@ def misses(shape: tuple[int, int], sigmas, energies, spacings: float, down, acro
         each = energies[:, part, None]
         there = np.multiply.outer(y.there, x.there)  # and back as the same wave
         back = np.multiply.outer(y.back, x.back) - there**2
-        wanted, filtered = (first.T @ (each * second) for first, second in ((y.wanted, x.wanted), (y.taps, x.taps)))
+        wanted, filtered = (
+            first.T @ (each * second) for first, second in ((y.wanted, x.wanted), (y.taps, x.taps))
+        )
         found += there**2 * filtered**2 * back + (there**2 * filtered - wanted) ** 2
     return found
 
@@ -56,6 +58,13 @@ def _levels(shape, sigmas, spacings, down, across):
         part = np.arange(len(sigmas))[both[0].of_level(level)]
         part = part[np.take(sigmas, part) < WIDE * min(axis.n / axis.size(level) for axis in both)]
         if len(part):
-            found.append((part, *(_Waves(axis, level, np.take(sigmas, part), np.array(at))
-                                  for axis, at in zip(both, (down, across), strict=True))))
+            found.append(
+                (
+                    part,
+                    *(
+                        _Waves(axis, level, np.take(sigmas, part), np.array(at))
+                        for axis, at in zip(both, (down, across), strict=True)
+                    ),
+                )
+            )
     return found

@@ -34,19 +34,27 @@ def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength
     Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
     """
     diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
-    return (optics.displacement(1.0) * diopters + _defocus(optics, wavelength)) / (optics.working_f_number * pitch)
+    return (optics.displacement(1.0) * diopters + _defocus(optics, wavelength)) / (
+        optics.working_f_number * pitch
+    )
 
 
 def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
     """Distance [m] whose `circle_of_confusion` is `confusion`; infinite or negative beyond what has an image."""
-    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch) - _defocus(optics, wavelength)
+    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch) - _defocus(
+        optics, wavelength
+    )
     with np.errstate(divide="ignore"):
         return 1 / (1 / optics.object_distance - shift / optics.image_distance**2)
 
 
 def _defocus(optics, wavelength):
     shift = optics.defocus
-    return float(shift.at(np.array([wavelength]), outside=None)[0]) if isinstance(shift, Spectrum) else float(shift)
+    return (
+        float(shift.at(np.array([wavelength]), outside=None)[0])
+        if isinstance(shift, Spectrum)
+        else float(shift)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +94,9 @@ class DepthPlan:
         nearer = self.layer < layer
         if not nearer.any():
             return content, self.layer == layer, self.confusion
-        rows, cols = scipy.ndimage.distance_transform_edt(nearer, return_distances=False, return_indices=True)
+        rows, cols = scipy.ndimage.distance_transform_edt(
+            nearer, return_distances=False, return_indices=True
+        )
         return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 
     def shares(self, coverage, confusion):
@@ -104,7 +114,9 @@ class DepthPlan:
             weight = np.array(coverage[some], np.float64)
             for other in (start + i for i in range(count)):  # Lagrange's polynomials
                 apart = self.kernels[kernel] - self.kernels[other]
-                weight *= np.where(other == kernel, 1, (at - self.kernels[other]) / np.where(apart == 0, 1, apart))
+                weight *= np.where(
+                    other == kernel, 1, (at - self.kernels[other]) / np.where(apart == 0, 1, apart)
+                )
             share = np.zeros(confusion.shape, np.float32)
             share[some] = weight
             if share.any():
@@ -124,8 +136,15 @@ def flattened(scene: Scene):
     return content, depth
 
 
-def plan_depth(optics: Optics, pitch: float, depth, brightness, tolerance: float | None = None,
-               layered: bool | None = None, scene: Scene | None = None) -> DepthPlan:
+def plan_depth(
+    optics: Optics,
+    pitch: float,
+    depth,
+    brightness,
+    tolerance: float | None = None,
+    layered: bool | None = None,
+    scene: Scene | None = None,
+) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
     pitch: of the pixels [m]. depth: distance of every pixel [m], shape (rows, cols). brightness: what the sensor would
@@ -138,42 +157,73 @@ def plan_depth(optics: Optics, pitch: float, depth, brightness, tolerance: float
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
     sheets = _sheets(scene, optics, pitch) if scene is not None and scene.layers else ()
-    every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets]) if sheets else confusion
+    every = (
+        np.concatenate([its[coverage > 0] for _, coverage, its in sheets]) if sheets else confusion
+    )
     low, high = float(every.min()), float(every.max())
     power = float(np.mean(light**2)) or 1.0
-    contrast = np.sqrt(sum(float(np.mean(np.diff(light, axis=axis) ** 2)) for axis in (0, 1) if light.shape[axis] > 1)
-                       / power)
+    contrast = np.sqrt(
+        sum(
+            float(np.mean(np.diff(light, axis=axis) ** 2))
+            for axis in (0, 1)
+            if light.shape[axis] > 1
+        )
+        / power
+    )
     q = 550e-9 * optics.working_f_number / pitch
     distinct = np.unique(every)
     nodes = distinct if len(distinct) <= 4 else kernel_nodes(low, high, contrast, tolerance / 4, q)
     nodes = distinct if len(distinct) <= len(nodes) else nodes
     if len(nodes) > MOST_KERNELS:
-        raise OutOfRange("depth", f"circles of confusion of {low:.4g} .. {high:.4g} pixels, which need {len(nodes)} "
-                         f"kernels for an error of {tolerance:.2g}",
-                         f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth")
+        raise OutOfRange(
+            "depth",
+            f"circles of confusion of {low:.4g} .. {high:.4g} pixels, which need {len(nodes)} "
+            f"kernels for an error of {tolerance:.2g}",
+            f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth",
+        )
     edges = Edges.of(confusion, light)
     plain = edges.plain(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
-    predicted = {"depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
-                 "depth, slopes of surfaces": edges.slopes(light, power)}
+    predicted = {
+        "depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
+        "depth, slopes of surfaces": edges.slopes(light, power),
+    }
     if sheets:
-        predicted |= {"depth, in layers that are given": edges.given(light, power), "depth, if without layers": plain}
-        return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, np.zeros(light.shape, np.uint8),
-                         len(sheets), f"{len(sheets)} layers that are given; {span}", predicted, sheets)
+        predicted |= {
+            "depth, in layers that are given": edges.given(light, power),
+            "depth, if without layers": plain,
+        }
+        return DepthPlan(
+            distance_of(optics, nodes, pitch),
+            nodes,
+            confusion,
+            np.zeros(light.shape, np.uint8),
+            len(sheets),
+            f"{len(sheets)} layers that are given; {span}",
+            predicted,
+            sheets,
+        )
     cuts = edges.cuts(low, high, tolerance**2 * power * light.size)
     in_layers = edges.layered(cuts, light, power)
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
-    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)  # some may have no pixel
+    present, place = np.unique(
+        np.searchsorted(cuts, confusion), return_inverse=True
+    )  # some may have no pixel
     layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
     if layered:
         model = f"{count} layers by depth; {span}"
-        predicted |= {"depth, in layers (what they hide is continued)": in_layers, "depth, if without layers": plain}
+        predicted |= {
+            "depth, in layers (what they hide is continued)": in_layers,
+            "depth, if without layers": plain,
+        }
     else:
         model = f"by depth, without layers; {span}"
         predicted |= {"depth, occlusion left out": plain, "depth, if in layers": in_layers}
-    return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, layer, count, model, predicted)
+    return DepthPlan(
+        distance_of(optics, nodes, pitch), nodes, confusion, layer, count, model, predicted
+    )
 
 
 def _sheets(scene, optics, pitch):
@@ -182,9 +232,16 @@ def _sheets(scene, optics, pitch):
         raise OutOfRange("scene.layers", len(scene.layers), f"up to {MOST_LAYERS - 1}")
     shape = np.shape(scene.depth)
     behind = Layer(scene.content, np.ones(shape, np.float32), scene.depth)
-    return tuple((layer.content, np.asarray(layer.alpha), checked_confusion(
-        optics, pitch, np.broadcast_to(layer.depth, shape).astype(np.float64), shape))
-        for layer in (*scene.layers, behind))
+    return tuple(
+        (
+            layer.content,
+            np.asarray(layer.alpha),
+            checked_confusion(
+                optics, pitch, np.broadcast_to(layer.depth, shape).astype(np.float64), shape
+            ),
+        )
+        for layer in (*scene.layers, behind)
+    )
 
 
 def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
@@ -192,15 +249,23 @@ def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
     if depth.shape != tuple(shape):
         raise BadData(f"depth {depth.shape} does not match the scene {tuple(shape)}")
     if not np.isfinite(depth).all():
-        raise BadData(f"depth: {np.count_nonzero(~np.isfinite(depth))} values are NaN or infinite; "
-                      "give the sky a large distance, such as 1e6 m")
+        raise BadData(
+            f"depth: {np.count_nonzero(~np.isfinite(depth))} values are NaN or infinite; "
+            "give the sky a large distance, such as 1e6 m"
+        )
     if not depth.min() > optics.focal_length:
-        raise OutOfRange("depth", f"{depth.min():.4g} m", f"more than the focal length ({optics.focal_length:.4g} m): "
-                         "nearer points have no image")
+        raise OutOfRange(
+            "depth",
+            f"{depth.min():.4g} m",
+            f"more than the focal length ({optics.focal_length:.4g} m): "
+            "nearer points have no image",
+        )
     return circle_of_confusion(optics, depth, pitch)
 
 
-def kernel_nodes(low: float, high: float, contrast: float, tolerance: float, q: float = 1.0) -> np.ndarray:
+def kernel_nodes(
+    low: float, high: float, contrast: float, tolerance: float, q: float = 1.0
+) -> np.ndarray:
     """Circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
 
     Kernels are as far apart as the fourth root of the fourth derivative allows; one is enough where the first is small.
@@ -223,7 +288,9 @@ def kernel_nodes(low: float, high: float, contrast: float, tolerance: float, q: 
 def _stencil(nodes, confusion):
     """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
     count = min(4, len(nodes))
-    return np.clip(np.searchsorted(nodes, confusion, "right") - count // 2, 0, len(nodes) - count), count
+    return np.clip(
+        np.searchsorted(nodes, confusion, "right") - count // 2, 0, len(nodes) - count
+    ), count
 
 
 def _between(nodes, confusion, q):
@@ -260,10 +327,20 @@ def _derivative_table(order, q):
     all_f = (np.arange(-reach, reach + 1)[:, None] + f).ravel()
     radius = np.hypot(all_f[:, None], all_f)
     s = np.minimum(radius * q, 1)
-    passed = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(all_f[:, None]) * np.sinc(all_f)
+    passed = (
+        2
+        / np.pi
+        * (np.arccos(s) - s * np.sqrt(1 - s * s))
+        * np.sinc(all_f[:, None])
+        * np.sinc(all_f)
+    )
     rate = np.pi * radius * (1 - s)
     v = np.arange(0.05, 512 * rate.max() + 0.1, 0.05)
-    derivative = -2 * jv(2, v) / v if order == 1 else 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
+    derivative = (
+        -2 * jv(2, v) / v
+        if order == 1
+        else 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
+    )
     values = []
     for confusion in np.expm1(known):
         some = passed * rate**order * np.interp(confusion * rate, v, derivative)

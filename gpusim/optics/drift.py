@@ -26,7 +26,10 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.optics.fusion import Response, Spectra, row_pairs
 
-WRONG_ROWS, FEW = 8, 5  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest up to so many planes
+WRONG_ROWS, FEW = (
+    8,
+    5,
+)  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest up to so many planes
 ALL_ROWS = 16  # of both, that `spectral.survey` takes: operators of more planes have all of them
 SHORTEST = 1e-6  # of the longest row of F, below which one is none
 ROUNDING = 1e-6  # of squares that are summed in float32
@@ -77,10 +80,21 @@ class Watch:
         along = rest @ there.T
         beside = float(np.linalg.norm(along, 2)), float(np.linalg.norm(rest - along @ there, 2))
         first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
-        return cls(flat, wrong, left, projections.astype(np.float32), seen**2, beside, first, np.asarray(table))
+        return cls(
+            flat,
+            wrong,
+            left,
+            projections.astype(np.float32),
+            seen**2,
+            beside,
+            first,
+            np.asarray(table),
+        )
 
     @classmethod
-    def of_no_blur(cls, response: Response, content: Content, shape, spectra: Spectra) -> tuple["Watch", float]:
+    def of_no_blur(
+        cls, response: Response, content: Content, shape, spectra: Spectra
+    ) -> tuple["Watch", float]:
         """The same where the blur is left out, and the error of a content with these moments.
 
         What a channel gets wrong of a wavelength is then its transfer function less that of a flat field. shape: of the
@@ -93,8 +107,13 @@ class Watch:
 
     def scaled(self, content: Content) -> "Watch":
         """The same for a content in host memory and others up to 1e15 times as bright, whose squares float32 holds."""
-        unit, of_table = (2.0 ** -float(np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT)) for largest in (
-            np.abs(content.planes).max(initial=0), np.abs(self.table).max(initial=0)))
+        unit, of_table = (
+            2.0 ** -float(np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT))
+            for largest in (
+                np.abs(content.planes).max(initial=0),
+                np.abs(self.table).max(initial=0),
+            )
+        )
         return replace(self, scale=(unit, unit * of_table))
 
     def _unscaled(self, survey):
@@ -124,7 +143,10 @@ class Watch:
         """What R gives at most, of pairs of rows (n, P + 1)."""
         whole, along = squares[:, -1], squares[:, : len(self.flat)] @ self.seen
         across = np.maximum(whole - along, ROUNDING * whole)
-        return np.fmin(self.left * whole, (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2)
+        return np.fmin(
+            self.left * whole,
+            (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2,
+        )
 
     def falling(self, moments) -> tuple:
         """`falls` where operators of one plane more, two more ... have such moments M'.
@@ -132,7 +154,9 @@ class Watch:
         Of a row b of B it is b M' b^T / |b|^4: what M' makes of the direction of b, over what M does, |b|^2.
         """
         size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
-        return tuple(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments)
+        return tuple(
+            np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
+        )
 
     def wanting(self, survey, limit: float) -> int:
         """How many planes more would err up to `limit` for a content; one more than `falls` tells where none of those.
@@ -143,14 +167,24 @@ class Watch:
         values, across, down = self._unscaled(survey).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (limit / self.factor) ** 2 * values[:signals].sum()
-        return 1 + next((more for more, fall in enumerate(self.falls) if fall @ differences[signals:-1] <= allowed),
-                        len(self.falls))
+        return 1 + next(
+            (
+                more
+                for more, fall in enumerate(self.falls)
+                if fall @ differences[signals:-1] <= allowed
+            ),
+            len(self.falls),
+        )
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:
     """M, shape (L, L): d M d^T is the mosaic's mean square error where neighbouring pixels differ by d (L,)."""
-    wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(table.shape[1])
-    return np.tensordot(wrong, response.share[:, None, None] * (response.optical @ wrong), ((0, 1), (0, 1)))
+    wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(
+        table.shape[1]
+    )
+    return np.tensordot(
+        wrong, response.share[:, None, None] * (response.optical @ wrong), ((0, 1), (0, 1))
+    )
 
 
 def _rows(moments, content, count):

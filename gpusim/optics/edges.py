@@ -30,15 +30,26 @@ class Edges:
         """All pairs along rows and columns."""
         pairs = []
         for axis in (0, 1):
-            one, two = (np.take(a, range(a.shape[axis] - 1), axis).ravel() for a in (confusion, light))
-            other, its = (np.take(a, range(1, a.shape[axis]), axis).ravel() for a in (confusion, light))
+            one, two = (
+                np.take(a, range(a.shape[axis] - 1), axis).ravel() for a in (confusion, light)
+            )
+            other, its = (
+                np.take(a, range(1, a.shape[axis]), axis).ravel() for a in (confusion, light)
+            )
             swap = one > other
             unequal = one != other
-            pairs.append([np.where(swap, b, a)[unequal] for a, b in ((one, other), (other, one), (two, its),
-                                                                      (its, two))])
+            pairs.append(
+                [
+                    np.where(swap, b, a)[unequal]
+                    for a, b in ((one, other), (other, one), (two, its), (its, two))
+                ]
+            )
         lags = [2**k for k in range(12) if 2**k < max(light.shape)]
-        return cls(*map(np.concatenate, zip(*pairs, strict=True)), np.array([0, *lags]),
-                   np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]))
+        return cls(
+            *map(np.concatenate, zip(*pairs, strict=True)),
+            np.array([0, *lags]),
+            np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]),
+        )
 
     @property
     def jumps(self):
@@ -65,14 +76,22 @@ class Edges:
         """
         some = ~self.jumps
         moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
-        return float(np.sqrt(((moved * (self.light_near - self.light_far)[some]) ** 2).sum() / (power * light.size)))
+        return float(
+            np.sqrt(
+                ((moved * (self.light_near - self.light_far)[some]) ** 2).sum()
+                / (power * light.size)
+            )
+        )
 
     def _plain(self):
         some = self.jumps
         near, far = self.near[some] / 2, self.far[some] / 2
         step = (self.light_near - self.light_far)[some] ** 2
-        return np.hypot(near, far) * (step * _edge("plain", near, far) + self._hidden(near, far)
-                                      + self._covariance(far) * _edge("differs", near, far))
+        return np.hypot(near, far) * (
+            step * _edge("plain", near, far)
+            + self._hidden(near, far)
+            + self._covariance(far) * _edge("differs", near, far)
+        )
 
     def _hidden(self, near, far):
         """Squared error of what is hidden, if it is guessed from what is visible beside it.
@@ -81,7 +100,9 @@ class Edges:
         chord, of which pieces a lag long are independent.
         """
         lag = (np.abs(near) + np.abs(far)) / 2
-        guess = np.interp(lag, self.lags, self.variation) / (1 + 2 * np.abs(far) / np.maximum(lag, 1e-9))
+        guess = np.interp(lag, self.lags, self.variation) / (
+            1 + 2 * np.abs(far) / np.maximum(lag, 1e-9)
+        )
         return guess * _edge("hidden", near, far)
 
     def given(self, light, power):
@@ -98,8 +119,10 @@ class Edges:
         """
         near, far = self.near[some] / 2, self.far[some] / 2
         jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
-        return np.hypot(near, far) * (np.where(jump, self._hidden(near, far), 0)
-                                      + self._covariance(far) * _edge("covariance", near, far))
+        return np.hypot(near, far) * (
+            np.where(jump, self._hidden(near, far), 0)
+            + self._covariance(far) * _edge("covariance", near, far)
+        )
 
     def _covariance(self, radius):
         """Squared covariance of a background within a disc with half of the disc, over the variance of that half.
@@ -119,7 +142,9 @@ class Edges:
         if not some.any():
             return np.empty(0)
         count = int(np.ceil((high - low) / STEP))
-        first, last = (np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far))
+        first, last = (
+            np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far)
+        )
         smooth = (first != last) & ~some
         cost = _covering(first[smooth], last[smooth], self._layered(smooth), count)
         plain, layered = self._plain(), self._layered(some)
@@ -131,7 +156,9 @@ class Edges:
             best = int(np.argmax(gain))
             if not gain[best] > 0:
                 break
-            same = np.flatnonzero(gain < gain[best] * (1 - 1e-9))  # the middle of all that are as good
+            same = np.flatnonzero(
+                gain < gain[best] * (1 - 1e-9)
+            )  # the middle of all that are as good
             best = (best + min((i for i in same if i > best), default=count) - 1) // 2
             cut |= (first < best) & (last >= best)
             found.append(best)
@@ -149,8 +176,10 @@ def _variation(confusion, light, lag):
     total, count = 0.0, 0
     for axis in (0, 1):
         if light.shape[axis] > lag:
-            before, after = (tuple(slice(None) if a != axis else part for a in (0, 1))
-                             for part in (slice(None, -lag), slice(lag, None)))
+            before, after = (
+                tuple(slice(None) if a != axis else part for a in (0, 1))
+                for part in (slice(None, -lag), slice(lag, None))
+            )
             same = np.abs(confusion[after] - confusion[before]) <= JUMP
             total += float((((light[after] - light[before]) ** 2) * same).sum())
             count += int(same.sum())
@@ -159,14 +188,20 @@ def _variation(confusion, light, lag):
 
 def _covering(first, last, values, count):
     """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
-    steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[:count]
+    steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[
+        :count
+    ]
     return np.cumsum(steps)
 
 
 def _edge(what, near, far):
     """Integral across a straight edge, over the root of the sum of the squared radii, which are signed."""
     angles, tables = _edge_tables()
-    return np.interp(np.arctan2(np.abs(far), np.abs(near) * np.where(near * far < 0, -1, 1)), angles, tables[what])
+    return np.interp(
+        np.arctan2(np.abs(far), np.abs(near) * np.where(near * far < 0, -1, 1)),
+        angles,
+        tables[what],
+    )
 
 
 @lru_cache(maxsize=1)
@@ -183,8 +218,12 @@ def _edge_tables():
         near, far = (_edge_spread(t, abs(radius)) for radius in (np.cos(angle), np.sin(angle)))
         more = near - far
         wrong = np.abs(more) if angle <= np.pi / 2 else np.where(t > 0, 2 - near - far, near + far)
-        for name, value in (("plain", (more * near / (1 + more)) ** 2), ("hidden", ((1 - near) * far) ** 2),
-                            ("covariance", near * (1 - near)), ("differs", wrong - more**2)):
+        for name, value in (
+            ("plain", (more * near / (1 + more)) ** 2),
+            ("hidden", ((1 - near) * far) ** 2),
+            ("covariance", near * (1 - near)),
+            ("differs", wrong - more**2),
+        ):
             tables[name].append(2 * np.mean(value))
     return angles, {name: np.array(values) for name, values in tables.items()}
 

@@ -27,7 +27,13 @@ PROBES = 48  # places where a model is compared with the lens
 SPACING = 8  # [pixel] between them, at least
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
-GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))  # each holds the places of those before and of SAMPLES
+GRIDS = (
+    (3, 5),
+    (8, 13),
+    (15, 25),
+    (29, 49),
+    (57, 97),
+)  # each holds the places of those before and of SAMPLES
 
 Lens = Callable[[np.ndarray], np.ndarray]
 
@@ -61,21 +67,30 @@ class FieldBlur:
     @property
     def stage_inputs(self) -> dict:
         """Keyword arguments of `optics.field`, as the devices want them."""
-        return {"coefficients": self.coefficients.astype(np.float32), "kernels": self.kernels.astype(np.float32),
-                "index": self.index.astype(np.int32), "edges": self.edges}
+        return {
+            "coefficients": self.coefficients.astype(np.float32),
+            "kernels": self.kernels.astype(np.float32),
+            "index": self.index.astype(np.int32),
+            "edges": self.edges,
+        }
 
     def bytes_of_tiles(self, channels) -> int:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
         count, planes, m, _ = self.kernels.shape
         rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
-        return 8 * count * planes * rows * (cols // 2 + 1) + 4 * channels * len(self.index) * rows * cols
+        return (
+            8 * count * planes * rows * (cols // 2 + 1)
+            + 4 * channels * len(self.index) * rows * cols
+        )
 
     @property
     def report(self) -> str:
         """One line of what a user should know."""
-        return (f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
-                f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
-                "in flat fields")
+        return (
+            f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
+            f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
+            "in flat fields"
+        )
 
 
 def choose(lens: Lens, shape, tolerance: float, flat: "FlatField | None" = None) -> FieldBlur:
@@ -117,16 +132,23 @@ def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None, flat=No
     """
     for size, count in zip(shape, grid, strict=True):
         if not 2 <= count <= max(size, 2):
-            raise OutOfRange("field grid", f"{grid[0]} x {grid[1]}",
-                             f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns")
+            raise OutOfRange(
+                "field grid",
+                f"{grid[0]} x {grid[1]}",
+                f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns",
+            )
     axes = [_Window(size, count, window) for size, count in zip(shape, grid, strict=True)]
-    places = np.stack(np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = np.stack(np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij"), axis=-1).reshape(
+        -1, 2
+    )
     kernels = _kernels(lens, places)
     reach = kernels.shape[-1] // 2
     through = kernels.reshape(*grid, -1)
     for axis, one in enumerate(axes):
         first = np.moveaxis(through, axis, 0)
-        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1)).reshape(first.shape)
+        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1)).reshape(
+            first.shape
+        )
         through = np.moveaxis(solved, 0, axis)
     kernels = through.reshape(kernels.shape)
     along_y, along_x = (one.at(np.arange(size))[1] for one, size in zip(axes, shape, strict=True))
@@ -135,17 +157,30 @@ def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None, flat=No
     corner = np.arange(tiles[0])[:, None] * grid[1] + np.arange(tiles[1])
     steps = (np.arange(along_y.shape[1])[:, None] * grid[1] + np.arange(along_x.shape[1])).ravel()
     index = (corner[..., None] + steps).reshape(-1, terms)
-    edges = tuple(np.array([-reach, *np.ceil(one.knots[1:-1]).astype(int), size + reach])
-                  for one, size in zip(axes, shape, strict=True))
+    edges = tuple(
+        np.array([-reach, *np.ceil(one.knots[1:-1]).astype(int), size + reach])
+        for one, size in zip(axes, shape, strict=True)
+    )
     probes, wanted = _truth(lens, shape, truth)
     (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
     wrong = 0.0
     if flat:
-        wrong = flat.error(kernels, _window_maps(*(one.dense(at) for one, at in zip(axes, flat.axes, strict=True))))
-    return FieldBlur("overlap-add", partial(_window_maps, along_y, along_x), kernels, index, edges,
-                     image_error(mixed, wanted), terms, _cost(edges, reach, terms), wrong)
+        wrong = flat.error(
+            kernels, _window_maps(*(one.dense(at) for one, at in zip(axes, flat.axes, strict=True)))
+        )
+    return FieldBlur(
+        "overlap-add",
+        partial(_window_maps, along_y, along_x),
+        kernels,
+        index,
+        edges,
+        image_error(mixed, wanted),
+        terms,
+        _cost(edges, reach, terms),
+        wrong,
+    )
 
 
 def _window_maps(along_y, along_x):
@@ -178,16 +213,29 @@ class _Window:
             inner = self.nodes[2:-2]
         self.knots = np.array([self.nodes[0], *inner, self.nodes[-1]])
         self._padded = np.pad(self.knots, self.degree, mode="edge")
-        self.collocation = scipy.interpolate.BSpline.design_matrix(self.nodes, self._padded, self.degree).toarray()
+        self.collocation = scipy.interpolate.BSpline.design_matrix(
+            self.nodes, self._padded, self.degree
+        ).toarray()
 
     def at(self, pixels):
         """Cell of each pixel, and the weights of its degree + 1 kernels, which sum to one."""
-        cell = np.clip(np.searchsorted(self.knots, pixels, side="right") - 1, 0, len(self.knots) - 2)
+        cell = np.clip(
+            np.searchsorted(self.knots, pixels, side="right") - 1, 0, len(self.knots) - 2
+        )
         if self.cosine:
-            part = np.sin(np.pi / 2 * np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)) ** 2
+            part = (
+                np.sin(
+                    np.pi
+                    / 2
+                    * np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)
+                )
+                ** 2
+            )
             return cell, np.stack([1 - part, part], axis=1)
         inside = np.clip(pixels, self.knots[0], self.knots[-1])
-        basis = scipy.interpolate.BSpline.design_matrix(inside.astype(np.float64), self._padded, self.degree).toarray()
+        basis = scipy.interpolate.BSpline.design_matrix(
+            inside.astype(np.float64), self._padded, self.degree
+        ).toarray()
         return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
 
     def dense(self, pixels):
@@ -198,7 +246,9 @@ class _Window:
         return out
 
 
-def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None) -> FieldBlur:
+def eigen_kernels(
+    lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None
+) -> FieldBlur:
     """The mean kernel and the principal differences from it, as a natural scene weighs them.
 
     terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
@@ -212,26 +262,34 @@ def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES
     differences = kernels - mean
     spectra = _weighted(differences).reshape(len(places), -1)
     variances, vectors = np.linalg.eigh(spectra @ spectra.T)
-    order = np.argsort(variances)[::-1][:MOST_TERMS - 1]
+    order = np.argsort(variances)[::-1][: MOST_TERMS - 1]
     # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
     vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
     probes, wanted = _truth(lens, shape, truth)
     at_probes = _between(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
-    basis = np.einsum("nk,npij->kpij", vectors, differences)  # U (U^T D): sums of differences, so their sums are zero
+    basis = np.einsum(
+        "nk,npij->kpij", vectors, differences
+    )  # U (U^T D): sums of differences, so their sums are zero
 
     def error(count):
-        return image_error(mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted)
+        return image_error(
+            mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted
+        )
 
     between = _between(nodes, vectors, *flat.axes) if flat else None
 
     def flat_error(count):
         if flat is None:
             return 0.0
-        return flat.error(np.concatenate([mean[None], basis[: count - 1]]),
-                          np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]]))
+        return flat.error(
+            np.concatenate([mean[None], basis[: count - 1]]),
+            np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]]),
+        )
 
     def is_enough(count):
-        return error(count)[0] <= tolerance and (flat is None or flat_error(count) <= flat.tolerance)
+        return error(count)[0] <= tolerance and (
+            flat is None or flat_error(count) <= flat.tolerance
+        )
 
     most = vectors.shape[1] + 1
     if terms is None:
@@ -245,14 +303,25 @@ def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
-    return FieldBlur("eigen-kernels", maps, np.concatenate([mean[None], basis[: terms - 1]]),
-                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms), flat_error(terms))
+    return FieldBlur(
+        "eigen-kernels",
+        maps,
+        np.concatenate([mean[None], basis[: terms - 1]]),
+        np.arange(terms)[None],
+        edges,
+        error(terms),
+        terms,
+        _cost(edges, reach, terms),
+        flat_error(terms),
+    )
 
 
 def _sampled(shape, samples=SAMPLES):
     """Places along rows and columns whose kernels are analysed, and all of them, (n, 2)."""
-    nodes = [np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
-             for size, count in zip(shape, samples, strict=True)]
+    nodes = [
+        np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
+        for size, count in zip(shape, samples, strict=True)
+    ]
     return nodes, np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
@@ -269,19 +338,27 @@ class FlatField:
     def __init__(self, lens: Lens, shape, levels, tolerance: float):
         nodes, places = _sampled(shape)
         self.levels, self.tolerance = np.asarray(levels, np.float64), tolerance
-        self.axes = [np.linspace(0, size - 1, min(4 * len(at), size)) for size, at in zip(shape, nodes, strict=True)]
+        self.axes = [
+            np.linspace(0, size - 1, min(4 * len(at), size))
+            for size, at in zip(shape, nodes, strict=True)
+        ]
         moments = _moments(_kernels(lens, places))
         self.moments = _between(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
-            *moments.shape[1:], *map(len, self.axes))
+            *moments.shape[1:], *map(len, self.axes)
+        )
 
     def error(self, kernels, coefficients) -> float:
         """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
         moments = _moments(kernels)
-        wrong = np.tensordot(moments, coefficients, (0, 0)) - self.moments  # (planes, 5, rows, cols)
+        wrong = (
+            np.tensordot(moments, coefficients, (0, 0)) - self.moments
+        )  # (planes, 5, rows, cols)
         if min(wrong.shape[2:]) < 3:
             return 0.0
-        down, across = (lambda values, axis=axis: np.gradient(values, self.axes[axis], axis=axis + 1)
-                        for axis in (0, 1))
+        down, across = (
+            lambda values, axis=axis: np.gradient(values, self.axes[axis], axis=axis + 1)
+            for axis in (0, 1)
+        )
         y, x, yy, xx, yx = wrong.swapaxes(0, 1)
         flat = down(down(yy)) / 2 + across(across(xx)) / 2 + down(across(yx)) - down(y) - across(x)
         return float(np.sqrt(self.levels**2 @ np.square(flat).mean(axis=(1, 2))))
@@ -290,7 +367,9 @@ class FlatField:
 def _moments(kernels):
     """First and second moments (y, x, y y, x x, y x) of kernels (n, planes, m, m) [pixel], shape (n, planes, 5)."""
     at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2.0
-    weights = np.stack(np.broadcast_arrays(at[:, None], at, at[:, None] ** 2, at**2, at[:, None] * at))
+    weights = np.stack(
+        np.broadcast_arrays(at[:, None], at, at[:, None] ** 2, at**2, at[:, None] * at)
+    )
     return np.tensordot(kernels, weights, ((2, 3), (1, 2)))
 
 
@@ -300,7 +379,9 @@ def image_error(kernels, wanted) -> tuple[float, float]:
     Returns the root mean square over the n places, and the largest of them; planes count alike.
     """
     wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
-    scene = np.square(_weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])).sum()  # of a point: the weight alone
+    scene = np.square(
+        _weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])
+    ).sum()  # of a point: the weight alone
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
 
@@ -311,8 +392,11 @@ def natural_difference() -> float:
     weight = 1 / np.maximum(np.hypot(f[:, None], f), 0.5 / PERIOD) ** 2
     weight[0, 0] = 0
     slope = 4 * np.sin(np.pi * f) ** 2
-    return float(CONTRAST / np.sqrt(1 + CONTRAST**2) * np.sqrt(
-        (weight * (slope[:, None] + slope)).sum() / weight.sum()))
+    return float(
+        CONTRAST
+        / np.sqrt(1 + CONTRAST**2)
+        * np.sqrt((weight * (slope[:, None] + slope)).sum() / weight.sum())
+    )
 
 
 def _weighted(kernels, size=0):
@@ -323,23 +407,31 @@ def _weighted(kernels, size=0):
     weight = 1 / np.maximum(np.hypot(fy, fx), 0.5 / period)
     weight[0, 0] = 0
     twice = np.where((fx > 0) & (fx < 0.5), np.sqrt(2), 1.0)  # columns that stand for two
-    return np.concatenate([spectra.real * (weight * twice), spectra.imag * (weight * twice)], axis=-1)
+    return np.concatenate(
+        [spectra.real * (weight * twice), spectra.imag * (weight * twice)], axis=-1
+    )
 
 
 def _kernels(lens, places):
     """The lens's kernels, checked."""
     kernels = np.asarray(lens(places), np.float64)
     if kernels.ndim != 4 or len(kernels) != len(places) or kernels.shape[2] != kernels.shape[3]:
-        raise BadData(f"field kernels: wanted shape ({len(places)}, planes, m, m), got {kernels.shape}")
+        raise BadData(
+            f"field kernels: wanted shape ({len(places)}, planes, m, m), got {kernels.shape}"
+        )
     if kernels.shape[2] % 2 == 0:
-        raise BadData(f"field kernels: the size {kernels.shape[2]} is even; a kernel needs a middle pixel")
+        raise BadData(
+            f"field kernels: the size {kernels.shape[2]} is even; a kernel needs a middle pixel"
+        )
     sums = kernels.sum(axis=(2, 3))
     wanted = np.median(sums, axis=0)
     off = np.where(np.isfinite(sums), np.abs(sums - wanted), np.inf)
     if not off.max() <= 1e-6 * np.abs(kernels).sum(axis=(2, 3)).max():
         worst = np.unravel_index(np.argmax(off), sums.shape)
-        raise BadData(f"field kernels: the one at pixel {tuple(np.round(places[worst[0]], 1).tolist())} sums to "
-                      f"{sums[worst]:.6g}, others to {wanted[worst[1]]:.6g}: the field would change flat frames")
+        raise BadData(
+            f"field kernels: the one at pixel {tuple(np.round(places[worst[0]], 1).tolist())} sums to "
+            f"{sums[worst]:.6g}, others to {wanted[worst[1]]:.6g}: the field would change flat frames"
+        )
     kernels = kernels.copy()
     kernels[..., kernels.shape[2] // 2, kernels.shape[3] // 2] += wanted - sums  # rounding
     return kernels
@@ -367,11 +459,16 @@ def _between(nodes, vectors, rows, cols, grid=True):
     out = np.empty((vectors.shape[1], *shape))
     for k, values in enumerate(vectors.T):
         if min(counts) == 1:
-            out[k] = values[0] if max(counts) == 1 else np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len),
-                                                                  values)
+            out[k] = (
+                values[0]
+                if max(counts) == 1
+                else np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
+            )
             continue
         degrees = [min(3, count - 1) for count in counts]
-        spline = scipy.interpolate.RectBivariateSpline(*nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1])
+        spline = scipy.interpolate.RectBivariateSpline(
+            *nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1]
+        )
         out[k] = spline(rows, cols, grid=grid)
     return out
 

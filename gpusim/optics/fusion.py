@@ -16,8 +16,12 @@ import numpy as np
 
 from gpusim.domain.content import Content, Cube
 
-RIDGE = 0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
-SMALLEST_TAIL = 1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
+RIDGE = (
+    0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
+)
+SMALLEST_TAIL = (
+    1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
+)
 SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
 MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
@@ -58,16 +62,24 @@ class Response:
         fx = np.arange(cols) / period
         fy = fx if rows == cols else np.fft.fftfreq(rows)
         # where only one half is stored, each also stands for its negative
-        twice_y, twice_x = (np.where((f == 0) | (f == 0.5), 1, 2) if len(f) == cols else np.ones(len(f))
-                            for f in (fy, fx))
+        twice_y, twice_x = (
+            np.where((f == 0) | (f == 0.5), 1, 2) if len(f) == cols else np.ones(len(f))
+            for f in (fy, fx)
+        )
         power = 4 * np.sin(np.pi * fy[:, None]) ** 2 + 4 * np.sin(np.pi * fx) ** 2
         power[0, 0] = np.inf  # flat fields are exact, whatever their power
         count = np.multiply.outer(twice_y, twice_x) / places
         power = count / power / period**2
         share = np.bincount(np.ravel(cfa), minlength=len(weights)) / np.size(cfa)
         tables = tables.reshape(len(tables), -1)
-        return cls(weights, weights * np.real(tables[:, :1].T), share, tables, np.tile(power.ravel(), places),
-                   np.tile(count.ravel(), places))
+        return cls(
+            weights,
+            weights * np.real(tables[:, :1].T),
+            share,
+            tables,
+            np.tile(power.ravel(), places),
+            np.tile(count.ravel(), places),
+        )
 
     def channel(self, c) -> "Response":
         """Channel c alone."""
@@ -88,8 +100,12 @@ class Response:
         table: planes from spectra, shape (planes, L). transfers: weight of O_l in the transfer function of each plane
         in each channel, shape (C, planes, L).
         """
-        wrong = np.einsum("ckl,km->clm", transfers, table) - self.weights[:, :, None] * np.eye(len(table.T))
-        error = np.einsum("clm,ln,cno,mo->c", wrong, self.optical, wrong, spectra.differences, optimize=True)
+        wrong = np.einsum("ckl,km->clm", transfers, table) - self.weights[:, :, None] * np.eye(
+            len(table.T)
+        )
+        error = np.einsum(
+            "clm,ln,cno,mo->c", wrong, self.optical, wrong, spectra.differences, optimize=True
+        )
         signal = np.einsum("cl,lm,cm->c", self.flat, spectra.values, self.flat)
         total = self.share @ signal
         return float(np.sqrt(max(self.share @ error, 0.0) / total)) if total > 0 else 0.0
@@ -125,19 +141,26 @@ class Spectra:
             there = np.bincount(pairs.labels.ravel().astype(int)) > 0
             used, ids = np.flatnonzero(there), np.take(np.cumsum(there) - 1, pairs.labels)
             if len(used) > MOST_ENTRIES:
-                pairs, entries = Cube(pairs.wavelengths, pairs.bands_at(slice(None))), np.eye(len(pairs.wavelengths))
+                pairs, entries = (
+                    Cube(pairs.wavelengths, pairs.bands_at(slice(None))),
+                    np.eye(len(pairs.wavelengths)),
+                )
             else:
                 labelled = ids, np.asarray(pairs.planes, np.float64)
                 return cls(*_labelled_moments(*labelled, entries[used], weight))
         # float32 sums of a cube's rows, a tenth of a plan's time in float64; differences of neighbours are exact
-        lines = pairs.planes.swapaxes(0, 1).astype(np.float32 if pairs.is_spectral else np.float64, copy=False)
+        lines = pairs.planes.swapaxes(0, 1).astype(
+            np.float32 if pairs.is_spectral else np.float64, copy=False
+        )
         lines, power = in_range(lines)
         cols, (values, differences) = pairs.shape[1], np.zeros((2, len(entries), len(entries)))
         for upper, lower, part in zip(lines[::2], lines[1::2], weight, strict=True):
             across, down = np.diff(upper), lower - upper
             values += part * (upper @ upper.T / cols)
             differences += part * (across @ across.T / max(cols - 1, 1) + down @ down.T / cols)
-        values, differences = (np.ldexp(2 / len(lines) * sums, 2 * power) for sums in (values, differences))
+        values, differences = (
+            np.ldexp(2 / len(lines) * sums, 2 * power) for sums in (values, differences)
+        )
         if pairs.is_spectral:
             return cls(values, differences)
         return cls(entries.T @ values @ entries, entries.T @ differences @ entries)
@@ -148,11 +171,14 @@ def _labelled_moments(ids, shading, entries, weight):
 
     weight: of each pair, 1 in the mean.
     """
+
     def products(a, b):
         """Sums of products of two entries at two places."""
         (ida, sa), (idb, sb) = a, b
         count = len(entries)
-        sums = np.bincount((ida * count + idb).ravel(), (weight[:, None] * (sa * sb)).ravel(), count**2)
+        sums = np.bincount(
+            (ida * count + idb).ravel(), (weight[:, None] * (sa * sb)).ravel(), count**2
+        )
         return sums.reshape(count, count) / ida.size
 
     def differences(a, b):
@@ -162,7 +188,9 @@ def _labelled_moments(ids, shading, entries, weight):
     upper, lower = (ids[::2], shading[::2]), (ids[1::2], shading[1::2])
     total = differences(upper, lower)
     if ids.shape[1] > 1:
-        total = total + differences(*(tuple(part[:, cut] for part in upper) for cut in (np.s_[:-1], np.s_[1:])))
+        total = total + differences(
+            *(tuple(part[:, cut] for part in upper) for cut in (np.s_[:-1], np.s_[1:]))
+        )
     return entries.T @ products(upper, upper) @ entries, entries.T @ total @ entries
 
 
@@ -276,7 +304,10 @@ def channel_operator(response: Response, planes: int) -> ChannelOperator:
     seen = norm > 1e-3 * norm.max()  # darker wavelengths are below any noise
     emphasis, best = np.ones(bands), ChannelOperator(np.empty(0), np.empty(0), np.inf)
     for _ in range(ROUNDS):
-        table, transfers = np.empty((channels * planes, bands)), np.zeros((channels, channels * planes, bands))
+        table, transfers = (
+            np.empty((channels * planes, bands)),
+            np.zeros((channels, channels * planes, bands)),
+        )
         errors = np.zeros(bands)
         for c in range(channels):
             row = rho[c] * emphasis

@@ -12,7 +12,10 @@ from gpusim.domain.sensor import Microlens
 from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
-AIM, MOST_CELLS = 1e-4, 128  # error of places and fluxes that is small enough; cells along an axis for it, at most
+AIM, MOST_CELLS = (
+    1e-4,
+    128,
+)  # error of places and fluxes that is small enough; cells along an axis for it, at most
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis, the worst of which has its largest errors
@@ -48,15 +51,20 @@ class DistortionGrid:
     @property
     def report(self) -> str:
         """One line of what a user should know."""
-        line = (f"{self.ratio[0]:.3g} .. {self.ratio[1]:.3g} source samples per pixel, position to {self.error[0]:.1e} "
-                f"of a sample, flux to {self.error[1]:.1e}")
+        line = (
+            f"{self.ratio[0]:.3g} .. {self.ratio[1]:.3g} source samples per pixel, position to {self.error[0]:.1e} "
+            f"of a sample, flux to {self.error[1]:.1e}"
+        )
         if self.ratio[1] > RATIO_TO_REPORT:
             line += f"; more than {RATIO_TO_REPORT:g} samples per pixel: area weighting"
-        return line + (f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else "")
+        return line + (
+            f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else ""
+        )
 
 
-def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_pitch=None,
-                    tolerance=1e-3) -> DistortionGrid:
+def distortion_grid(
+    distortion: Model, shape, pitch, source_shape=None, source_pitch=None, tolerance=1e-3
+) -> DistortionGrid:
     """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
 
     source_shape, source_pitch: samples of the undistorted image, centred as well; the same as the frame by default.
@@ -74,19 +82,30 @@ def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_p
         a, b, c, d = distortion.derivative(u, v)
         flux = 1 / (a * d - b * c)
         back = distortion.radius / source_pitch
-        values = np.stack([v * back + (source_shape[0] - 1) / 2 - rows[:, None],
-                           u * back + (source_shape[1] - 1) / 2 - cols, flux], axis=-1)
+        values = np.stack(
+            [
+                v * back + (source_shape[0] - 1) / 2 - rows[:, None],
+                u * back + (source_shape[1] - 1) / 2 - cols,
+                flux,
+            ],
+            axis=-1,
+        )
         # singular values s1 >= s2 of the 2 x 2 derivative, from s1 s2 = det and s1^2 + s2^2 = sum of squares
         squares, twice = a * a + b * b + c * c + d * d, 2 / flux
         s1 = (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
         ratio = pitch / source_pitch
-        return values, (ratio / s1.max(), ratio * (flux * s1).max())  # 1/s1 the smallest, 1/s2 = flux s1 the largest
+        return values, (
+            ratio / s1.max(),
+            ratio * (flux * s1).max(),
+        )  # 1/s1 the smallest, 1/s2 = flux s1 the largest
 
     for step in STEPS:
         cells = [max(3, -(-n // step)) for n in shape]
         edges = [np.linspace(0, n, count + 1) - 0.5 for n, count in zip(shape, cells, strict=True)]
         values, ratio = places(*edges)
-        between, _ = places(*((edge[1:] + edge[:-1]) / 2 for edge in edges))  # about where cubics err most
+        between, _ = places(
+            *((edge[1:] + edge[:-1]) / 2 for edge in edges)
+        )  # about where cubics err most
         middle = np.einsum("yi,xj,ijk->yxk", *map(_half_way, cells), values, optimize=True)
         moved = np.hypot(middle[..., 0] - between[..., 0], middle[..., 1] - between[..., 1])
         wrong = moved, np.abs(middle[..., 2] / between[..., 2] - 1)
@@ -94,15 +113,20 @@ def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_p
         if max(error) <= AIM or (error[0] <= tolerance and 2 * max(cells) > MOST_CELLS):
             break
     if error[0] > tolerance:
-        raise OutOfRange("distortion", f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
-                         f"at most {tolerance:g}")
+        raise OutOfRange(
+            "distortion",
+            f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
+            f"at most {tolerance:g}",
+        )
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
-    typical = float(np.sqrt(np.mean(wrong[0]**2))), float(np.sqrt(np.mean(wrong[1]**2)))
+    typical = float(np.sqrt(np.mean(wrong[0] ** 2))), float(np.sqrt(np.mean(wrong[1] ** 2)))
     return DistortionGrid(values, error, typical, ratio, float(reach))
 
 
-def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float) -> np.ndarray:
+def view_nodes(
+    view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float
+) -> np.ndarray:
     """Nodes, as of a DistortionGrid, of a view of what the lens shows, (ny, nx, 3).
 
     distortion: the lens's, None: as a pinhole. shape, source_shape: of the result and of the source [sample]. ratio:
@@ -113,7 +137,9 @@ def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shap
         nodes[..., 2] = 1
     else:
         nodes = distortion.nodes.copy()
-    edges = [np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)]
+    edges = [
+        np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)
+    ]
     own, its = ((np.array(one) - 1) / 2 for one in (shape, source_shape))
     middle = its if distortion is not None else own  # of what the nodes so far tell
     y, x = (nodes[..., axis] + place - middle[axis] for axis, place in enumerate(np.ix_(*edges)))
@@ -122,8 +148,9 @@ def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shap
     return nodes
 
 
-def interpolation_error(fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | None = None,
-                        width: float | None = None) -> np.ndarray:
+def interpolation_error(
+    fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | None = None, width: float | None = None
+) -> np.ndarray:
     """Mean square error of waves that `optics.distort` interpolates, relative to the waves, (frequencies, frequencies).
 
     fy, fx: frequencies along rows and columns [cycle/sample]. phases: share of the places that lie so far between
@@ -132,8 +159,12 @@ def interpolation_error(fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | Non
     """
     phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
-    square = np.einsum("ab,af,bg->fg", phases, np.abs(along_y) ** 2, np.abs(along_x) ** 2, optimize=True)
-    return np.maximum(square - 2 * np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True).real + 1, 0)
+    square = np.einsum(
+        "ab,af,bg->fg", phases, np.abs(along_y) ** 2, np.abs(along_x) ** 2, optimize=True
+    )
+    return np.maximum(
+        square - 2 * np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True).real + 1, 0
+    )
 
 
 def interpolated_share(light: np.ndarray) -> np.ndarray:
@@ -144,17 +175,32 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
     """
     places, room = np.array([0.3, 0.5, 0.7]), np.ones(np.array(light.shape[1:]) - 3, np.float32)
     near = np.abs(places[:, None] - np.arange(-1, 3))
-    weights = np.where(near <= 1, (1.5 * near - 2.5) * near**2 + 1, ((-0.5 * near + 2.5) * near - 4) * near + 2)
+    weights = np.where(
+        near <= 1, (1.5 * near - 2.5) * near**2 + 1, ((-0.5 * near + 2.5) * near - 4) * near + 2
+    )
     both = np.einsum("vi,uj->ijvu", weights, weights).reshape(16, -1)
     for plane in light:
         cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4)).reshape(-1, 16)
         rough = np.flatnonzero(cells.max(axis=1) > LEAST_LOBES * cells.min(axis=1))
-        above, below = (cells[rough] @ np.maximum(sign * both, 0).astype(np.float32) for sign in (1, -1))
-        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(axis=1, initial=1.0)
+        above, below = (
+            cells[rough] @ np.maximum(sign * both, 0).astype(np.float32) for sign in (1, -1)
+        )
+        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(
+            axis=1, initial=1.0
+        )
         room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
     share = np.ones(light.shape[1:], np.float32)
     inside = share[3:-3, 3:-3]
-    for y, x in ((0, 1), (0, 2), (3, 1), (3, 2), (1, 0), (2, 0), (1, 3), (2, 3)):  # cells of negative weights
+    for y, x in (
+        (0, 1),
+        (0, 2),
+        (3, 1),
+        (3, 2),
+        (1, 0),
+        (2, 0),
+        (1, 3),
+        (2, 3),
+    ):  # cells of negative weights
         np.minimum(inside, room[y : y + inside.shape[0], x : x + inside.shape[1]], out=inside)
     return share
 
@@ -164,11 +210,16 @@ def _interpolated_waves(f, width):
     places, k = np.arange(PHASES) / PHASES, np.arange(-3, 5)
     t = np.abs(places[:, None] - k)
     if width is None:
-        weights = np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1,
-                           np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0))
+        weights = np.where(
+            t <= 1,
+            (1.5 * t - 2.5) * t * t + 1,
+            np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0),
+        )
     else:
         weights = np.clip((1 + width) / 2 - t, 0, min(1.0, width)) / width
-    return np.einsum("pk,pkf->pf", weights, np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f)))
+    return np.einsum(
+        "pk,pkf->pf", weights, np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f))
+    )
 
 
 def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndarray]:
@@ -178,12 +229,24 @@ def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndar
     columns; places in between count for both neighbours, linearly. The worst of PARTS x PARTS parts is the one whose
     waves of a fifth of a cycle per sample err the most.
     """
-    edges = [np.linspace(0, n, count) - 0.5 for n, count in zip(shape, distortion.nodes.shape[:2], strict=True)]
+    edges = [
+        np.linspace(0, n, count) - 0.5
+        for n, count in zip(shape, distortion.nodes.shape[:2], strict=True)
+    ]
     pixels = [np.unique(np.linspace(0, n - 1, min(n, MOST_PLACES)).astype(int)) for n in shape]
-    at = [scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])(*pixels) % 1 * PHASES
-          for axis in (0, 1)]
-    parts = np.array([_shares(*(one[rows, cols] for one in at)) for cols in _parts(len(pixels[1]))
-                      for rows in _parts(len(pixels[0]))])
+    at = [
+        scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])(*pixels)
+        % 1
+        * PHASES
+        for axis in (0, 1)
+    ]
+    parts = np.array(
+        [
+            _shares(*(one[rows, cols] for one in at))
+            for cols in _parts(len(pixels[1]))
+            for rows in _parts(len(pixels[0]))
+        ]
+    )
     wrong = np.abs(_interpolated_waves([0.2], None)[:, 0] - 1) ** 2
     worst = parts[np.argmax(np.einsum("nab,ab->n", parts, wrong[:, None] + wrong))]
     return _shares(*at), worst
@@ -211,11 +274,15 @@ def _half_way(cells):
     for cell in range(cells):
         first = min(max(cell - 1, 0), cells - 3)
         for a in range(4):
-            weights[cell, first + a] = np.prod([(cell + 0.5 - first - b) / (a - b) for b in range(4) if b != a])
+            weights[cell, first + a] = np.prod(
+                [(cell + 0.5 - first - b) / (a - b) for b in range(4) if b != a]
+            )
     return weights
 
 
-def relative_illumination(model, shape, pitch, image_distance, radius=None, displacement=(0.0, 0.0)) -> np.ndarray:
+def relative_illumination(
+    model, shape, pitch, image_distance, radius=None, displacement=(0.0, 0.0)
+) -> np.ndarray:
     """Relative illumination of every pixel centre, float64, shape (rows, cols), 1 on axis.
 
     model: "cos4"; a tuple of polynomial coefficients (a1, a2, ...) for 1 + a1 h + a2 h^2 + ... of the field height
@@ -227,7 +294,9 @@ def relative_illumination(model, shape, pitch, image_distance, radius=None, disp
     r = _heights(shape, displacement) * pitch
     if isinstance(model, str):
         if model != "cos4":
-            raise OutOfRange("relative_illumination", repr(model), '"cos4", coefficients or a table')
+            raise OutOfRange(
+                "relative_illumination", repr(model), '"cos4", coefficients or a table'
+            )
         return (1 + (r / image_distance) ** 2) ** -2
     h = r / (radius or pitch * np.hypot(*shape) / 2)
     if len(model) == 2 and np.ndim(model[0]) == 1:
@@ -235,8 +304,11 @@ def relative_illumination(model, shape, pitch, image_distance, radius=None, disp
         if heights.shape != values.shape or not (np.diff(heights) > 0).all() or heights[0] != 0:
             raise BadData("relative illumination: wanted heights rising from 0 and as many values")
         if h.max() > heights[-1] * (1 + 1e-9):
-            raise OutOfRange("relative illumination table", f"ends at field height {heights[-1]:.6g}",
-                             f"as far as the frame's corner, {h.max():.6g}")
+            raise OutOfRange(
+                "relative illumination table",
+                f"ends at field height {heights[-1]:.6g}",
+                f"as far as the frame's corner, {h.max():.6g}",
+            )
         if not values[0] > 0:
             raise OutOfRange("relative illumination table", f"{values[0]:.6g} on the axis", "> 0")
         gain = np.interp(h, heights, values) / values[0]
@@ -245,7 +317,9 @@ def relative_illumination(model, shape, pitch, image_distance, radius=None, disp
     return _checked("relative illumination", gain)
 
 
-def microlens_gain(microlens: Microlens, shape, pitch, exit_pupil_distance, displacement=(0.0, 0.0)) -> np.ndarray:
+def microlens_gain(
+    microlens: Microlens, shape, pitch, exit_pupil_distance, displacement=(0.0, 0.0)
+) -> np.ndarray:
     """Gain of every pixel from the angle at which the chief ray meets it, float64, shape (rows, cols).
 
     exit_pupil_distance: from the exit pupil to the sensor [m]. displacement: of the grid of pixels, (rows, cols)
@@ -255,8 +329,11 @@ def microlens_gain(microlens: Microlens, shape, pitch, exit_pupil_distance, disp
     tangent = _heights(shape, displacement) * (pitch / exit_pupil_distance)
     angle = np.abs(np.arctan(tangent) - np.arctan(microlens.shift * tangent))
     if angle.max() > microlens.angles[-1]:
-        raise OutOfRange("sensor.microlens", f"measured up to {np.degrees(microlens.angles[-1]):.4g} deg",
-                         f"as far as the corner's chief ray, {np.degrees(angle.max()):.4g} deg")
+        raise OutOfRange(
+            "sensor.microlens",
+            f"measured up to {np.degrees(microlens.angles[-1]):.4g} deg",
+            f"as far as the corner's chief ray, {np.degrees(angle.max()):.4g} deg",
+        )
     return np.interp(angle, microlens.angles, microlens.response)
 
 
@@ -266,8 +343,10 @@ def vignetting_gain(responses, shape, displacement=(0.0, 0.0)) -> np.ndarray:
     responses: shape (ny, nx), at places even from edge to edge of the frame; bilinear between them, constant beyond.
     displacement: of the grid of pixels, (rows, cols) [pixel].
     """
-    along_y, along_x = (_hats(count, pixels, move) for count, pixels, move in
-                        zip(np.shape(responses), shape, displacement, strict=True))
+    along_y, along_x = (
+        _hats(count, pixels, move)
+        for count, pixels, move in zip(np.shape(responses), shape, displacement, strict=True)
+    )
     return along_y @ np.asarray(responses, np.float64) @ along_x.T
 
 
@@ -286,5 +365,7 @@ def _heights(shape, displacement):
 def _checked(what, gain):
     if not (np.isfinite(gain).all() and gain.min() >= 0):
         worst = np.unravel_index(np.argmin(gain), gain.shape)
-        raise OutOfRange(what, f"{gain[worst]:.6g} at pixel {tuple(map(int, worst))}", "0 <= gain < inf")
+        raise OutOfRange(
+            what, f"{gain[worst]:.6g} at pixel {tuple(map(int, worst))}", "0 <= gain < inf"
+        )
     return gain

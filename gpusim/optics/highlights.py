@@ -70,10 +70,14 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     rows, cols = np.unravel_index(bright, brightness.shape)
     single = np.ones(len(bright), bool)
     if border == "edge":
-        single = np.logical_and.reduce([(0 < at) & (at < n - 1)
-                                        for at, n in zip((rows, cols), brightness.shape, strict=True)])
-    elif border == "reflect" and MOST * np.prod([2 * (max(brightness.shape) // n) + 1
-                                                 for n in brightness.shape]) > MOST_IMAGES:
+        single = np.logical_and.reduce(
+            [(0 < at) & (at < n - 1) for at, n in zip((rows, cols), brightness.shape, strict=True)]
+        )
+    elif (
+        border == "reflect"
+        and MOST * np.prod([2 * (max(brightness.shape) // n) + 1 for n in brightness.shape])
+        > MOST_IMAGES
+    ):
         single[:] = False  # a narrow strip between two mirrors
     chosen = bright[single]
     chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:MOST]]
@@ -83,17 +87,25 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     level = brightness[rows, cols].astype(np.float64)
     keep = (median / level).astype(np.float32)
     spectra, light, strength = content.points(rows, cols)
-    planes = content.planes.astype(np.promote_types(content.planes.dtype, np.float32))  # a copy; what is left is exact
+    planes = content.planes.astype(
+        np.promote_types(content.planes.dtype, np.float32)
+    )  # a copy; what is left is exact
     rest = content.with_planes(planes)
     stored = planes[..., rows, cols].astype(np.float64)
     planes[..., rows, cols] *= keep
     # exactly what was taken away, the rounding of the stored remainder included
     left = planes[..., rows, cols] / np.where(stored == 0, 1, stored)
-    strength = strength * (1 - (left if left.ndim == 1 else np.where(stored == 0, 0, left).max(axis=0)))
+    strength = strength * (
+        1 - (left if left.ndim == 1 else np.where(stored == 0, 0, left).max(axis=0))
+    )
     shape, brightness[rows, cols] = brightness.shape, median
     residue = 0.0
     if len(bright) > len(chosen):
-        residue = TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / max(median, 1e-38)
+        residue = (
+            TRANSFORM_ERROR
+            * float(np.sqrt(np.square(brightness, dtype=np.float64).mean()))
+            / max(median, 1e-38)
+        )
     # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
@@ -101,11 +113,20 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     places, image, missing = np.stack([rows, cols], axis=1), np.arange(len(rows)), 0.0
     if border == "reflect":
         # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
-        missing = float(q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size)
+        missing = float(
+            q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size
+        )
         for axis, n in enumerate(shape):
             places, image = _mirrored(places, image, axis, n, reach)
-    return rest, Highlights(places - margin, light[image].astype(np.int32), strength[image], spectra, reach[image],
-                            residue, missing)
+    return rest, Highlights(
+        places - margin,
+        light[image].astype(np.int32),
+        strength[image],
+        spectra,
+        reach[image],
+        residue,
+        missing,
+    )
 
 
 def _mirrored(places, image, axis, n, reach):

@@ -25,7 +25,11 @@ LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
 REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what is left of the lens has ended
 WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
 POWERS = (3, 5, 7)  # of the tail
-LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf}  # powers of sigma by which a Gaussian comes to its limit
+LIMITS = {
+    "edge": 1,
+    "zero": 2,
+    "reflect": np.inf,
+}  # powers of sigma by which a Gaussian comes to its limit
 
 
 def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:
@@ -45,7 +49,12 @@ def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
     to the infinite one, as in a transfer function.
     """
     finite, ratio = sigmas[:-1], sigmas[1] / sigmas[0]
-    each = np.stack([2 ** (1 - p / 2) / gamma(p / 2) * log(ratio) * 2 * pi * finite ** (2.0 - p) for p in POWERS])
+    each = np.stack(
+        [
+            2 ** (1 - p / 2) / gamma(p / 2) * log(ratio) * 2 * pi * finite ** (2.0 - p)
+            for p in POWERS
+        ]
+    )
     found = np.append(tails @ each, np.zeros((*tails.shape[:-1], 1)), axis=-1)
     last = tails * each[:, -1]
     rest = last @ [_sum(ratio, p - 2) for p in POWERS]
@@ -73,10 +82,14 @@ def tail(optics: Optics, q, waves, aperture) -> np.ndarray:
     """
     q, rims = np.asarray(q, np.float64), _rims(optics)
     cusp = tail_of(optics) * q
-    squares = np.tensordot([_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0))
+    squares = np.tensordot(
+        [_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0)
+    )
     spread = 9 / 4 * sum(aperture)
     third = 9 / (16 * pi**4) * _third(optics) * q**3
-    return np.stack([cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1)
+    return np.stack(
+        [cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1
+    )
 
 
 def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
@@ -84,8 +97,10 @@ def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
 
     pitch: of samples [m]. aperture: height and width over it. Returns [sample^2].
     """
-    first, second = (side**2 / 12 + (spots / pitch / 2) ** 2 + (optics.diffuser / pitch) ** 2
-                     for side, spots in zip(aperture, optics.birefringence, strict=True))
+    first, second = (
+        side**2 / 12 + (spots / pitch / 2) ** 2 + (optics.diffuser / pitch) ** 2
+        for side, spots in zip(aperture, optics.birefringence, strict=True)
+    )
     return first, second
 
 

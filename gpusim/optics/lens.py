@@ -46,13 +46,21 @@ class PupilLens:
         optics, (y, x) = self.optics, place
         wavelengths = np.asarray(wavelengths, np.float64)
         waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
-        colour = optics.lateral_color_at(wavelengths) * self.corner  # shift per unit of field height [pixel]
+        colour = (
+            optics.lateral_color_at(wavelengths) * self.corner
+        )  # shift per unit of field height [pixel]
         out = np.empty((len(wavelengths), size, size))
         for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
-            kernel[:] = self._kernel(wavelength * 1e-9 * optics.working_f_number / self.pitch, wave, size,
-                                     (shift * y - self.displacement[0], shift * x - self.displacement[1]))
+            kernel[:] = self._kernel(
+                wavelength * 1e-9 * optics.working_f_number / self.pitch,
+                wave,
+                size,
+                (shift * y - self.displacement[0], shift * x - self.displacement[1]),
+            )
             if optics.diffuser:
-                spectrum = scipy.ndimage.fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)
+                spectrum = scipy.ndimage.fourier_gaussian(
+                    np.fft.fft2(kernel), optics.diffuser / self.pitch
+                )
                 kernel[:] = np.fft.ifft2(spectrum).real
         return out
 
@@ -66,10 +74,19 @@ class PupilLens:
         q = wavelengths * 1e-9 * optics.working_f_number / self.pitch
         waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
         means = _mean_powers(optics.pupil, waves.shape[1])
-        slopes = [[np.vdot(slope, means[: slope.shape[0], : slope.shape[1]]) for slope in (
-            np.polynomial.polynomial.polyder(wave, axis=axis) for axis in (1, 0))] for wave in waves]
+        slopes = [
+            [
+                np.vdot(slope, means[: slope.shape[0], : slope.shape[1]])
+                for slope in (np.polynomial.polynomial.polyder(wave, axis=axis) for axis in (1, 0))
+            ]
+            for wave in waves
+        ]
         colour = optics.lateral_color_at(wavelengths) * self.corner
-        return -2 * q[:, None] * np.array(slopes) + colour[:, None] * np.array([y, x]) - np.array(self.displacement)
+        return (
+            -2 * q[:, None] * np.array(slopes)
+            + colour[:, None] * np.array([y, x])
+            - np.array(self.displacement)
+        )
 
     def _kernel(self, q, wave, size, shift):
         points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
@@ -78,14 +95,18 @@ class PupilLens:
         count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
         u = (np.arange(count) + 0.5) / count * 2 - 1
         path = np.polynomial.polynomial.polygrid2d(u, u, wave).T  # [y, x]
-        aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
+        aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(
+            np.complex64
+        )
         mass = np.polynomial.legendre.leggauss(points)[1] / 2
         energies = []
         spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
         for a in {-spots[0], spots[0]}:
             for b in {-spots[1], spots[1]}:
-                left, right = (_waves_to(size, points, width, move, count, q)
-                               for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True))
+                left, right = (
+                    _waves_to(size, points, width, move, count, q)
+                    for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True)
+                )
                 field_ = left @ aperture @ right.T
                 energies.append(field_.real**2 + field_.imag**2)
         energy = sum(energies).reshape(size, points, size, points)
@@ -104,8 +125,12 @@ def _energy_beyond(optics, q, wave, size):
     square, which has the mean of 1 / r of a circle of 0.555 of its side.
     """
     radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    slopes = [np.polynomial.polynomial.polyval2d(np.cos(angle), np.sin(angle), np.polynomial.polynomial.polyder(
-        wave, axis=axis)) for axis in (0, 1)]
+    slopes = [
+        np.polynomial.polynomial.polyval2d(
+            np.cos(angle), np.sin(angle), np.polynomial.polynomial.polyder(wave, axis=axis)
+        )
+        for axis in (0, 1)
+    ]
     near = min(np.mean(4 * q * q * (slopes[0] ** 2 + slopes[1] ** 2)) / radius**2, 0.8)
     return 2 * np.pi * tail_of(optics) * q / radius / (1 - near)
 
@@ -136,16 +161,35 @@ class MeasuredLens:
     @property
     def least_size(self) -> int:
         """Least size of the kernels [pixel] that holds the spreads."""
-        return int(np.ceil(max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch
-                           + 2 * max(map(abs, self.displacement)))) + 2
+        return (
+            int(
+                np.ceil(
+                    max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch
+                    + 2 * max(map(abs, self.displacement))
+                )
+            )
+            + 2
+        )
 
     def kernels(self, wavelengths, place, size) -> np.ndarray:
         """As those of `PupilLens`; raises OutOfRange where the spread is larger than `size` pixels."""
         wavelengths = np.asarray(wavelengths, np.float64)
-        place = tuple(float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True))
-        tables = psf_tables(self.spread, wavelengths, self.pitch, self.aperture, size, size, place=place,
-                            displacement=self.displacement)
-        kernels = np.fft.fftshift(np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2))
+        place = tuple(
+            float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True)
+        )
+        tables = psf_tables(
+            self.spread,
+            wavelengths,
+            self.pitch,
+            self.aperture,
+            size,
+            size,
+            place=place,
+            displacement=self.displacement,
+        )
+        kernels = np.fft.fftshift(
+            np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2)
+        )
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
 
@@ -157,8 +201,14 @@ def open_lens(optics: Optics, pitch, aperture, shape, displacement=(0.0, 0.0)):
     height, width = np.broadcast_to(aperture, 2).tolist()
     corner = float(np.hypot(*shape)) / 2
     if optics.psf is not None:
-        return MeasuredLens(optics, optics.psf, pitch, (height, width), tuple(n / 2 / corner for n in shape),
-                            displacement)
+        return MeasuredLens(
+            optics,
+            optics.psf,
+            pitch,
+            (height, width),
+            tuple(n / 2 / corner for n in shape),
+            displacement,
+        )
     return PupilLens(optics, pitch, (height, width), corner, displacement)
 
 
@@ -208,8 +258,14 @@ def straight_tail(optics: Optics) -> tuple[tuple[float, ...], float]:
 def _steepest(wave):
     """Largest slope of the wavefront in the pupil [waves per radius]."""
     u = np.linspace(-1, 1, 17)
-    slopes = [np.abs(np.polynomial.polynomial.polygrid2d(u, u, np.polynomial.polynomial.polyder(wave, axis=axis)))
-              for axis in (0, 1)]
+    slopes = [
+        np.abs(
+            np.polynomial.polynomial.polygrid2d(
+                u, u, np.polynomial.polynomial.polyder(wave, axis=axis)
+            )
+        )
+        for axis in (0, 1)
+    ]
     return float(np.hypot(*slopes)[u[:, None] ** 2 + u**2 <= 1].max())
 
 
@@ -230,7 +286,14 @@ def _coverage(pupil, count):
     inside = 1 - radius
     if pupil.blades:
         normals = pupil.rotation + np.pi / pupil.blades * (2 * np.arange(pupil.blades) + 1)
-        sides = [np.cos(np.pi / pupil.blades) - x * np.cos(angle) - y * np.sin(angle) for angle in normals]
+        sides = [
+            np.cos(np.pi / pupil.blades) - x * np.cos(angle) - y * np.sin(angle)
+            for angle in normals
+        ]
         inside = np.minimum.reduce(sides)
     open_ = np.clip(inside / step + 0.5, 0, 1)
-    return open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1) if pupil.obscuration else open_
+    return (
+        open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
+        if pupil.obscuration
+        else open_
+    )

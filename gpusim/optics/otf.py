@@ -39,7 +39,11 @@ def hopkins(s, waves, nodes=None):
     end = np.arccos(s)[..., None]
     t = end * (x + 1) / 2
     half = np.maximum(np.cos(t) - s[..., None], 0)
-    return (2 / np.pi) * (end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t)) @ weights
+    return (
+        (2 / np.pi)
+        * (end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t))
+        @ weights
+    )
 
 
 def defocus_only(pupil: Pupil, waves) -> bool:
@@ -63,7 +67,9 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
     form = separated(waves)
     inside = np.flatnonzero(s < 1)
-    inside = inside[np.argsort(s[inside], kind="stable")]  # the phase turns alike at frequencies of one length
+    inside = inside[
+        np.argsort(s[inside], kind="stable")
+    ]  # the phase turns alike at frequencies of one length
     parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
     out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
 
@@ -82,11 +88,15 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
     def guess(part):
         few = probes(part)
-        along, across = (LEAST[fast] + int(degree(turn.max(), form) / 2)
-                         for turn in turning(s[few], angle[few], form))
+        along, across = (
+            LEAST[fast] + int(degree(turn.max(), form) / 2)
+            for turn in turning(s[few], angle[few], form)
+        )
         if pupil.blades or pupil.obscuration:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
-            across = LEAST[fast] + int((across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max())
+            across = LEAST[fast] + int(
+                (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
+            )
             budget.need(len(part) * along * across * np.count_nonzero(panels > 1e-13) / len(few))
         else:
             budget.need(len(part) * along * across)
@@ -104,8 +114,11 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
 def _spread(length, count):
     """At most `count` of 0 .. length - 1, spread so that they follow no period."""
-    return np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count]) if (
-        count < length) else np.arange(length)
+    return (
+        np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count])
+        if (count < length)
+        else np.arange(length)
+    )
 
 
 def _converged(integral, nodes, error):
@@ -115,11 +128,16 @@ def _converged(integral, nodes, error):
     while True:
         more = along + along // 4 + 2, across + across // 4 + 2
         value = integral(along, across)
-        rest = [np.abs(other - value).max() for other in (integral(more[0], across), integral(along, more[1]))]
+        rest = [
+            np.abs(other - value).max()
+            for other in (integral(more[0], across), integral(along, more[1]))
+        ]
         if max(rest) < error:
             return (along, across), value
-        along, across = (after if left >= error else now
-                         for now, after, left in zip((along, across), more, rest, strict=True))
+        along, across = (
+            after if left >= error else now
+            for now, after, left in zip((along, across), more, rest, strict=True)
+        )
 
 
 def _integral(rows, s, angle, form, nodes, fast):
@@ -181,15 +199,25 @@ def _rows(pupil, s, angle, nodes):
     left, right = left + shift, right - shift
     if pupil.obscuration:
         reach = np.sqrt(np.maximum(pupil.obscuration**2 - v * v, 0))
-        pieces = ((left, np.minimum(right, -shift - reach)),
-                  (np.maximum(left, reach - shift), np.minimum(right, shift - reach)),
-                  (np.maximum(left, shift + reach), right))
+        pieces = (
+            (left, np.minimum(right, -shift - reach)),
+            (np.maximum(left, reach - shift), np.minimum(right, shift - reach)),
+            (np.maximum(left, shift + reach), right),
+        )
     else:
         pieces = ((left, right),)
     index = np.broadcast_to(index[:, None], v.shape)
-    found = [np.concatenate(column) for column in zip(
-        *((index[keep], v[keep], weight[keep], start[keep], end[keep])
-          for start, end in pieces for keep in [end > start]), strict=True)]
+    found = [
+        np.concatenate(column)
+        for column in zip(
+            *(
+                (index[keep], v[keep], weight[keep], start[keep], end[keep])
+                for start, end in pieces
+                for keep in [end > start]
+            ),
+            strict=True,
+        )
+    ]
     order = np.argsort(found[0], kind="stable")
     return [column[order] for column in found]
 
@@ -198,7 +226,9 @@ def _faces(pupil, angle):
     """Sides of the pupil, seen along the frequencies: their normals' two parts and their distance from the middle."""
     if not pupil.blades:
         return None
-    normal = pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
+    normal = (
+        pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
+    )
     return np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
 
 
@@ -209,7 +239,10 @@ def _chord(faces, index, v, t):
     nu, nv, inner = faces[0][index][:, None, :], faces[1][index][:, None, :], faces[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         cut = (inner - nv * v[..., None]) / nu
-    return (np.where(nu < -1e-12, cut, -np.inf).max(axis=-1), np.where(nu > 1e-12, cut, np.inf).min(axis=-1))
+    return (
+        np.where(nu < -1e-12, cut, -np.inf).max(axis=-1),
+        np.where(nu > 1e-12, cut, np.inf).min(axis=-1),
+    )
 
 
 def _panels(pupil, s, angle, faces):
@@ -224,12 +257,18 @@ def _panels(pupil, s, angle, faces):
                 across = np.sqrt(1 - ((4 * column**2 + 1 - hole**2) / (4 * column)) ** 2)
             kinks += [-across, across]
     else:
-        corners = np.sort(np.sin(pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades - angle[:, None]))
+        corners = np.sort(
+            np.sin(
+                pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades - angle[:, None]
+            )
+        )
         left, right = _chord(faces, np.arange(len(s)), corners, None)
         width = right - left - 2 * column  # linear between the corners
         with np.errstate(divide="ignore", invalid="ignore"):
             share = width[:, :-1] / (width[:, :-1] - width[:, 1:])
-            roots = np.where((share > 0) & (share < 1), corners[:, :-1] + share * np.diff(corners), np.nan)
+            roots = np.where(
+                (share > 0) & (share < 1), corners[:, :-1] + share * np.diff(corners), np.nan
+            )
         kinks = [corners, roots]
         if hole:
             nu, nv, inner = faces

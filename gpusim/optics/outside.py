@@ -26,7 +26,10 @@ BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the 
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
-CELLS, LEAST_CELLS = 4, 64  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
+CELLS, LEAST_CELLS = (
+    4,
+    64,
+)  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
 PROBED = 128  # samples along an axis at which it is predicted
 # A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
 # picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
@@ -35,9 +38,15 @@ POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 # neighbours are less alike: mean product over mean square
 SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
 FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
-WINDOWS, WINDOW, INNER = 12, 128, 48  # their number; samples of a side, and of that of the part that stands for others
+WINDOWS, WINDOW, INNER = (
+    12,
+    128,
+    48,
+)  # their number; samples of a side, and of that of the part that stands for others
 FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
-GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
+GEOMETRIC = (
+    0.7  # part of the reach from which on a disc of light takes the place of the tail's series
+)
 
 
 def rule_of(border: str) -> str:
@@ -52,8 +61,18 @@ def border_indices(at, n: int, border: str) -> np.ndarray:
     return np.clip(at, 0, n - 1)
 
 
-def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5),
-           soft: float = 1.0, rays: tuple[float, ...] = (), straight: float = 0.0) -> np.ndarray:
+def unseen(
+    image,
+    period,
+    border: str,
+    cell: float,
+    tail: float,
+    disc: float = 0.0,
+    times=(1, 3, 5),
+    soft: float = 1.0,
+    rays: tuple[float, ...] = (),
+    straight: float = 0.0,
+) -> np.ndarray:
     """What a world without end adds to what a transform sees, at the cells of a coarse grid.
 
     image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
@@ -70,16 +89,31 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
     steps = [length / count for length, count in zip(period, cells, strict=True)]
 
     widest = max(times)
-    down, across = (_means(n, length, count, border, widest, image.dtype)
-                    for n, length, count in zip(image.shape, period, cells, strict=True))
+    down, across = (
+        _means(n, length, count, border, widest, image.dtype)
+        for n, length, count in zip(image.shape, period, cells, strict=True)
+    )
     world = (across @ (down @ image).T).T
 
     def blurred(wide):
         """The middle period of a world that repeats itself after `wide` of them."""
-        around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
-        part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
-        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc, soft * max(steps), rays,
-                         straight)
+        around, middle = (
+            [periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide)
+        )
+        part = world[
+            tuple(
+                slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True)
+            )
+        ]
+        kernel = _kernel(
+            tuple(wide * count for count in cells),
+            tuple(steps),
+            tail,
+            disc,
+            soft * max(steps),
+            rays,
+            straight,
+        )
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
         rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
@@ -88,13 +122,17 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
     worlds = {wide: blurred(wide) for wide in {1, *times}}
     columns = np.array(times, float)[:, None] ** -np.array((0.0, *powers))
     weights = np.linalg.solve(columns.T, np.eye(len(times))[0])
-    return sum(weight * worlds[wide] for weight, wide in zip(weights, times, strict=True)) - worlds[1]
+    return (
+        sum(weight * worlds[wide] for weight, wide in zip(weights, times, strict=True)) - worlds[1]
+    )
 
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
-    down, across = (_between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
-                    for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True))
+    down, across = (
+        _between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
+        for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)
+    )
     return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
 
 
@@ -102,9 +140,17 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
 def _between(count, places):
     """Weights of the coefficients of a cubic spline through `count` cells, which repeat themselves, at places."""
     places = np.frombuffer(places)[None]
-    return scipy.sparse.csr_array(np.stack([
-        scipy.ndimage.map_coordinates(cell, places, order=3, mode="grid-wrap", prefilter=False)
-        for cell in np.eye(count)], axis=1))
+    return scipy.sparse.csr_array(
+        np.stack(
+            [
+                scipy.ndimage.map_coordinates(
+                    cell, places, order=3, mode="grid-wrap", prefilter=False
+                )
+                for cell in np.eye(count)
+            ],
+            axis=1,
+        )
+    )
 
 
 def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
@@ -113,7 +159,10 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
     deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample]. border: the scene's.
     """
     inside = _inside(image, margin)
-    level, highest = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size), inside.max(initial=0)
+    level, highest = (
+        scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size),
+        inside.max(initial=0),
+    )
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
     if is_smooth or not deviation or not level > 0:
         return float(level), float(highest)
@@ -124,7 +173,10 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
 def _likeness(image):
     """Mean product of neighbours along some rows and columns, the least of both, over the mean square."""
     some = image[:: image.shape[0] // PROBED + 1], image.T[:: image.shape[1] // PROBED + 1]
-    return min(float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300)) for lines in some)
+    return min(
+        float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300))
+        for lines in some
+    )
 
 
 def _shown(image, deviation, mode):
@@ -136,7 +188,9 @@ def _shown(image, deviation, mode):
     inside = scipy.special.erf(edges / (sqrt(2) * deviation))
     half = np.diff(inside) / 2
     weights = np.concatenate([half[::-1], inside[:1], half]) / inside[-1]
-    return scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(image, weights, 0, mode=mode), weights, 1, mode=mode)
+    return scipy.ndimage.correlate1d(
+        scipy.ndimage.correlate1d(image, weights, 0, mode=mode), weights, 1, mode=mode
+    )
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
@@ -148,7 +202,10 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
     cell, reach = distance / CELLS, int(FARTHEST * CELLS)
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
     cells = [max(1, round(n / cell)) for n in image.shape]
-    down, across = (_means(n, n, count, "edge", 1, image.dtype) for n, count in zip(image.shape, cells, strict=True))
+    down, across = (
+        _means(n, n, count, "edge", 1, image.dtype)
+        for n, count in zip(image.shape, cells, strict=True)
+    )
     coarse = (across @ (down @ image).T).T.astype(np.float64)
     world = np.pad(coarse, reach, mode=modes[border])
     at = np.arange(-reach, reach + 1)
@@ -205,19 +262,38 @@ class Outside:
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
-        coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc,
-                        rays=self.rays, straight=self.straight)
+        coarse = unseen(
+            light,
+            period,
+            rule_of(self.border),
+            cell,
+            self.tail * (1 + near) / (1 - near) ** 2,
+            disc,
+            rays=self.rays,
+            straight=self.straight,
+        )
         rows, cols, sigma = self._probed
-        error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
+        error = (
+            np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
+        )
         sigmas = error / sigma
-        return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
+        return (
+            float(np.sqrt((error**2).mean())),
+            float(np.quantile(sigmas, 0.999)),
+            float(sigmas.max()),
+        )
 
     def brighter(self, period) -> float:
         """Root mean square of what a transform of this period sees, over the frame's; 1 where it is darker."""
         if self.border == "zero" or not self.level > 0:
             return 1.0
-        rows, cols = (np.bincount(border_indices(np.arange(length) - (length - n) // 2, n, rule_of(self.border)),
-                                  minlength=n) for n, length in zip(self.image.shape, period, strict=True))
+        rows, cols = (
+            np.bincount(
+                border_indices(np.arange(length) - (length - n) // 2, n, rule_of(self.border)),
+                minlength=n,
+            )
+            for n, length in zip(self.image.shape, period, strict=True)
+        )
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
@@ -234,11 +310,23 @@ class Outside:
         return {}
 
     def _made(self, inner):
-        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, side=WINDOW, rim=(WINDOW - inner) // 2,
-                             beside=1)
+        windows = Windows.of(
+            self.image,
+            self.margin,
+            self.border,
+            WINDOWS,
+            side=WINDOW,
+            rim=(WINDOW - inner) // 2,
+            beside=1,
+        )
         rows, cols = self.image.shape
-        y, x = (border_indices(at, n, rule_of(self.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-        light = np.stack([self.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(np.float32)
+        y, x = (
+            border_indices(at, n, rule_of(self.border))
+            for at, n in ((windows.rows, rows), (windows.cols, cols))
+        )
+        light = np.stack([self.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(
+            np.float32
+        )
         if self.border == "zero":
             light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
         return windows, light
@@ -255,7 +343,9 @@ class Outside:
         power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
         power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
         inside = _inside(self.image, self.margin)
-        some = inside[:: max(1, round(inside.size / MOST_STEPS))]  # `level` is of what a lens leaves of it
+        some = inside[
+            :: max(1, round(inside.size / MOST_STEPS))
+        ]  # `level` is of what a lens leaves of it
         return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
 
     @cached_property
@@ -277,16 +367,25 @@ class Outside:
     def _probed(self):
         """Rows and columns where the error is told; the root of light and noise over the level where they cross."""
         light, margin = self.image, self.margin
-        rows, cols = (np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
-                      for n in light.shape)
+        rows, cols = (
+            np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
+            for n in light.shape
+        )
         beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
-        y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
+        y, x = (
+            np.clip(at[:, None] + beside, 0, n - 1)
+            for at, n in zip((rows, cols), light.shape, strict=True)
+        )
         local = light[y].mean(axis=1)[:, x].mean(axis=2)
         if self.border == "zero" and self.is_moved:
             local = local * 0
         elif self.border == "zero" and self.deviation:  # a lens mixes the black world in
-            local = local * np.multiply.outer(*(_inner_share(at, n, self.deviation)
-                                                for at, n in zip((rows, cols), light.shape, strict=True)))
+            local = local * np.multiply.outer(
+                *(
+                    _inner_share(at, n, self.deviation)
+                    for at, n in zip((rows, cols), light.shape, strict=True)
+                )
+            )
         return rows, cols, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
 
 
@@ -299,7 +398,13 @@ def most_reach(shape, longest: int) -> int:
     """Surroundings beyond which a transform is not made longer [sample]; longest: side of a transform."""
     rows, cols = shape
     samples = max(MOST_SAMPLES, MOST_TIMES * rows * cols)
-    return max(0, min(int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4), (longest - max(shape)) // 2))
+    return max(
+        0,
+        min(
+            int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4),
+            (longest - max(shape)) // 2,
+        ),
+    )
 
 
 def _inside(image, margin):
@@ -317,7 +422,10 @@ def _means(n, period, cells, border, wide, dtype):
     first = np.minimum((start * (1 + 1e-12)).astype(int), wide * cells - 1)
     share = np.clip((first + 1 - start) * step, 0, 1)
     entries = np.concatenate([light * share, light * (1 - share)]) / step
-    places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
+    places = (
+        np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]),
+        np.concatenate([source, source]),
+    )
     return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
 
 
@@ -329,8 +437,12 @@ def _kernel(cells, steps, tail, disc, soft, rays, straight):
     along a line is 1 / (r^2 + a^2), of transform pi / a exp(-2 pi a |f|), f the frequency along it, likewise; all lines
     together have the energy of the tail beyond any r.
     """
-    fy, fx = (frequencies(count) / step for frequencies, count, step in
-              zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
+    fy, fx = (
+        frequencies(count) / step
+        for frequencies, count, step in zip(
+            (np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True
+        )
+    )
     f = np.hypot(fy[:, None], fx)
     kernel = tail * (1 - straight) * 2 * np.pi * _softened(soft, f)
     for angle in rays:

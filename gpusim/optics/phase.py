@@ -9,7 +9,9 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 
-UNTHREADED = 2**18  # products up to which OpenBLAS starts no threads of its own, which would fight with the pool's
+UNTHREADED = (
+    2**18
+)  # products up to which OpenBLAS starts no threads of its own, which would fight with the pool's
 LEAST = {True: 8, False: 20}  # nodes where nothing turns, fast and exact
 # foreseen of all integrals of one table: at 13 (Z45) to 23 (Z28) million a second and core of Zen 4, 55 to 95 s of two
 MOST_POINTS = 2.5e9
@@ -33,9 +35,12 @@ class Budget:
 
     def _check(self, points):
         if points * self.bands > MOST_POINTS:
-            raise OutOfRange("optics wavefront", "one that turns so often that its integrals take "
-                             f"{points * self.bands:.2g} points or more",
-                             f"up to {MOST_POINTS:.2g}: fewer waves, or terms of lower order")
+            raise OutOfRange(
+                "optics wavefront",
+                "one that turns so often that its integrals take "
+                f"{points * self.bands:.2g} points or more",
+                f"up to {MOST_POINTS:.2g}: fewer waves, or terms of lower order",
+            )
 
 
 def separated(waves):
@@ -44,7 +49,9 @@ def separated(waves):
     waves[:, 0, 0] = 0
     used = np.flatnonzero(waves.any(axis=(0, 1)) | waves.any(axis=(0, 2)))
     order = 1 + used.max(initial=0)
-    u, sizes, shapes = np.linalg.svd(waves[:, :order, :order].reshape(len(waves), -1), full_matrices=False)
+    u, sizes, shapes = np.linalg.svd(
+        waves[:, :order, :order].reshape(len(waves), -1), full_matrices=False
+    )
     rank = np.count_nonzero(sizes > 1e-14 * sizes.max(initial=0))
     return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
 
@@ -86,7 +93,10 @@ def phases(s, angle, form, steps):
 def difference(shapes, s, angle, u, v):
     """W(r + s) - W(r - s) [waves] of every shape at u along s and v across it; shape (R, *u.shape)."""
     cos, sin = np.cos(angle), np.sin(angle)
-    plus, minus = (_wavefronts(shapes, cos * along - sin * v, sin * along + cos * v) for along in (u + s, u - s))
+    plus, minus = (
+        _wavefronts(shapes, cos * along - sin * v, sin * along + cos * v)
+        for along in (u + s, u - s)
+    )
     return plus - minus
 
 

@@ -38,29 +38,42 @@ class Tables:
         optics, pitch = self._optics, self._pitch / finer
 
         def made():
-            nodes, between = wavelength_nodes(q) if not optics.is_symmetric else (q, None)  # q goes with the wavelength
+            nodes, between = (
+                wavelength_nodes(q) if not optics.is_symmetric else (q, None)
+            )  # q goes with the wavelength
             tables = transfer_tables(optics, pitch, nodes, aperture, rows, cols, displacement)
             return tables if between is None else np.tensordot(between, tables, 1)
 
-        return self._kept(f"sampled {rows}x{cols} {finer:g}", (optics, pitch, q, aperture, displacement), made)
+        return self._kept(
+            f"sampled {rows}x{cols} {finer:g}", (optics, pitch, q, aperture, displacement), made
+        )
 
     def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
         """The same of a square period: real quarters, or complex halves (L, period, period // 2 + 1)."""
         tables = self.of(q, aperture, period, period, finer, displacement)
-        return tables if tables.shape[-1] == period // 2 + 1 else np.ascontiguousarray(tables).view(complex)
+        return (
+            tables
+            if tables.shape[-1] == period // 2 + 1
+            else np.ascontiguousarray(tables).view(complex)
+        )
 
 
 def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
     """Transfer tables of a lens at places of the field, as `Response.of` takes them, of a square period."""
     chosen, between = wavelength_nodes(wavelengths)
     size = max(period - 1, lens.least_size)
-    kernels = np.stack([np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1)
+    kernels = np.stack(
+        [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1
+    )
     return _transforms(kernels / kernels.sum(axis=(2, 3), keepdims=True), period, period)
 
 
 def _transforms(kernels, rows, cols):
     """Half spectra of centred kernels (..., m, m) wrapped into a period."""
     whole = np.zeros((*kernels.shape[:-2], rows, cols))
-    y, x = ((np.arange(n) - n // 2) % period for n, period in zip(kernels.shape[-2:], (rows, cols), strict=True))
+    y, x = (
+        (np.arange(n) - n // 2) % period
+        for n, period in zip(kernels.shape[-2:], (rows, cols), strict=True)
+    )
     np.add.at(whole, (..., y[:, None], x), kernels)
     return np.fft.rfft2(whole)

@@ -6,8 +6,18 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
 
 
-def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, finest=0.0, place=(0.0, 0.0),
-               whole=True, displacement=(0.0, 0.0)):
+def psf_tables(
+    spread: PointSpread,
+    wavelengths,
+    pitch,
+    aperture,
+    rows,
+    cols,
+    finest=0.0,
+    place=(0.0, 0.0),
+    whole=True,
+    displacement=(0.0, 0.0),
+):
     """Transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
 
     pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch, or one number for a
@@ -27,27 +37,46 @@ def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, fi
     wavelengths = np.asarray(wavelengths, np.float64)
     known = spread.wavelengths
     if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
-        raise OutOfRange("wavelengths", f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
-                         f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm")
+        raise OutOfRange(
+            "wavelengths",
+            f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
+            f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm",
+        )
     ratio = spread.spacing / pitch
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
-        raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
-                         f"the pixel pitch, {pitch * 1e6:.6g} um: energies of other pixels cannot be resampled")
+        raise OutOfRange(
+            "point spread spacing",
+            f"{spread.spacing * 1e6:.6g} um",
+            f"the pixel pitch, {pitch * 1e6:.6g} um: energies of other pixels cannot be resampled",
+        )
     if spread.integrated and any(move % 1 for move in displacement):
-        raise OutOfRange("sensor.offset + sensor.centre", "{:.6g}, {:.6g} pixels".format(*displacement),
-                         "whole pixels: the point spread holds energies of pixels, which cannot be resampled; give "
-                         "samples of the irradiance")
+        raise OutOfRange(
+            "sensor.offset + sensor.centre",
+            "{:.6g}, {:.6g} pixels".format(*displacement),
+            "whole pixels: the point spread holds energies of pixels, which cannot be resampled; give "
+            "samples of the irradiance",
+        )
     if not spread.integrated and finest and spread.spacing > finest * (1 + 1e-9):
-        raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
-                         f"up to {finest * 1e6:.6g} um, half of lambda N: coarser samples do not determine it")
+        raise OutOfRange(
+            "point spread spacing",
+            f"{spread.spacing * 1e6:.6g} um",
+            f"up to {finest * 1e6:.6g} um, half of lambda N: coarser samples do not determine it",
+        )
     values = spread.at(*place)
     for size, period, axis in zip(values.shape[1:], (rows, cols), ("rows", "columns"), strict=True):
         if whole and size * ratio > period:
-            raise OutOfRange(f"point spread {axis}", f"{size} samples = {size * ratio:.4g} pixels",
-                             f"up to the {period} pixels of scene and surroundings")
+            raise OutOfRange(
+                f"point spread {axis}",
+                f"{size} samples = {size * ratio:.4g} pixels",
+                f"up to the {period} pixels of scene and surroundings",
+            )
     fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
-    left, right = (_sampled(f, size, ratio, width, spread.integrated, move) for f, size, width, move in zip(
-        (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True))
+    left, right = (
+        _sampled(f, size, ratio, width, spread.integrated, move)
+        for f, size, width, move in zip(
+            (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True
+        )
+    )
     own = np.stack([left @ one @ right.T for one in values])
     share = np.interp(wavelengths, known, np.arange(len(known)))
     low = np.minimum(share.astype(int), max(len(known) - 2, 0))
@@ -69,7 +98,11 @@ def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
     total = np.zeros((len(frequencies), count), complex)
     for a in range(-reach, reach + 1):
         f = frequencies + a
-        beyond = np.abs(f) * ratio - 0.5  # at exactly half the rate a sample counts half for either sign
+        beyond = (
+            np.abs(f) * ratio - 0.5
+        )  # at exactly half the rate a sample counts half for either sign
         share = np.where(beyond < -1e-12, 1.0, np.where(beyond < 1e-12, 0.5, 0.0))
-        total += (share * np.sinc(aperture * f))[:, None] * np.exp(-2j * np.pi * np.outer(f, places))
+        total += (share * np.sinc(aperture * f))[:, None] * np.exp(
+            -2j * np.pi * np.outer(f, places)
+        )
     return total

@@ -45,13 +45,20 @@ def polar_table(outline: Pupil, waves, error=None):
     by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
     range_, scaled, to_bands = scales(waves)
-    table, first, sectors = _rays(outline, scaled.tobytes(), scaled.shape, range_,
-                                  error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR))
+    table, first, sectors = _rays(
+        outline,
+        scaled.tobytes(),
+        scaled.shape,
+        range_,
+        error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR),
+    )
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
 
 
-@lru_cache(maxsize=2)  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
+@lru_cache(
+    maxsize=2
+)  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
 def _rays(outline, values, shape, range_, error):
     """The same of the wavefronts that make those of all wavelengths, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
@@ -69,17 +76,25 @@ def _rays(outline, values, shape, range_, error):
             require_memory("transfer tables", 32 * len(scaled) * sectors * per_sector * length)
             turn = np.linspace(0, np.pi, sectors * per_sector + 1)
             s = 1 - np.linspace(1, 0, length) ** 2
-            table = (series(s, turn[:-1], wanted) if series
-                     else _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector))
+            table = (
+                series(s, turn[:-1], wanted)
+                if series
+                else _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector)
+            )
             table[:, :, 0] = 1
             table = np.concatenate([table, table[:, :1].conj()], axis=1)
             along = cubic_error(table)
-            across = max(cubic_error(np.moveaxis(table[:, k * per_sector : (k + 1) * per_sector + 1], 1, -1))
-                         for k in range(sectors))
+            across = max(
+                cubic_error(np.moveaxis(table[:, k * per_sector : (k + 1) * per_sector + 1], 1, -1))
+                for k in range(sectors)
+            )
             if max(along, across) <= error:
                 break
             order = 2.5 if sides else 4
-            length, per_sector = _finer(length, along, error, order), _finer(per_sector, across, error, order)
+            length, per_sector = (
+                _finer(length, along, error, order),
+                _finer(per_sector, across, error, order),
+            )
     return table, first, sectors
 
 
@@ -89,13 +104,21 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
     rays = np.arange(len(turn) - 1)
-    if symmetric(Pupil(), waves):  # the polygon's mirror lines are two sectors apart: one part makes all
+    if symmetric(
+        Pupil(), waves
+    ):  # the polygon's mirror lines are two sectors apart: one part makes all
         rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
     own = np.arange(rays.max() + 1)
     require_points(outline, waves, len(own) * len(s))
     radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
-    found = transfer(outline, waves, (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), error=FAST,
-                     fast=True)
+    found = transfer(
+        outline,
+        waves,
+        (radius * np.cos(angle)).ravel(),
+        (radius * np.sin(angle)).ravel(),
+        error=FAST,
+        fast=True,
+    )
     return found.reshape(len(waves), *radius.shape)[:, rays]
 
 
@@ -110,7 +133,11 @@ def cubic_error(table) -> float:
 
 def _finer(count, rest, error, order=4.0):
     """Nodes with which an error of this order falls to `error`."""
-    return count if rest <= error else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
+    return (
+        count
+        if rest <= error
+        else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
+    )
 
 
 def cutoff_polygon(outline):

@@ -19,7 +19,9 @@ from gpusim.optics.planned_tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
 AREA = 2  # of a polynomial that takes the picture as constant over each cell
-SPARE = NODES // 2  # [sample] around the frame that let its outermost pixels interpolate as all others do
+SPARE = (
+    NODES // 2
+)  # [sample] around the frame that let its outermost pixels interpolate as all others do
 SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
 RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
 WIDEST = 8  # [cycle/sample] of these frequencies at most
@@ -45,8 +47,15 @@ def frame_start(samples: int, pixels: int, ratio: float) -> float:
     return start // 1 if float(ratio).is_integer() else max(start, 0.0)
 
 
-def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: float, nodes: int = NODES,
-               displacement: float = 0.0) -> Taps:
+def pixel_taps(
+    samples: int,
+    pixels: int,
+    ratio: float,
+    aperture: float,
+    start: float,
+    nodes: int = NODES,
+    displacement: float = 0.0,
+) -> Taps:
     """Weights of `samples` cells in `pixels` pixels.
 
     ratio: samples per pixel. aperture: width of the light-sensitive part [pixel]. start: of the first pixel's edge
@@ -60,7 +69,9 @@ def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: 
     count = int((last - first).max()) + below.shape[1] - 1
     at = first[:, None] + np.arange(count)
     weights = (_behind(at, last, above) - _behind(at, first, below)) / (ratio * aperture)
-    begin = np.clip(first, 0, max(samples - count, 0))  # all have as many taps, and none reaches outside
+    begin = np.clip(
+        first, 0, max(samples - count, 0)
+    )  # all have as many taps, and none reaches outside
     kept = np.zeros((pixels, min(count, samples)))
     for row, values, shift in zip(kept, weights, first - begin, strict=True):
         row[shift:] = values[: len(row) - shift]
@@ -83,7 +94,9 @@ def _cumulative(edges, samples, nodes):
     """First node and Lagrange weights of the cumulative at `edges`, from the nearest `nodes` of 0 .. samples."""
     nodes = min(nodes, samples + 1)
     near = np.rint(edges)
-    edges = np.clip(np.where(np.abs(edges - near) < 1e-9 * samples, near, edges), 0, samples)  # rounding of places
+    edges = np.clip(
+        np.where(np.abs(edges - near) < 1e-9 * samples, near, edges), 0, samples
+    )  # rounding of places
     first = np.clip(np.floor(edges).astype(int) - (nodes // 2 - 1), 0, samples + 1 - nodes)
     place, other = np.arange(nodes), ~np.eye(nodes, dtype=bool)
     distance = (edges - first)[:, None] - place
@@ -102,12 +115,23 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
 
     taps: pair of `Taps` (rows, columns). Returns shape (Y, X).
     """
-    along_y, along_x = (np.sqrt(_mean_response(one, f)[1]) for one, f in zip(taps, (fy, fx), strict=True))
+    along_y, along_x = (
+        np.sqrt(_mean_response(one, f)[1]) for one, f in zip(taps, (fy, fx), strict=True)
+    )
     return along_y[:, None] * along_x
 
 
-def sampling_error(channels: "Moments", weights, q, share, ratio: float, aperture, taps,
-                   tables: Tables | None = None, displacement=(0.0, 0.0)) -> float:
+def sampling_error(
+    channels: "Moments",
+    weights,
+    q,
+    share,
+    ratio: float,
+    aperture,
+    taps,
+    tables: Tables | None = None,
+    displacement=(0.0, 0.0),
+) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
     channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
@@ -126,14 +150,23 @@ def sampling_error(channels: "Moments", weights, q, share, ratio: float, apertur
     if not share @ channels.squares > 0:
         return 0.0
     waves = _Waves.of(2.0 if tables is None else float(q.min()))
-    optical = [None] * len(share) if tables is None else _channel_optics(
-        waves, weights * channels.means, q, ratio, tables)
+    optical = (
+        [None] * len(share)
+        if tables is None
+        else _channel_optics(waves, weights * channels.means, q, ratio, tables)
+    )
     one = np.ones(waves.all.shape)
-    responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
+    responses = (
+        [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
+    )
     error = 0.0
     for channel, part in enumerate(share):
-        per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses, displacement)
-        error += part * (per_jump * channels.jumps[channel] + per_change * channels.changes[channel])
+        per_jump, per_change = _unit_errors(
+            optical[channel], waves, ratio, aperture, responses, displacement
+        )
+        error += part * (
+            per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
+        )
     return float(np.sqrt(error / (share @ channels.squares)))
 
 
@@ -160,12 +193,17 @@ def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
         seen = seen * np.sqrt(np.repeat(weight, 2))[:, None]
     upper, lower, ids = seen[:, ::2], seen[:, 1::2], pairs.labels
     jumps = changes = np.zeros(len(seen))
-    for step, jumped in ((lower - upper, None if ids is None else ids[::2] != ids[1::2]),
-                         (np.diff(upper, axis=2), None if ids is None else ids[::2, 1:] != ids[::2, :-1])):
+    for step, jumped in (
+        (lower - upper, None if ids is None else ids[::2] != ids[1::2]),
+        (np.diff(upper, axis=2), None if ids is None else ids[::2, 1:] != ids[::2, :-1]),
+    ):
         if step.size:
             changed = step if jumped is None else np.where(jumped, 0, step)
             part = _mean_squares(changed)
-            jumps, changes = jumps + (0 if jumped is None else _mean_squares(step - changed)), changes + part
+            jumps, changes = (
+                jumps + (0 if jumped is None else _mean_squares(step - changed)),
+                changes + part,
+            )
     used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
     return Moments(np.maximum(used, 0) / upper[0].size, _mean_squares(upper), jumps, changes)
 
@@ -250,7 +288,9 @@ def _difference_power(means: bool) -> float:
     """Mean square difference of neighbouring samples, summed over both directions, of a scene of power |f|^-3."""
     f = (np.arange(9 * 96) + 0.5) / 96 - 4.5
     slope = 4 * np.sin(np.pi * f) ** 2
-    return float((_porod(f) * (_box(f) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2)
+    return float(
+        (_porod(f) * (_box(f) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2
+    )
 
 
 def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
@@ -274,15 +314,26 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     errors = []
     for means in (False, True):
         got = seen * (_box(f) if means else 1.0)
-        error = np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
+        error = (
+            np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
+        )
         errors.append(float((waves.power * error).sum() * waves.step**2) / _difference_power(means))
     return errors
 
 
 def _mean_response(taps, f):
     """Mean over pixels, and mean of the square, of the transfer from samples to a pixel, about the pixel's centre."""
-    chosen = np.unique(np.linspace(len(taps.start) / 4, 3 * len(taps.start) / 4, SAMPLED_PIXELS).astype(int))
+    chosen = np.unique(
+        np.linspace(len(taps.start) / 4, 3 * len(taps.start) / 4, SAMPLED_PIXELS).astype(int)
+    )
     chosen = chosen[chosen < len(taps.start)]
-    place = taps.start[chosen, None] + np.arange(taps.weights.shape[1]) + 0.5 - taps.centres[chosen, None]
-    response = np.einsum("it,itf->if", taps.weights[chosen], np.exp(2j * np.pi * place[..., None] * f))
+    place = (
+        taps.start[chosen, None]
+        + np.arange(taps.weights.shape[1])
+        + 0.5
+        - taps.centres[chosen, None]
+    )
+    response = np.einsum(
+        "it,itf->if", taps.weights[chosen], np.exp(2j * np.pi * place[..., None] * f)
+    )
     return response.mean(axis=0), (np.abs(response) ** 2).mean(axis=0)

@@ -44,7 +44,10 @@ class Expansion:
         for k, piece in product(range(panels), range(0, len(s), CHUNK)):
             here = piece + np.flatnonzero(panel[piece : piece + CHUNK] == k)
             radial = np.ascontiguousarray(chebvander(2 * place[here] - 1, count - 1).T)
-            re, im = (part.reshape(-1, count) @ radial for part in (around[:, :, k].real, around[:, :, k].imag))
+            re, im = (
+                part.reshape(-1, count) @ radial
+                for part in (around[:, :, k].real, around[:, :, k].imag)
+            )
             lines = (re + 1j * im).reshape(len(out), orders, -1)
             out[:, :, here] = [turning @ one for one in lines]
         return out
@@ -77,7 +80,9 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
 
 def require_points(pupil: Pupil, waves, frequencies):
     """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
-    Budget(len(waves)).need(frequencies * _foreseen(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1])
+    Budget(len(waves)).need(
+        frequencies * _foreseen(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
+    )
 
 
 def _strongest(waves):
@@ -103,8 +108,10 @@ def _foreseen(pupil, wave, edges, fast):
     sideways = 0.0 if round_ else steepest(phase, 3, turn[1]).max(initial=0)
     count = 22 + int(degree(outwards, form, 4))
     rays = 1 if round_ else 4 + int(degree(sideways, form))
-    along, across = (LEAST[fast] + degree(steepest(phase, axis, np.pi / steps).max(axis=(0, 3, 4, 5)), form) / 2
-                     for axis in (-1, -2))
+    along, across = (
+        LEAST[fast] + degree(steepest(phase, axis, np.pi / steps).max(axis=(0, 3, 4, 5)), form) / 2
+        for axis in (-1, -2)
+    )
     return count, rays, max(1, fold / 2), (along * across).mean()
 
 
@@ -148,7 +155,9 @@ def _series(pupil, waves, edges, count, rays, error):
 
 def _integrals(pupil, waves, sx, sy, fast):
     if defocus_only(pupil, waves):
-        return hopkins(np.hypot(sx, sy), waves[:, 2, :1] if waves.shape[-1] > 2 else 0.0 * waves[:, 0, :1])
+        return hopkins(
+            np.hypot(sx, sy), waves[:, 2, :1] if waves.shape[-1] > 2 else 0.0 * waves[:, 0, :1]
+        )
     return transfer(pupil, waves, sx, sy, error=FAST if fast else EXACT, fast=fast)
 
 

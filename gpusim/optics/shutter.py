@@ -6,7 +6,9 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.flicker import Flicker
 
 
-def shutter_weights(times, rows, exposure_time, row_time, start=0.0, flicker: Flicker | None = None) -> np.ndarray:
+def shutter_weights(
+    times, rows, exposure_time, row_time, start=0.0, flicker: Flicker | None = None
+) -> np.ndarray:
     """Weights w with  sum_k w[y, k] r(times[k]) = integral of r(t) l(t) dt over the exposure of row y.
 
     Row y is open from start + y row_time to start + y row_time + exposure_time; r is linear between the instants, so
@@ -21,14 +23,23 @@ def shutter_weights(times, rows, exposure_time, row_time, start=0.0, flicker: Fl
     the exposure of all rows.
     """
     times = np.asarray(times, np.float64)
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-        raise BadData(f"times: shape {times.shape}; wanted one or more finite instants in seconds, rising")
+    if (
+        times.ndim != 1
+        or not times.size
+        or not np.isfinite(times).all()
+        or (np.diff(times) <= 0).any()
+    ):
+        raise BadData(
+            f"times: shape {times.shape}; wanted one or more finite instants in seconds, rising"
+        )
     if not rows >= 1:
         raise OutOfRange("rows", rows, "a whole number, rows >= 1")
     if not 0 < exposure_time < np.inf:
         raise OutOfRange("exposure_time", f"{exposure_time} s", "0 < exposure_time < inf")
     if not 0 <= row_time < np.inf:
-        raise OutOfRange("row_time", f"{row_time} s", "0 <= row_time < inf; 0 exposes all rows at once")
+        raise OutOfRange(
+            "row_time", f"{row_time} s", "0 <= row_time < inf; 0 exposes all rows at once"
+        )
     if not np.isfinite(start):
         raise OutOfRange("start", f"{start} s", "a finite time")
     opens = np.arange(rows) * float(row_time)
@@ -36,26 +47,40 @@ def shutter_weights(times, rows, exposure_time, row_time, start=0.0, flicker: Fl
     if len(times) == 1:
         if flicker is None:
             return np.full((rows, 1), float(exposure_time))
-        return (flicker.since(start).integrals(closes)[0] - flicker.since(start).integrals(opens)[0])[:, None]
-    rounding = 1e-9 * exposure_time + 4 * np.finfo(float).eps * max(abs(start), *np.abs(times[[0, -1]]))
+        return (
+            flicker.since(start).integrals(closes)[0] - flicker.since(start).integrals(opens)[0]
+        )[:, None]
+    rounding = 1e-9 * exposure_time + 4 * np.finfo(float).eps * max(
+        abs(start), *np.abs(times[[0, -1]])
+    )
     times = times - start
     if times[0] > rounding or times[-1] < closes[-1] - rounding:
-        raise OutOfRange("times", f"{times[0] + start:.9g} .. {times[-1] + start:.9g} s",
-                         f"instants that cover {start:.9g} .. {start + closes[-1]:.9g} s, from when the first of "
-                         f"{rows} rows opens to when the last one closes; give pictures of that whole interval")
+        raise OutOfRange(
+            "times",
+            f"{times[0] + start:.9g} .. {times[-1] + start:.9g} s",
+            f"instants that cover {start:.9g} .. {start + closes[-1]:.9g} s, from when the first of "
+            f"{rows} rows opens to when the last one closes; give pictures of that whole interval",
+        )
     before, after = times[:-1], times[1:]
     low, high = np.maximum(before, opens[:, None]), np.minimum(after, closes[:, None])
     weights = np.zeros((rows, len(times)))
     if flicker is not None:
-        (from_low, moment_low), (from_high, moment_high) = map(flicker.since(start).integrals, (
-            low, np.maximum(high, low)))
-        light = from_high - from_low  # between two instants, and that of the later one: linear in time
+        (from_low, moment_low), (from_high, moment_high) = map(
+            flicker.since(start).integrals, (low, np.maximum(high, low))
+        )
+        light = (
+            from_high - from_low
+        )  # between two instants, and that of the later one: linear in time
         later = ((moment_high - moment_low) - light * before) / (after - before)
         weights[:, :-1] += light - later
         weights[:, 1:] += later
         return np.maximum(weights, 0)  # of rounding
-    length = np.maximum(high - low, 0)  # of the exposure that falls between two instants, (rows, n - 1)
-    share = ((low + high) / 2 - before) / (after - before)  # of the later one: linear, so its mean is the middle's
+    length = np.maximum(
+        high - low, 0
+    )  # of the exposure that falls between two instants, (rows, n - 1)
+    share = ((low + high) / 2 - before) / (
+        after - before
+    )  # of the later one: linear, so its mean is the middle's
     weights[:, :-1] += length * (1 - share)
     weights[:, 1:] += length * share
     return weights * (exposure_time / weights.sum(axis=1, keepdims=True))

@@ -21,7 +21,9 @@ MANY = 48  # spacings of both axes from which on there are three levels, and not
 SPACINGS = 2.8  # of the first level in the standard deviation of the narrowest Gaussian, by default: to 1e-7 of a scene
 LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
-MASK = np.convolve(TWICE, np.insert(TWICE, slice(1, None), 0))  # of a level's splines in those of the one before
+MASK = np.convolve(
+    TWICE, np.insert(TWICE, slice(1, None), 0)
+)  # of a level's splines in those of the one before
 SPREAD = 5.0  # standard deviations at which a filter ends
 SMALLEST = 1e-9  # of a row's largest entry, below which an entry is none
 
@@ -48,7 +50,9 @@ class Bands:
         for number, matrix in enumerate(map(csr_array, matrices)):
             matrix.sum_duplicates()  # and sorts them
             row, size = np.repeat(np.arange(rows), np.diff(matrix.indptr)), abs(matrix)
-            is_entry = size.data > SMALLEST * np.maximum(size.max(axis=1).toarray().ravel(), 1e-300)[row]
+            is_entry = (
+                size.data > SMALLEST * np.maximum(size.max(axis=1).toarray().ravel(), 1e-300)[row]
+            )
             row, column, value = row[is_entry], matrix.indices[is_entry], matrix.data[is_entry]
             ends = np.searchsorted(row, np.arange(rows + 1))
             there = ends[1:] > ends[:-1]
@@ -56,7 +60,9 @@ class Bands:
             count[number, there] = column[ends[1:][there] - 1] + 1 - start[number, there]
             entries.append((row, column, value))
         most = max(int(count.max(initial=1)), 1)
-        first = np.minimum(start, columns - most)  # so that `most` entries from there on are the matrix's
+        first = np.minimum(
+            start, columns - most
+        )  # so that `most` entries from there on are the matrix's
         start, count = first, start + count - first
         values = np.zeros((len(matrices), rows, most), np.float32)
         for own, begin, (row, column, value) in zip(values, start, entries, strict=True):
@@ -68,14 +74,18 @@ class Bands:
         matrices, all_rows, most = self.values.shape
         blocks = -(-all_rows // rows)
         more = [(0, 0), (0, blocks * rows - all_rows)]
-        start, count = (np.pad(array, more, mode="edge").reshape(matrices, blocks, rows)
-                        for array in (self.start, self.count))
+        start, count = (
+            np.pad(array, more, mode="edge").reshape(matrices, blocks, rows)
+            for array in (self.start, self.count)
+        )
         first = start.min(axis=2)
         length = (start + count).max(axis=2) - first
         values = np.zeros((matrices, blocks, int(length.max()), rows), np.float32)
         own = np.pad(self.values, [*more, (0, 0)]).reshape(matrices, blocks, rows, most)
         matrix, block, row, entry = np.nonzero(own)
-        values[matrix, block, (start - first[..., None])[matrix, block, row] + entry, row] = own[own != 0]
+        values[matrix, block, (start - first[..., None])[matrix, block, row] + entry, row] = own[
+            own != 0
+        ]
         return Blocks(first.astype(np.int32), length.astype(np.int32), values, all_rows)
 
 
@@ -133,7 +143,13 @@ class Axis:
     def analysis(self) -> Bands:
         """To the first level: the first sample, d_-1 .. of the axis alone, the last sample."""
         first, last = (csr_array(([1.0], ([0], [at])), shape=(1, self.n)) for at in (0, self.n - 1))
-        return Bands.of([vstack([first, diags_array(1 / self._sums) @ self._splines(np.arange(self.n)).T, last])])
+        return Bands.of(
+            [
+                vstack(
+                    [first, diags_array(1 / self._sums) @ self._splines(np.arange(self.n)).T, last]
+                )
+            ]
+        )
 
     def synthesis(self, margin: int = 0) -> Bands:
         """From the coefficients c_-2 .. of the first level to samples, without `margin` of them on each side.
@@ -146,7 +162,9 @@ class Axis:
         """From what a level has, see `_world`, to d_-2 .. of the next one, of the world without end."""
         world, count = self._world(level, 4 * COARSER), self.size(level + 1) + 5
         at = 4 * COARSER + COARSER * np.arange(-2, count - 2)
-        return Bands.of([_banded(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world])
+        return Bands.of(
+            [_banded(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
+        )
 
     def prolongation(self, level: int) -> Bands:
         """From the next level's coefficients c_-2 .. to a level's."""
@@ -163,21 +181,37 @@ class Axis:
                 continue
             taps = _taps(sigma / step) / step
             world = self._world(level, len(taps) // 2 + 2)
-            found.append(_banded(np.arange(size + 5), np.broadcast_to(taps, (size + 5, len(taps))),
-                                 world.shape[0]) @ world)
+            found.append(
+                _banded(
+                    np.arange(size + 5),
+                    np.broadcast_to(taps, (size + 5, len(taps))),
+                    world.shape[0],
+                )
+                @ world
+            )
         return Bands.of(found)
 
     def _splines(self, at, more=1):
         """Splines -more .. fine + more of the first level at samples, sparse (samples, fine + 2 more + 1)."""
         place = (np.asarray(at) + 0.5) / self.step + more
         first = np.floor(place).astype(int) - 1
-        return _banded(first, _cubic(place[:, None] - first[:, None] - np.arange(4)), self.size(0) + 2 * more + 1)
+        return _banded(
+            first,
+            _cubic(place[:, None] - first[:, None] - np.arange(4)),
+            self.size(0) + 2 * more + 1,
+        )
 
     @cached_property
     def _sums(self):
         """Of each spline over all samples of the world, over the spacing: 1 but for a few 1e-5."""
-        return self._splines(np.arange(-4 * int(np.ceil(self.step)) - 4, self.n + 4 * int(np.ceil(self.step)) + 4)
-                             ).sum(axis=0) / self.step
+        return (
+            self._splines(
+                np.arange(
+                    -4 * int(np.ceil(self.step)) - 4, self.n + 4 * int(np.ceil(self.step)) + 4
+                )
+            ).sum(axis=0)
+            / self.step
+        )
 
     def _world(self, level, more):
         """d_i of the world without end, i = -more .. size + more, from what a level has, sparse.
@@ -192,19 +226,31 @@ class Axis:
                 i = abs((i + size) % (2 * size) - size)
             return csr_array((np.ones(len(i)), (rows, np.clip(i, -2, size + 2) + 2)), shape=shape)
         if self.border == "reflect":
-            images = np.concatenate([i % (2 * size), i % (2 * size) - 2 * size,
-                                     -i % (2 * size), -i % (2 * size) - 2 * size])
+            images = np.concatenate(
+                [
+                    i % (2 * size),
+                    i % (2 * size) - 2 * size,
+                    -i % (2 * size),
+                    -i % (2 * size) - 2 * size,
+                ]
+            )
             there = (images >= -1) & (images <= size + 1)
-            return csr_array((np.ones(there.sum()), (np.tile(rows, 4)[there], images[there] + 2)), shape=shape)
+            return csr_array(
+                (np.ones(there.sum()), (np.tile(rows, 4)[there], images[there] + 2)), shape=shape
+            )
         there = (i >= -1) & (i <= size + 1)
         entries = [(np.ones(there.sum()), rows[there], i[there] + 2)]
         if self.border == "edge":
             beyond = int(np.ceil(3 * self.step)) + 1
             near = slice(more - 1, more + size + 2)
-            for column, at, far in ((0, np.arange(-beyond, 0), rows[: more - 1]),
-                                    (size + 4, np.arange(self.n, self.n + beyond), rows[more + size + 2 :])):
-                for values, of in ((self._splines(at).sum(axis=0) / self._sums, rows[near]),
-                                   (np.full(len(far), self.step), far)):
+            for column, at, far in (
+                (0, np.arange(-beyond, 0), rows[: more - 1]),
+                (size + 4, np.arange(self.n, self.n + beyond), rows[more + size + 2 :]),
+            ):
+                for values, of in (
+                    (self._splines(at).sum(axis=0) / self._sums, rows[near]),
+                    (np.full(len(far), self.step), far),
+                ):
                     entries.append((values, of, np.full(len(of), column)))
         values, row, column = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_array((values, (row, column)), shape=shape)
@@ -218,7 +264,9 @@ class Axis:
             world = self._world(level, size + 8)
             return (world[[0]] + world[[-1]]).toarray().ravel() / (2 * step)
         world = self._world(level, 0)  # a period of the mirrored world twice, but its ends
-        return (world.sum(axis=0) - (world[[0]] + world[[-1]]).toarray().ravel() / 2) / (size * step)
+        return (world.sum(axis=0) - (world[[0]] + world[[-1]]).toarray().ravel() / 2) / (
+            size * step
+        )
 
 
 def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
@@ -230,20 +278,34 @@ def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
     least = COARSER ** (levels - 1)
     coarse = [max(1, int(np.ceil(n * spacings / (least * sigmas[0])))) for n in shape]
     widest = max(n / one for n, one in zip(shape, coarse, strict=True)) / least
-    ends = [int(np.searchsorted(sigmas, LEAST * spacings * widest * COARSER**level)) for level in range(1, levels)]
-    return [Axis(n, one, tuple(sigmas), (*ends, len(sigmas)), border) for n, one in zip(shape, coarse, strict=True)]
+    ends = [
+        int(np.searchsorted(sigmas, LEAST * spacings * widest * COARSER**level))
+        for level in range(1, levels)
+    ]
+    return [
+        Axis(n, one, tuple(sigmas), (*ends, len(sigmas)), border)
+        for n, one in zip(shape, coarse, strict=True)
+    ]
 
 
 @lru_cache(maxsize=512)
-def multiplications(shape: tuple[int, int], planes: int, channels: int, sigmas: tuple[float, ...],
-                    spacings: float = SPACINGS) -> float:
+def multiplications(
+    shape: tuple[int, int],
+    planes: int,
+    channels: int,
+    sigmas: tuple[float, ...],
+    spacings: float = SPACINGS,
+) -> float:
     """Of a far field of so many planes and channels, about: what the matrices of both axes have to multiply."""
     down, across = axes(shape, sigmas, "edge", spacings)
     high, wide = down.splines(0), across.splines(0)
     total = 4.0 * planes * shape[1] * (shape[0] + 5 * down.step) + 4.0 * channels * shape[0] * wide
     total += 4.0 * planes * high * (shape[1] + 5 * across.step) + 4.0 * shape[0] * shape[1]
     for level in range(down.levels):
-        area, part = down.splines(level) * across.splines(level), np.asarray(sigmas[down.of_level(level)])
+        area, part = (
+            down.splines(level) * across.splines(level),
+            np.asarray(sigmas[down.of_level(level)]),
+        )
         for axis in (down, across):
             taps = np.minimum(2 * SPREAD * part * axis.size(level) / axis.n, axis.splines(level))
             total += channels * area * taps.sum()
@@ -266,8 +328,11 @@ def _cubic(x):
 
 def response(sigma: float, frequency) -> np.ndarray:
     """Transfer function of the filter that makes a Gaussian of this sigma [spacing], at frequencies [1/spacing]."""
-    taps = _taps(sigma)[int(np.ceil(SPREAD * sigma)):]
-    return taps[0] + 2 * np.cos(2 * np.pi * np.multiply.outer(frequency, np.arange(1, len(taps)))) @ taps[1:]
+    taps = _taps(sigma)[int(np.ceil(SPREAD * sigma)) :]
+    return (
+        taps[0]
+        + 2 * np.cos(2 * np.pi * np.multiply.outer(frequency, np.arange(1, len(taps)))) @ taps[1:]
+    )
 
 
 def _taps(sigma):
@@ -278,6 +343,8 @@ def _taps(sigma):
     half = int(np.ceil(SPREAD * sigma))
     length = 1 << int(np.ceil(np.log2(2 * half + 64)))
     frequency = np.fft.rfftfreq(length)
-    taps = np.fft.irfft(np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8, length)
+    taps = np.fft.irfft(
+        np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8, length
+    )
     taps = taps[abs(np.arange(-half, half + 1))]
     return taps / taps.sum()

@@ -20,10 +20,15 @@ from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
 SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth
-TABLE, POLYGON = 1e-6, 1.5e-5  # error of cubics through the table; splines, which are smooth, err by a tenth of that
+TABLE, POLYGON = (
+    1e-6,
+    1.5e-5,
+)  # error of cubics through the table; splines, which are smooth, err by a tenth of that
 
 
-def transfer_tables(optics: Optics, pitch, q, aperture, rows, cols, displacement=(0.0, 0.0)) -> np.ndarray:
+def transfer_tables(
+    optics: Optics, pitch, q, aperture, rows, cols, displacement=(0.0, 0.0)
+) -> np.ndarray:
     """Transfer tables of a lens, one per wavelength, good to be looked at: also those of periods too short to blur by.
 
     pitch: distance of the samples [m]. q: wavelength times working f-number over it, shape (L,); the devices' float32.
@@ -34,14 +39,32 @@ def transfer_tables(optics: Optics, pitch, q, aperture, rows, cols, displacement
     """
     nanometres = q * pitch / optics.working_f_number * 1e9
     if optics.psf is not None:
-        return psf_tables(optics.psf, nanometres, pitch, aperture, rows, cols, whole=False, displacement=displacement)
+        return psf_tables(
+            optics.psf,
+            nanometres,
+            pitch,
+            aperture,
+            rows,
+            cols,
+            whole=False,
+            displacement=displacement,
+        )
     q = np.asarray(q, np.float32)
     if optics.is_ideal and not any(displacement):
         return airy(q, aperture, rows, cols)
     waves = optics.waves(nanometres)
     even = symmetric(optics.pupil, waves)
-    return _folded(_along_rays(optics.pupil, waves, even), even, q, aperture, rows, cols,
-                   tuple(length / pitch for length in optics.birefringence), optics.diffuser / pitch, displacement)
+    return _folded(
+        _along_rays(optics.pupil, waves, even),
+        even,
+        q,
+        aperture,
+        rows,
+        cols,
+        tuple(length / pitch for length in optics.birefringence),
+        optics.diffuser / pitch,
+        displacement,
+    )
 
 
 def otf(s):
@@ -73,14 +96,27 @@ def exact_otf(outline, waves):
     return (_spline_radial if symmetric(outline, waves) else _spline_polar)(outline, waves)
 
 
-def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)):
+def pupil(
+    outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)
+):
     """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)
     even = symmetric(outline, waves)
-    few = len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
+    few = (
+        len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
+    )
     value = _integral if few else _spline_radial if even else _spline_polar
-    return _folded((value(outline, wave[None]) for wave in waves), even, q, aperture, rows, cols, spots, diffuser,
-                   displacement)
+    return _folded(
+        (value(outline, wave[None]) for wave in waves),
+        even,
+        q,
+        aperture,
+        rows,
+        cols,
+        spots,
+        diffuser,
+        displacement,
+    )
 
 
 def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
@@ -92,9 +128,14 @@ def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
     for table, one_q, otf in zip(tables, np.asarray(q, np.float64), otfs, strict=True):
         reach = int(np.ceil(1 / one_q + 0.5))
         y, x = ((np.arange(-reach, reach + 1)[:, None] + f).ravel() for f in (fy, fx))
-        down, across = (np.sinc(width * f) * np.cos(np.pi * spot * f) * np.exp(
-            -2 * (np.pi * diffuser * f) ** 2 + (0 if real else 2j * np.pi * move * f))
-            for f, width, spot, move in zip((y, x), np.broadcast_to(aperture, 2), spots, displacement, strict=True))
+        down, across = (
+            np.sinc(width * f)
+            * np.cos(np.pi * spot * f)
+            * np.exp(-2 * (np.pi * diffuser * f) ** 2 + (0 if real else 2j * np.pi * move * f))
+            for f, width, spot, move in zip(
+                (y, x), np.broadcast_to(aperture, 2), spots, displacement, strict=True
+            )
+        )
         inside = np.nonzero(np.hypot(y[:, None], x) * one_q < 1)
         values = np.zeros((y.size, x.size), tables.dtype)
         found = otf(x[inside[1]] * one_q, y[inside[0]] * one_q)
@@ -121,7 +162,9 @@ def _along_rays(outline, waves, even):
 
 def _integral(outline, wave):
     if defocus_only(outline, wave):
-        return lambda sx, sy: hopkins(np.hypot(sx, sy), wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0)
+        return lambda sx, sy: hopkins(
+            np.hypot(sx, sy), wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0
+        )
     return lambda sx, sy: transfer(outline, wave, sx, sy)[0]
 
 
@@ -143,7 +186,9 @@ def _spline_radial(outline, wave):
         values = np.real(found(s, np.zeros_like(s)))
         rest = np.abs(scipy.interpolate.CubicSpline(t[::2], values[::2])(t) - values).max()
     spline = scipy.interpolate.CubicSpline(t, values)
-    return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))  # the cubic's inverse
+    return lambda sx, sy: spline(
+        0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3)
+    )  # the cubic's inverse
 
 
 def _spline_polar(outline, wave):
@@ -157,15 +202,21 @@ def _through_rays(outline, table, first, sectors):
     size = (table.shape[0] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
     parts = table.real, table.imag
-    splines = [[scipy.interpolate.RectBivariateSpline(rays[own], nodes, part[own]) for part in parts]
-               for own in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
+    splines = [
+        [scipy.interpolate.RectBivariateSpline(rays[own], nodes, part[own]) for part in parts]
+        for own in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))
+    ]
 
     def otf(sx, sy):
         s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi
         whole = np.floor(half_turns)
         turn = half_turns - whole
         if sides:
-            s = s * np.cos(2 * np.pi / sides * (turn * sides / 2 - np.rint(turn * sides / 2))) / inner
+            s = (
+                s
+                * np.cos(2 * np.pi / sides * (turn * sides / 2 - np.rint(turn * sides / 2)))
+                / inner
+            )
         out, place = np.zeros(s.shape, complex), 1 - np.sqrt(np.maximum(1 - s, 0))
         for k, (re, im) in enumerate(splines):
             here = (s < 1) & (np.minimum((turn * sectors).astype(int), sectors - 1) == k)

@@ -25,8 +25,13 @@ class Tiling:
         for radix in (2, 3):
             while rest > 0 and rest % radix == 0:
                 rest //= radix
-        return (rest == 1 and self.side <= LONGEST and self.overlap >= 0 and self.valid > 0
-                and all(self.side % (LANES * n) == 0 == self.valid % n for n in period))
+        return (
+            rest == 1
+            and self.side <= LONGEST
+            and self.overlap >= 0
+            and self.valid > 0
+            and all(self.side % (LANES * n) == 0 == self.valid % n for n in period)
+        )
 
     def samples(self, shape) -> int:
         """Samples of all tiles that make a result of `shape`."""

@@ -32,15 +32,28 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     band = seen_band(nodes)
     for factor in factors:
         if factor.wavelengths[-1] <= band[0] or factor.wavelengths[0] >= band[1]:
-            raise BadData(f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
-                          f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap")
-    tables = [nodes if len(nodes) > 1 else np.array(band), *(factor.wavelengths for factor in factors)]
-    low, high = max(table[0] for table in tables), min(table[-1] for table in tables)  # beyond, a factor is zero
+            raise BadData(
+                f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
+                f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap"
+            )
+    tables = [
+        nodes if len(nodes) > 1 else np.array(band),
+        *(factor.wavelengths for factor in factors),
+    ]
+    low, high = (
+        max(table[0] for table in tables),
+        min(table[-1] for table in tables),
+    )  # beyond, a factor is zero
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
     grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]
-    cardinal = np.ones_like if len(nodes) == 1 else CubicSpline(
-        nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural")
+    cardinal = (
+        np.ones_like
+        if len(nodes) == 1
+        else CubicSpline(
+            nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural"
+        )
+    )
     product = np.ones(len(grid))
     for factor in factors:
         product = product * factor.at(grid)
@@ -69,8 +82,10 @@ def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
     except BadData as error:
         raise BadData(f"{scene.name} by {camera.name}: {error}") from None
     if not (weights > 0).any():
-        raise BadData(f"{scene.name}: camera {camera.name} sees none of its light "
-                      f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
+        raise BadData(
+            f"{scene.name}: camera {camera.name} sees none of its light "
+            f"({nodes[0]:g} .. {nodes[-1]:g} nm)"
+        )
     return weights
 
 
@@ -79,20 +94,36 @@ def check_light(scene: Scene, content: Callable[[], Content], camera: Camera):
 
     content: gives the scene's, in host memory, where it is looked at.
     """
-    nodes, qe, light, through = scene.wavelengths, camera.sensor.qe, scene.illuminant, camera.optics.transmission
+    nodes, qe, light, through = (
+        scene.wavelengths,
+        camera.sensor.qe,
+        scene.illuminant,
+        camera.optics.transmission,
+    )
     known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
     if nodes[0] >= known[0] and nodes[-1] <= known[1]:
         return
     factors = [light, *([through] if isinstance(through, Spectrum) else [])]
     grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
-    grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
-                & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
-    lit = np.prod([np.interp(grid, nodes, content().lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    grid = grid[
+        (grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
+        & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))
+    ]
+    lit = (
+        np.prod(
+            [np.interp(grid, nodes, content().lit), *(factor.at(grid) for factor in factors)],
+            axis=0,
+        )
+        > 0
+    )
     lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
     if not lit.any():
         return
     first, last = grid[:-1][lit][0], grid[1:][lit][-1]
     if first < known[0] or last > known[1]:
-        raise OutOfRange(f"sensor.qe of {camera.name}", f"{qe.wavelengths[0]:g} .. {qe.wavelengths[-1]:g} nm",
-                         f"as far as the light of {scene.name}, {first:g} .. {last:g} nm; a curve that is 0 beyond its "
-                         'ends can be extended with zeros: qe_ends = "zero" in the camera file')
+        raise OutOfRange(
+            f"sensor.qe of {camera.name}",
+            f"{qe.wavelengths[0]:g} .. {qe.wavelengths[-1]:g} nm",
+            f"as far as the light of {scene.name}, {first:g} .. {last:g} nm; a curve that is 0 beyond its "
+            'ends can be extended with zeros: qe_ends = "zero" in the camera file',
+        )

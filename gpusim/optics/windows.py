@@ -30,7 +30,9 @@ class Windows:
     steepest: float
 
     @classmethod
-    def of(cls, brightness, margin: int, border: str, count: int, side: int, rim: int, beside: int = 0) -> "Windows":
+    def of(
+        cls, brightness, margin: int, border: str, count: int, side: int, rim: int, beside: int = 0
+    ) -> "Windows":
         """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols).
 
         side, rim: samples of a window, and on each side of it around its inner part, which is in the frame. beside:
@@ -45,8 +47,12 @@ class Windows:
         places = [(y, x) for y in starts[0] for x in starts[1]]
         first = np.array([places[k] for k in drawn]) + margin - rim
         seen = largest[drawn].max()
-        return cls(first[:, :1] + np.arange(side), first[:, 1:] + np.arange(side), weight / weight.sum(),
-                   float(largest.max() / seen) if seen > 0 else 1.0)
+        return cls(
+            first[:, :1] + np.arange(side),
+            first[:, 1:] + np.arange(side),
+            weight / weight.sum(),
+            float(largest.max() / seen) if seen > 0 else 1.0,
+        )
 
 
 def _edges(brightness, margin, border, inner):
@@ -64,21 +70,30 @@ def _edges(brightness, margin, border, inner):
         at = margin + np.arange(y, min(y + inner, rows), stride)
         if tops is not None:
             at = _with_brightest(at, tops, margin + min(y + inner, rows))
-        line, below = (brightness[each] * unit for each in (at, np.minimum(at + 1, len(brightness) - 1)))
+        line, below = (
+            brightness[each] * unit for each in (at, np.minimum(at + 1, len(brightness) - 1))
+        )
         step = np.abs(below - line)
         across = np.abs(np.diff(line, axis=1))
         np.maximum(step[:, :-1], across, out=step[:, :-1])
         np.maximum(step[:, 1:], across, out=step[:, 1:])
         step = step[:, margin : margin + cols]
         if border == "zero":
-            step[:, 0], step[:, -1] = np.maximum(step[:, 0], line[:, 0]), np.maximum(step[:, -1], line[:, -1])
+            step[:, 0], step[:, -1] = (
+                np.maximum(step[:, 0], line[:, 0]),
+                np.maximum(step[:, -1], line[:, -1]),
+            )
             for edge, row in ((0, 0), (rows - 1, -1)):
                 if y <= edge < y + inner:
                     step[row] = np.maximum(step[row], brightness[edge] * unit)
         lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
         # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
-        found.append([by.reduceat(np.append(line, 0), ends.ravel())[::2]
-                      for by, line in zip((np.add, np.maximum), lines, strict=True)])
+        found.append(
+            [
+                by.reduceat(np.append(line, 0), ends.ravel())[::2]
+                for by, line in zip((np.add, np.maximum), lines, strict=True)
+            ]
+        )
     energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
     return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
 
@@ -110,8 +125,12 @@ def _drawn(energy, count):
     certain = np.zeros(len(energy), bool)
     while True:
         others = np.where(certain, 0.0, energy)
-        chance = (1 - EDGES) / np.count_nonzero(~certain) + EDGES * others / max(others.sum(), 1e-300)
-        expected = np.where(certain, 1.0, chance / chance[~certain].sum() * (count - np.count_nonzero(certain)))
+        chance = (1 - EDGES) / np.count_nonzero(~certain) + EDGES * others / max(
+            others.sum(), 1e-300
+        )
+        expected = np.where(
+            certain, 1.0, chance / chance[~certain].sum() * (count - np.count_nonzero(certain))
+        )
         if (expected <= 1).all():
             break
         certain |= expected > 1
@@ -127,11 +146,15 @@ def quantile(values, weight, part):
     above = (1 - part) * weight.sum() * values[0, 0].size
     least = _reached(values.max(axis=-1), weight[..., None], above)
     some = values >= least
-    return float(_reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above))
+    return float(
+        _reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above)
+    )
 
 
 def _reached(values, weight, above):
     """The value down to which, from the largest on, the weights add up to `above`."""
     weight = np.broadcast_to(weight, values.shape).ravel()
     order = np.argsort(values, axis=None)[::-1]
-    return values.ravel()[order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]]
+    return values.ravel()[
+        order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]
+    ]

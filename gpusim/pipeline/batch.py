@@ -31,8 +31,14 @@ class Batch:
     plan: makes all frames instead, see `Program`. plans: of the items of the last call.
     """
 
-    def __init__(self, simulator, count: int, output: str = "codes", planned_for: Scene | None = None,
-                 plan: Plan | None = None):
+    def __init__(
+        self,
+        simulator,
+        count: int,
+        output: str = "codes",
+        planned_for: Scene | None = None,
+        plan: Plan | None = None,
+    ):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
@@ -44,8 +50,16 @@ class Batch:
     def __repr__(self):
         return shortened(f"Batch({self.count} of {self.output}, {self._simulator!r})")
 
-    def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0,
-                 frame=0) -> Any:
+    def __call__(
+        self,
+        scenes: Scene | Iterable[Scene],
+        *,
+        camera=None,
+        exposure_time=None,
+        gain=1.0,
+        seed=0,
+        frame=0,
+    ) -> Any:
         """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.
 
         scenes: one for all, or one for each item. camera: the simulator's if None. exposure_time, gain: as for
@@ -56,42 +70,65 @@ class Batch:
         """
         if is_array(scenes):
             checked_scene(scenes)  # which refuses it
-        given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
-                 "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
+        given = {
+            "scenes": scenes,
+            "camera": self._simulator.camera if camera is None else camera,
+            "exposure_time": exposure_time,
+            "gain": gain,
+            "seed": seed,
+            "frame": frame,
+        }
         values = {name: one_each(name, value, self.count) for name, value in given.items()}
         if isinstance(frame, int | np.integer):
             values["frame"] = [frame + item for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
         if len(sizes) > 1:
-            raise BadData("batch: scenes of " + ", ".join(f"{cols}x{rows}" for rows, cols in sorted(sizes)) +
-                          " pixels; wanted one size")
+            raise BadData(
+                "batch: scenes of "
+                + ", ".join(f"{cols}x{rows}" for rows, cols in sorted(sizes))
+                + " pixels; wanted one size"
+            )
         try:
             return self._frames(values)
         except BaseException:
-            self._items = [None] * self.count  # what was left undone would be judged in the next call
+            self._items = [
+                None
+            ] * self.count  # what was left undone would be judged in the next call
             raise
 
     def _frames(self, values):
         programs, frames, plans = [], [], []
-        for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
-            program = self._program(item, own, by).update(scene=own, exposure_time=its_time, gain=its_gain)
+        for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
+            zip(*values.values(), strict=True)
+        ):
+            program = self._program(item, own, by).update(
+                scene=own, exposure_time=its_time, gain=its_gain
+            )
             if not item:
                 self._require_memory(program.plan)
             programs.append(program)
             frames.append(program.output(self.output, seed=its_seed, frame=number))
             plans.append(program.plan)
         if self._planned_for is not None:
-            for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
+            for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
+                zip(*values.values(), strict=True)
+            ):
                 programs[item].judge()
-                if programs[item].before.plan is None:  # a program of its own; the next call has another one
+                if (
+                    programs[item].before.plan is None
+                ):  # a program of its own; the next call has another one
                     self._items[item] = None
-                    programs[item] = Program(self._simulator.apart(by, Kept()), own, its_time, its_gain)
+                    programs[item] = Program(
+                        self._simulator.apart(by, Kept()), own, its_time, its_gain
+                    )
                     frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
                     plans[item] = programs[item].plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
-            raise BadData(f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
-                          "frames have one shape")
+            raise BadData(
+                f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
+                "frames have one shape"
+            )
         self.plans = plans
         of = [program.kept.one(array) for program, array in zip(programs, frames, strict=True)]
         return self._kept("frames", of, lambda: self._simulator.device.stack(frames))
@@ -120,9 +157,16 @@ class Batch:
         in_use = [other for other in self._items if other is not None and other is not program]
         alike = next(filter(is_alike, in_use), None)
         tables = alike.simulator.tables if alike else Kept() if in_use else self._simulator.tables
-        simulator, shared = self._simulator.apart(camera, tables), alike is not None and self._planned_for is None
-        program = self._items[item] = Program(simulator, self._planned_for or scene, before=alike.before if shared else
-                                              Before(simulator.device), plan=self._plan)
+        simulator, shared = (
+            self._simulator.apart(camera, tables),
+            alike is not None and self._planned_for is None,
+        )
+        program = self._items[item] = Program(
+            simulator,
+            self._planned_for or scene,
+            before=alike.before if shared else Before(simulator.device),
+            plan=self._plan,
+        )
         if self._planned_for is not None:
             program.plan  # noqa: B018  it is made, for all scenes to come
         return program
@@ -132,14 +176,25 @@ class Batch:
         (rows, cols), device = plan.scene.shape, self._simulator.device
         needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
         if needed > device.memory:
-            raise DoesNotFit(f"a batch of {self.count} frames of {cols}x{rows}", needed, device.memory, device.name)
+            raise DoesNotFit(
+                f"a batch of {self.count} frames of {cols}x{rows}",
+                needed,
+                device.memory,
+                device.name,
+            )
 
 
 def one_each(name: str, value, count: int) -> list:
     """A value for every item: of one for all, or of one for each. Raises BadData for other numbers of them."""
-    if not isinstance(value, Iterable) or isinstance(value, str) or getattr(value, "shape", None) == ():
+    if (
+        not isinstance(value, Iterable)
+        or isinstance(value, str)
+        or getattr(value, "shape", None) == ()
+    ):
         return [value] * count
     values = list(value)
     if len(values) != count:
-        raise BadData(f"batch: {len(values)} of {name}, wanted one for all items or {count} of them")
+        raise BadData(
+            f"batch: {len(values)} of {name}, wanted one for all items or {count} of them"
+        )
     return values

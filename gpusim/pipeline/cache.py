@@ -33,7 +33,9 @@ class Kept:
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
-        self._owners: WeakKeyDictionary = WeakKeyDictionary()  # of arrays that are written again: step and version
+        self._owners: WeakKeyDictionary = (
+            WeakKeyDictionary()
+        )  # of arrays that are written again: step and version
         self._versions = itertools.count(1)
 
     def beside(self) -> "Kept":
@@ -56,14 +58,21 @@ class Kept:
         found = self._entries.get(name)  # read once: another thread may put its own there
         change, has_numbers = OTHER, True
         if found is not None:
-            change = compared(found[0], key) if adjust is None else compared(found[0][:-1], key[:-1])
+            change = (
+                compared(found[0], key) if adjust is None else compared(found[0][:-1], key[:-1])
+            )
             has_numbers = adjust is None or compared(found[0][-1], key[-1]) == SAME
             if change == SAME and has_numbers:
                 return found[1]
         tape = None if self._device is None else Tape() if found is None else found[2]
         try:
-            if found is not None and change != OTHER and tape is not None and tape.is_replayable and (
-                    change != REPLACED or self._replaced(tape, found, key)):
+            if (
+                found is not None
+                and change != OTHER
+                and tape is not None
+                and tape.is_replayable
+                and (change != REPLACED or self._replaced(tape, found, key))
+            ):
                 if not has_numbers:
                     adjust(tape)
                 tape.replay()
@@ -83,8 +92,11 @@ class Kept:
     @staticmethod
     def _replaced(tape, found, key) -> bool:
         """Whether the noted kernels now have the key's arrays in the places of others, and give nothing of those."""
-        others = [(own.value, its.value) for own, its in zip(ones(found[0]), ones(key), strict=True)
-                  if own.value is not its.value]
+        others = [
+            (own.value, its.value)
+            for own, its in zip(ones(found[0]), ones(key), strict=True)
+            if own.value is not its.value
+        ]
         parts = found[1] if isinstance(found[1], tuple) else (found[1],)
         return not any(part is old for part in parts for old, _ in others) and tape.replaced(others)
 
@@ -94,7 +106,11 @@ class Kept:
         Each with the stages in which the host read values of the device, and those that worked on the host.
         """
         taped = [(name, tape) for name, (_, _, tape) in self._entries.items() if tape is not None]
-        return [(name, tuple(tape.reads), tuple(tape.host_work)) for name, tape in taped if not tape.is_replayable]
+        return [
+            (name, tuple(tape.reads), tuple(tape.host_work))
+            for name, tape in taped
+            if not tape.is_replayable
+        ]
 
     def _renew(self, name, before, value):
         """Tell the arrays that a step wrote to from what they were."""
@@ -102,8 +118,11 @@ class Kept:
         parts = value if isinstance(value, tuple) else (value,)
         if before is not value:
             for part in before if isinstance(before, tuple) else (before,):
-                if self._is_array(part) and owners.get(part, ("", 0))[0] == name and not any(
-                        part is other for other in parts):
+                if (
+                    self._is_array(part)
+                    and owners.get(part, ("", 0))[0] == name
+                    and not any(part is other for other in parts)
+                ):
                     del owners[part]
         for part in parts:
             if self._is_array(part) and owners.get(part, none)[0] == name:
@@ -148,8 +167,13 @@ def compared(a, b) -> int:
 
 def _alike(a, b):
     """Whether these are two arrays of devices that kernels take for each other."""
-    return (type(a) is type(b) and not isinstance(a, np.ndarray) and hasattr(a, "dtype") and a.shape == b.shape
-            and a.dtype == b.dtype)
+    return (
+        type(a) is type(b)
+        and not isinstance(a, np.ndarray)
+        and hasattr(a, "dtype")
+        and a.shape == b.shape
+        and a.dtype == b.dtype
+    )
 
 
 def ones(key) -> list[One]:

@@ -37,11 +37,14 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)
     if plan.far is not None:
-        work["optics.far"] = multiplications(content.shape, planes, channels, tuple(plan.far.sigmas),
-                                            plan.far.spacings)
+        work["optics.far"] = multiplications(
+            content.shape, planes, channels, tuple(plan.far.sigmas), plan.far.spacings
+        )
     if plan.highlights is not None:
         across = np.minimum(2 * plan.highlights.reach, max(content.shape))
-        work["optics.splat"] = float(np.square(across, dtype=np.float64).sum()) * (1 if plan.folded else channels)
+        work["optics.splat"] = float(np.square(across, dtype=np.float64).sum()) * (
+            1 if plan.folded else channels
+        )
     if plan.taps is not None:
         work["optics.sample"] = samples * channels
     if plan.falloff is not None:
@@ -54,16 +57,26 @@ def _blur(plan, planes, samples, channels):
     frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
     if plan.tiling is not None:
         side, cfa = plan.tiling.side, plan.camera.sensor.cfa_indices.shape
-        phases, size = (prod(cfa), [side // n for n in cfa]) if plan.folded else (channels, (side, side))
+        phases, size = (
+            (prod(cfa), [side // n for n in cfa]) if plan.folded else (channels, (side, side))
+        )
         one = planes * fft.operations((side, side)) + 4 * frequencies * planes * channels
         count = plan.tiling.samples(plan.scene.samples) / side**2
         return {"optics.tiles": count * (one + phases * fft.operations(size))}
     if plan.folded:
         cfa = plan.camera.sensor.cfa_indices.shape
-        back = prod(cfa) * fft.operations([length // n for length, n in zip(plan.period, cfa, strict=True)])
-        return {"optics.mosaic": planes * fft.operations(plan.period) + 4 * frequencies * planes * channels + back}
+        back = prod(cfa) * fft.operations(
+            [length // n for length, n in zip(plan.period, cfa, strict=True)]
+        )
+        return {
+            "optics.mosaic": planes * fft.operations(plan.period)
+            + 4 * frequencies * planes * channels
+            + back
+        }
     tables = 1 if plan.transfers is None else len(plan.transfers)
-    one = (planes + channels) * fft.operations(plan.period) + frequencies * planes * (2 * tables + 4 * channels)
+    one = (planes + channels) * fft.operations(plan.period) + frequencies * planes * (
+        2 * tables + 4 * channels
+    )
     if plan.depth is not None:  # each kernel's light and coverage, in every layer
         times = len(plan.depth.kernels) * plan.depth.layers
         return {"optics.blur": 2 * times * one, "optics.composite": times * channels * samples}

@@ -46,7 +46,9 @@ class _Numbers:
     def corrected(self):
         """The same on the scale of corrected mosaics."""
         span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
-        return _Numbers(CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span))
+        return _Numbers(
+            CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span)
+        )
 
 
 def edges_of(camera: Camera) -> np.ndarray:
@@ -62,7 +64,9 @@ class Developer:
     camera's. edges: the thresholds of the display's codes, by default computed: see `edges_of`.
     """
 
-    def __init__(self, camera: Camera, device: Device, averaged: int = 1, transforms=None, edges=None):
+    def __init__(
+        self, camera: Camera, device: Device, averaged: int = 1, transforms=None, edges=None
+    ):
         self.camera, self.device, self.averaged = camera, device, averaged
         self._transforms = transforms or (lambda: transforms_of(camera))
         self._thresholds = edges_of(camera) if edges is None else edges
@@ -73,7 +77,10 @@ class Developer:
 
         Without light: all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
         """
-        noise, gain = RawNoise.of(self.camera.sensor, self.averaged), self.camera.sensor.gain_dn_per_electron
+        noise, gain = (
+            RawNoise.of(self.camera.sensor, self.averaged),
+            self.camera.sensor.gain_dn_per_electron,
+        )
         return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
     def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0):
@@ -90,22 +97,39 @@ class Developer:
             count = len(sensor.channels)
             size = raw.shape[0] // count
             stack = device.reshape(raw, (count, size, raw.shape[1]))
-            flags, planes = None if known is None else device.reshape(self._flags(known), stack.shape), []
+            flags, planes = (
+                None if known is None else device.reshape(self._flags(known), stack.shape),
+                [],
+            )
             for layer in range(count):
-                one, numbers = self._corrected(device.part(stack, layer), np.zeros((1, 1), np.int32),
-                                               None if flags is None else device.part(flags, layer),
-                                               None if shading is None else shading[layer : layer + 1])
-                planes.append(linear(one, black_level=numbers.black, scale=numbers.scale, device=device))
+                one, numbers = self._corrected(
+                    device.part(stack, layer),
+                    np.zeros((1, 1), np.int32),
+                    None if flags is None else device.part(flags, layer),
+                    None if shading is None else shading[layer : layer + 1],
+                )
+                planes.append(
+                    linear(one, black_level=numbers.black, scale=numbers.scale, device=device)
+                )
             return device.reshape(device.stack(planes), (count, size, raw.shape[1]))
         raw, numbers = self._corrected(raw, sensor.cfa_indices, known, shading)
         options = {"black_level": numbers.black, "scale": numbers.scale, "device": device}
         if sensor.is_monochrome:
             return linear(raw, **options)
         if processor.demosaic == "learned":
-            noise = numbers.noise if numbers.noise[0] else (0.0, 0.0)  # its roots know read noise beside shot noise
+            noise = (
+                numbers.noise if numbers.noise[0] else (0.0, 0.0)
+            )  # its roots know read noise beside shot noise
             # a camera's own filters were learned from channels as they come, in its light
             balance = (1.0, 1.0) if processor.table else self._balance(white)
-            return learned(raw, phase=sensor.cfa, noise=noise, table=processor.table, balance=balance, **options)
+            return learned(
+                raw,
+                phase=sensor.cfa,
+                noise=noise,
+                table=processor.table,
+                balance=balance,
+                **options,
+            )
         if not sensor.bayer_phase:
             return interpolate(raw, cfa=sensor.cfa_indices, **options)
         phase = "".join(sensor.cfa)
@@ -114,18 +138,26 @@ class Developer:
         options["balance"] = self._balance(white)
         if processor.demosaic == "best":
             return best(raw, phase=phase, noise=numbers.noise, blur=blur, **options)
-        return {"malvar": malvar, "adaptive": adaptive}[processor.demosaic](raw, phase=phase, **options)
+        return {"malvar": malvar, "adaptive": adaptive}[processor.demosaic](
+            raw, phase=phase, **options
+        )
 
     def _flags(self, known):
         """A map of defects on the device."""
         device = self.device
-        return known if isinstance(known, device.array_type) else device.array(np.asarray(known) != 0, np.uint8)
+        return (
+            known
+            if isinstance(known, device.array_type)
+            else device.array(np.asarray(known) != 0, np.uint8)
+        )
 
     def _balance(self, white) -> tuple[float, float]:
         """Factors of red and blue that make white as strong in them as in green."""
         if white is None:
             return 1.0, 1.0
-        red, green, blue = (float(white[self.camera.sensor.channels.index(letter)]) for letter in "RGB")
+        red, green, blue = (
+            float(white[self.camera.sensor.channels.index(letter)]) for letter in "RGB"
+        )
         most = MOST_BALANCE  # a channel that hardly sees white, or the only one that does, is not amplified beyond that
         if not green > 0:
             return 1.0, 1.0
@@ -143,39 +175,75 @@ class Developer:
             raw = quantise(raw, black_level=numbers.black, scale=numbers.scale, device=device)
             numbers = numbers.corrected()
         if processor.defects != "none":
-            raw = defects(raw, known, cfa=mosaic, detect=STANDS_OUT if processor.defects == "detect" else None,
-                          noise=numbers.noise, black_level=numbers.black, device=device)
+            raw = defects(
+                raw,
+                known,
+                cfa=mosaic,
+                detect=STANDS_OUT if processor.defects == "detect" else None,
+                noise=numbers.noise,
+                black_level=numbers.black,
+                device=device,
+            )
         if processor.denoise:
-            raw = denoise(raw, cfa=mosaic, black_level=numbers.black, scale=numbers.scale, noise=numbers.noise,
-                          strength=processor.denoise, device=device)
+            raw = denoise(
+                raw,
+                cfa=mosaic,
+                black_level=numbers.black,
+                scale=numbers.scale,
+                noise=numbers.noise,
+                strength=processor.denoise,
+                device=device,
+            )
             numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
         if shading is not None:
             positions = np.arange(mosaic.size, dtype=np.int32).reshape(mosaic.shape)
-            raw = shade(raw, shading, cfa=positions, black_level=numbers.black, scale=numbers.scale, device=device)
+            raw = shade(
+                raw,
+                shading,
+                cfa=positions,
+                black_level=numbers.black,
+                scale=numbers.scale,
+                device=device,
+            )
             numbers = numbers.corrected()
         return raw, numbers
 
     def in_one_pass(self, raw, rendering: Rendering):
         """Display codes (rows, cols, 3) of raw values, as by `encoded`, of a camera that `is_developed_at_once`."""
         sensor = self.camera.sensor
-        return develop(raw, self.device.array(rendering.display_from_camera), self._thresholds,
-                       phase="".join(sensor.cfa), black_level=sensor.dark_level,
-                       scale=1 / (sensor.white_level - sensor.dark_level),
-                       ceiling=rendering.ceiling, device=self.device)
+        return develop(
+            raw,
+            self.device.array(rendering.display_from_camera),
+            self._thresholds,
+            phase="".join(sensor.cfa),
+            black_level=sensor.dark_level,
+            scale=1 / (sensor.white_level - sensor.dark_level),
+            ceiling=rendering.ceiling,
+            device=self.device,
+        )
 
     def balanced(self, planes, once: Rendering) -> Rendering:
         """The rendering for the white that the picture suggests, where the camera estimates it; else `once`."""
         if not self.camera.processor.estimates_white:
             return once
-        processor, scale = self.camera.processor, 1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level)
+        processor, scale = (
+            self.camera.processor,
+            1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level),
+        )
         wanted = processor.color != "none" or processor.white_balance == "red-blue"
         small = self.device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=self.device))
-        return rebalanced(once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale)
+        return rebalanced(
+            once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale
+        )
 
     def colored(self, planes, rendering: Rendering):
         """Linear display RGB (3, rows, cols), before the tone curve."""
-        return color(planes, self.device.array(rendering.display_from_camera), ceiling=rendering.ceiling,
-                     device=self.device)
+        return color(
+            planes,
+            self.device.array(rendering.display_from_camera),
+            ceiling=rendering.ceiling,
+            device=self.device,
+        )
 
     def encoded(self, linear_rgb):
         """Display codes (rows, cols, 3) of linear display RGB."""
@@ -188,17 +256,22 @@ class Developer:
         if sensor.bits == FLOAT_BITS:
             made["processor.quantise"] = f"to {CORRECTED_WHITE + 1} numbers"
         if processor.defects != "none":
-            made["processor.defects"] = {"known": "the chip's known defects replaced",
-                                         "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced"}[
-                                             processor.defects]
+            made["processor.defects"] = {
+                "known": "the chip's known defects replaced",
+                "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced",
+            }[processor.defects]
         if processor.denoise:
             made["processor.denoise"] = f"denoised, strength {processor.denoise:g}"
         if processor.shading:
             made["processor.shade"] = "lens shading divided out"
         if sensor.is_monochrome or sensor.stacked:
-            made["processor.linear"] = "monochrome" if sensor.is_monochrome else "stacked: all channels"
+            made["processor.linear"] = (
+                "monochrome" if sensor.is_monochrome else "stacked: all channels"
+            )
         elif processor.demosaic == "learned":
-            made["processor.learned"] = "learned local linear filters" + ("" if processor.table else ", built in")
+            made["processor.learned"] = "learned local linear filters" + (
+                "" if processor.table else ", built in"
+            )
         elif sensor.bayer_phase:
             made[f"processor.{processor.demosaic}"] = f"{processor.demosaic} demosaicking"
         else:

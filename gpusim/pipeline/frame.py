@@ -57,15 +57,19 @@ class Exposure:
         return np.array(self.mean, dtype, copy=copy)
 
     def __repr__(self):
-        return shortened(f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
-                         f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})")
+        return shortened(
+            f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
+            f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})"
+        )
 
     def layered(self, raw) -> Any:
         """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
         return raw.reshape(*raw.shape[:-2], *self.mean.shape[:-2], -1, raw.shape[-1])
 
     def __getstate__(self):
-        return self.__dict__ | {name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE}
+        return self.__dict__ | {
+            name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE
+        }
 
     def __setstate__(self, state):
         arrays = {name: state["device"].array(state[name], state[name].dtype) for name in ON_DEVICE}
@@ -131,9 +135,15 @@ class Frame(Pictured):
 
     def __repr__(self):
         made = {name: vars(self)[name] for name in ("raw", "rgb", "linear", "mean")}
-        parts = [f"{name} {part.dtype} {part.shape}" for name, part in made.items() if not isinstance(part, Later)]
-        return shortened(f"Frame({self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
-                         f"{', '.join(parts) or 'nothing computed yet'})")
+        parts = [
+            f"{name} {part.dtype} {part.shape}"
+            for name, part in made.items()
+            if not isinstance(part, Later)
+        ]
+        return shortened(
+            f"Frame({self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
+            f"{', '.join(parts) or 'nothing computed yet'})"
+        )
 
     def complete(self) -> "Frame":
         """The same, all of it made; nothing of it is on the device any more."""
@@ -155,7 +165,9 @@ class Frame(Pictured):
             raise OutOfRange("bits of display codes", bits, "8 or 16")
         most = 2**16 - 1
         decode = decoding(self.camera.display, self.camera.processor.tone)
-        edges = decode((np.arange(1, most + 1) - 0.5) / most)  # the least values of codes 1, 2, ..., as with 8 bits
+        edges = decode(
+            (np.arange(1, most + 1) - 0.5) / most
+        )  # the least values of codes 1, 2, ..., as with 8 bits
         linear = np.nan_to_num(self.linear, nan=-np.inf)
         return np.searchsorted(edges, linear, side="right").astype(np.uint16)
 

@@ -28,5 +28,9 @@ def undeclared(on_host, is_gpu: bool) -> list[tuple[str, str]]:
     on_host: what `Kept.on_host` gives. is_gpu: whether the device is a GPU.
     """
     declared = {*STAGES} if is_gpu else {*STAGES, *ON_CPUS}
-    return [(step, stage) for step, reads, work in on_host if step not in STEPS
-            for stage in sorted({*reads, *work} - declared)]
+    return [
+        (step, stage)
+        for step, reads, work in on_host
+        if step not in STEPS
+        for stage in sorted({*reads, *work} - declared)
+    ]

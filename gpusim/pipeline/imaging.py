@@ -52,7 +52,11 @@ class Imaging:
 
         def made():
             light = plan.weights @ plan.content.entry_spectra.T
-            return light if plan.table is None else np.linalg.lstsq(plan.table.T, light.T, rcond=None)[0].T
+            return (
+                light
+                if plan.table is None
+                else np.linalg.lstsq(plan.table.T, light.T, rcond=None)[0].T
+            )
 
         return self._kept("lights", (plan.weights, plan.table, plan.content.entry_spectra), made)
 
@@ -61,8 +65,13 @@ class Imaging:
         if view.is_plain and plan.distortion is not None:
             nodes = plan.distortion.nodes
         else:
-            nodes = view_nodes(view, plan.distortion, self._seen(plan), plan.content.shape,
-                               plan.scene.samples_per_pixel)
+            nodes = view_nodes(
+                view,
+                plan.distortion,
+                self._seen(plan),
+                plan.content.shape,
+                plan.scene.samples_per_pixel,
+            )
         return self.device.array(nodes[None])
 
     def placed(self, plan: Plan, planes, places, lights, zoom: float = 1.0):
@@ -73,7 +82,11 @@ class Imaging:
         device, border = self.device, self._border(plan)
         if plan.distortion is not None and plan.distortion.method == "area":
             return distort(planes, places, self._seen(plan), border, "area", zoom**2, device=device)
-        light = planes if lights is None else integrate(planes, lights.astype(np.float32), device=device)
+        light = (
+            planes
+            if lights is None
+            else integrate(planes, lights.astype(np.float32), device=device)
+        )
         return distort(planes, places, self._seen(plan), border, light=light, device=device)
 
     @staticmethod
@@ -85,7 +98,11 @@ class Imaging:
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
         margin = plan.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin) if margin and plan.mix is None and not plan.is_placed else slice(None)
+        inside = (
+            slice(margin, -margin)
+            if margin and plan.mix is None and not plan.is_placed
+            else slice(None)
+        )
         return inside, inside
 
     def stored(self, content, window=WHOLE):
@@ -105,13 +122,17 @@ class Imaging:
         planes: before the blur, where the lens and the view put them, if they are known.
         """
         device, cfa = self.device, self.camera.sensor.cfa_indices
-        if plan.mix is None or (not plan.folded and (plan.highlights is None or plan.taps is not None)):
+        if plan.mix is None or (
+            not plan.folded and (plan.highlights is None or plan.taps is not None)
+        ):
             return self.channels(plan, planes), cfa
         planes = self._before(plan, planes)
         if plan.folded:
             rates = self._alike(plan, planes, cfa, self._border(plan), plan.scene.margin)
         else:
-            rates = collect(self._blurred(plan, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+            rates = collect(
+                self._blurred(plan, planes), cfa, 1.0, 0.0, device=device
+            )  # the mosaic, for one second
         if plan.highlights is not None:
             rates = self._with_highlights(plan, rates, cfa)
         return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
@@ -127,7 +148,10 @@ class Imaging:
                 planes = self._inside(planes, margin)
             return self.pixels(plan, planes)
         channels = self._blurred(plan, planes)
-        return self.pixels(plan, channels if plan.highlights is None else self._with_highlights(plan, channels, None))
+        return self.pixels(
+            plan,
+            channels if plan.highlights is None else self._with_highlights(plan, channels, None),
+        )
 
     def spectral(self, plan: Plan) -> Plan:
         """The plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1].
@@ -135,16 +159,28 @@ class Imaging:
         Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
         """
         if plan.varying is not None:
-            raise BadData(f"irradiance of {plan.scene.name}: the blur of {self.camera.name} varies over the field; "
-                          'wanted optics that are the same all over the frame, or the output "electrons"')
+            raise BadData(
+                f"irradiance of {plan.scene.name}: the blur of {self.camera.name} varies over the field; "
+                'wanted optics that are the same all over the frame, or the output "electrons"'
+            )
         nodes, optics = plan.scene.wavelengths, self.camera.optics
-        scale = plan.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
+        scale = (
+            plan.scene.illuminant.at(nodes)
+            * optics.transmission_at(nodes)
+            * optics.irradiance_factor
+        )
         table = None if plan.content.is_spectral else plan.content.entry_spectra.T
         if plan.mix is None:
             weighted = np.diag(scale) if table is None else scale[:, None] * table
             return replace(plan, weights=np.diag(scale), table=weighted)
-        return replace(plan, weights=np.diag(scale), mix=np.diag(scale / plan.flat), table=table, transfers=None,
-                       folded=False)
+        return replace(
+            plan,
+            weights=np.diag(scale),
+            mix=np.diag(scale / plan.flat),
+            table=table,
+            transfers=None,
+            folded=False,
+        )
 
     @staticmethod
     def _border(plan):
@@ -174,20 +210,38 @@ class Imaging:
         """The mosaic, or the channels (cfa None), where the blur is the same all over the frame."""
         inputs = planes, self.tables.transfer(plan), plan.mix
         if plan.tiling is not None:
-            rates = tiles(*inputs, cfa, border, plan.tiling.side, plan.tiling.overlap, margin=margin,
-                          device=self.device)
+            rates = tiles(
+                *inputs,
+                cfa,
+                border,
+                plan.tiling.side,
+                plan.tiling.overlap,
+                margin=margin,
+                device=self.device,
+            )
         elif cfa is not None:
             rates = mosaic(*inputs, cfa, border, plan.period, margin=margin, device=self.device)
         else:
             rates = blur(*inputs, border, plan.period, margin=margin, device=self.device)
         if plan.far is None:
             return rates
-        return far(rates, planes, plan.far.weights(plan.mix, plan.transfers), plan.far.sigmas, cfa, plan.far.border,
-                   margin=margin, spacings=plan.far.spacings, device=self.device)
+        return far(
+            rates,
+            planes,
+            plan.far.weights(plan.mix, plan.transfers),
+            plan.far.sigmas,
+            cfa,
+            plan.far.border,
+            margin=margin,
+            spacings=plan.far.spacings,
+            device=self.device,
+        )
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""
-        starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes.shape[1:]]
+        starts = [
+            margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes.shape[1:]
+        ]
         weights = [np.ones((len(start), 1), np.float32) for start in starts]
         return sample(planes, starts[0], weights[0], starts[1], weights[1], device=self.device)
 
@@ -203,14 +257,30 @@ class Imaging:
         lights, alphas, layers = [], [], []
         for layer in range(depth.layers):
             content, coverage, confusion = depth.sheet(layer, plan.content)
-            own = planes if content is plan.content else self.planes(plan.table, self.stored(content))
+            own = (
+                planes if content is plan.content else self.planes(plan.table, self.stored(content))
+            )
             for kernel, share in depth.shares(coverage, confusion):
                 tables, cover = self.tables.at_distance(plan, kernel)
                 share = device.array(share[None])
-                light = blur(falloff(own, share, device=device), tables, plan.mix, border,
-                             plan.period, margin=margin, device=device)
-                alpha = blur(share, cover, np.ones((channels, 1), np.float32), "edge" if border == "zero" else border,
-                             plan.period, margin=margin, device=device)
+                light = blur(
+                    falloff(own, share, device=device),
+                    tables,
+                    plan.mix,
+                    border,
+                    plan.period,
+                    margin=margin,
+                    device=device,
+                )
+                alpha = blur(
+                    share,
+                    cover,
+                    np.ones((channels, 1), np.float32),
+                    "edge" if border == "zero" else border,
+                    plan.period,
+                    margin=margin,
+                    device=device,
+                )
                 lights.append(light)
                 alphas.append(alpha)
                 layers.append(layer)
@@ -220,12 +290,29 @@ class Imaging:
         """The channels blurred as on the axis, with what the blur is more elsewhere."""
         assert plan.varying is not None
         varying = plan.varying
-        inputs, tables = self._kept("field", (varying.kernels, *varying.edges), lambda: (
-            {name: value if name in ("edges", "index") else self.device.array(value)  # those are read on the host
-             for name, value in varying.stage_inputs.items()},
-            transfer(self.device, varying.kernels, varying.edges)))
-        return field(planes, mix=plan.mix, border=border, margin=plan.scene.margin - plan.spare, base=rates,
-                     tables=tables, device=self.device, **inputs)
+        inputs, tables = self._kept(
+            "field",
+            (varying.kernels, *varying.edges),
+            lambda: (
+                {
+                    name: value
+                    if name in ("edges", "index")
+                    else self.device.array(value)  # those are read on the host
+                    for name, value in varying.stage_inputs.items()
+                },
+                transfer(self.device, varying.kernels, varying.edges),
+            ),
+        )
+        return field(
+            planes,
+            mix=plan.mix,
+            border=border,
+            margin=plan.scene.margin - plan.spare,
+            base=rates,
+            tables=tables,
+            device=self.device,
+            **inputs,
+        )
 
     def pixels(self, plan: Plan, rates):
         """Channels at the pixels from channels at the scene's samples."""
@@ -239,31 +326,72 @@ class Imaging:
         lights, device = plan.highlights, self.device
         assert lights is not None
         reach = int(lights.reach.max())
-        aperture, _ = self.tables.grid(plan.scene.samples_per_pixel)[1]  # highlights are split off for squares only
-        kernels = self._kept("points", (plan.q, aperture, reach), lambda: point_kernels(plan.q, aperture, reach))
+        aperture, _ = self.tables.grid(plan.scene.samples_per_pixel)[
+            1
+        ]  # highlights are split off for squares only
+        kernels = self._kept(
+            "points", (plan.q, aperture, reach), lambda: point_kernels(plan.q, aperture, reach)
+        )
         weights = lights.spectra[:, None] * (plan.weights / plan.flat)  # (kernels, channels, L)
-        cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
-        places = np.column_stack([lights.places + plan.spare, lights.light, lights.reach]).astype(np.int32)
+        cores, profiles = (
+            np.tensordot(weights, kernels.cores, 1),
+            np.tensordot(weights, kernels.profiles, 1),
+        )
+        places = np.column_stack([lights.places + plan.spare, lights.light, lights.reach]).astype(
+            np.int32
+        )
         shape = kernels.step, kernels.parts, kernels.spread
         if cfa is None:
-            return device.stack([splat(device.part(rates, c), np.zeros((1, 1), np.int32), places, lights.strength,
-                                       cores[:, [c]], profiles[:, [c]], *shape, device=device)
-                                 for c in range(rates.shape[0])])
-        return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
-                     device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
+            return device.stack(
+                [
+                    splat(
+                        device.part(rates, c),
+                        np.zeros((1, 1), np.int32),
+                        places,
+                        lights.strength,
+                        cores[:, [c]],
+                        profiles[:, [c]],
+                        *shape,
+                        device=device,
+                    )
+                    for c in range(rates.shape[0])
+                ]
+            )
+        return splat(
+            rates,
+            device.array(cfa, np.int32),
+            device.array(places, np.int32),
+            device.array(lights.strength),
+            device.array(cores),
+            device.array(profiles),
+            *shape,
+            device=device,
+        )
 
     def exposed(self, plan: Plan, rates, exposure_time):
         """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
         planes, cfa = rates
         if self.camera.sensor.stacked:
             return self.collected(plan, planes, exposure_time)
-        return collect(self._dimmed(plan, planes), cfa, exposure_time, plan.slope, device=self.device)
+        return collect(
+            self._dimmed(plan, planes), cfa, exposure_time, plan.slope, device=self.device
+        )
 
     def collected(self, plan: Plan, channels, exposure_time):
         """Every channel (C, rows, cols) with its fall-off, times the exposure time [s]."""
         channels = self._dimmed(plan, channels)
-        return self.device.stack([collect(channels, np.full((1, 1), channel, np.int32), exposure_time, plan.slope,
-                                          device=self.device) for channel in range(channels.shape[0])])
+        return self.device.stack(
+            [
+                collect(
+                    channels,
+                    np.full((1, 1), channel, np.int32),
+                    exposure_time,
+                    plan.slope,
+                    device=self.device,
+                )
+                for channel in range(channels.shape[0])
+            ]
+        )
 
     def _dimmed(self, plan, planes):
         """Planes by what the light loses beyond the cos^4 law."""

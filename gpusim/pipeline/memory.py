@@ -28,7 +28,9 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     planes = len(content.entry_spectra) if plan.table is None else len(plan.table)
     if plan.table is not None:
         total += 4 * planes * samples
-    if plan.is_placed:  # and the channels' light, itself and with what is around it, and two maps of it
+    if (
+        plan.is_placed
+    ):  # and the channels' light, itself and with what is around it, and two maps of it
         total += 4 * (planes + (1 if plan.mix is None else 2) * len(plan.weights) + 2) * samples
     if plan.mix is not None:
         total += _tables(plan) + _blur(plan, device, planes, content.shape)
@@ -36,12 +38,20 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += _far(plan, device, planes, content.shape)
     if plan.falloff is not None:
         total += 4 * len(plan.weights) * prod(scene.shape)
-    if plan.depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
+    if (
+        plan.depth is not None
+    ):  # every kernel's and layer's light and coverage, and the copies that are laid together
         total += 16 * len(plan.weights) * samples * len(plan.depth.kernels) * plan.depth.layers
         if plan.transfers is not None:  # every kernel's tables are kept, of the planes and of white
-            total += _table(plan) * (prod(plan.transfers.shape[:2]) + len(plan.weights)) * len(plan.depth.kernels)
+            total += (
+                _table(plan)
+                * (prod(plan.transfers.shape[:2]) + len(plan.weights))
+                * len(plan.depth.kernels)
+            )
     if plan.varying is not None:
-        total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
+        total += (
+            20 * samples * plan.varying.convolutions
+        )  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights)) + 4 * samples * len(plan.weights)
     total += _sensor(plan) + _processor(plan)
     if looked_at_there(device, scene):
@@ -56,7 +66,9 @@ def _looked_at(plan):
     """
     rows, cols = plan.content.shape
     windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
-    entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (rows * cols)
+    entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (
+        rows * cols
+    )
     times = 1 if plan.watch is None else 2
     return 4 * (rows * cols + entries * (times * windows + 2 * cols * len(row_pairs(rows, cols))))
 
@@ -66,16 +78,25 @@ def bytes_of_item(plan: Plan, output: str) -> int:
     pixels, channels = prod(plan.scene.shape), len(plan.weights)
     if output in ("irradiance", "electrons"):
         return 8 * pixels * (len(plan.scene.wavelengths) if output == "irradiance" else channels)
-    raw = 14 * (channels if plan.camera.sensor.stacked else 1)  # both means, raw values, and the copy of one of them
-    developed = {"camera": 8 * channels, "linear": 4 * channels + 24, "xyz": 4 * channels + 36,
-                 "codes": 4 * channels + 18}
+    raw = 14 * (
+        channels if plan.camera.sensor.stacked else 1
+    )  # both means, raw values, and the copy of one of them
+    developed = {
+        "camera": 8 * channels,
+        "linear": 4 * channels + 24,
+        "xyz": 4 * channels + 36,
+        "codes": 4 * channels + 18,
+    }
     return pixels * (raw + developed.get(output, 0))
 
 
 def largest_array(plan: Plan) -> int:
     """Memory of the largest array of the content, the planes or the transfer tables [byte]."""
     content, samples = plan.content, prod(plan.content.shape)
-    stored = [prod(getattr(content, name).shape) * content.stored_type(name).itemsize for name in content.samples]
+    stored = [
+        prod(getattr(content, name).shape) * content.stored_type(name).itemsize
+        for name in content.samples
+    ]
     planes = 0 if plan.table is None else 4 * len(plan.table) * samples
     return max(*stored, planes, _tables(plan) if plan.mix is not None else 0)
 
@@ -97,8 +118,10 @@ def _blur(plan, device, planes, shape):
     if plan.tiling is not None:
         return _by_tiles(plan, device, planes)
     by_host = device.on_host or room(max(plan.period)) > device.local_bytes
-    spectrum, batches = 8 * high * pitch_of(device, wide), [min(BATCH, planes - first)
-                                                           for first in range(0, planes, BATCH)]
+    spectrum, batches = (
+        8 * high * pitch_of(device, wide),
+        [min(BATCH, planes - first) for first in range(0, planes, BATCH)],
+    )
     if by_host:  # planes with their borders, and SciPy's spectra of one batch at a time
         forward = 4 * high * wide * sum(batches) + spectrum * batches[0]
     elif plan.folded:
@@ -107,8 +130,12 @@ def _blur(plan, device, planes, shape):
         forward = sum(batches) * (8 * rows * pitch_of(device, wide) + spectrum)
     if plan.folded:
         cfa = plan.camera.sensor.cfa_indices
-        phases = 8 * cfa.size * (high // cfa.shape[0] // (1 if by_host else 2) + 1) * (
-            wide // cfa.shape[1] // (2 if by_host else 1) + 1)
+        phases = (
+            8
+            * cfa.size
+            * (high // cfa.shape[0] // (1 if by_host else 2) + 1)
+            * (wide // cfa.shape[1] // (2 if by_host else 1) + 1)
+        )
         return forward + phases + (4 * high * wide if by_host else 0) + 4 * prod(plan.scene.samples)
     return forward + channels * (spectrum + 4 * high * wide + 4 * prod(plan.scene.samples))
 
@@ -124,7 +151,9 @@ def _by_tiles(plan, device, planes):
         phases = plan.camera.sensor.cfa_indices.shape if plan.folded else (1, 1)
         high, wide = (side // n for n in phases)
         outputs = prod(phases) if plan.folded else channels
-        of_tile = planes * (4 * side**2 + 8 * side * half) + outputs * high * (8 * (wide // 2 + 1) + 4 * wide)
+        of_tile = planes * (4 * side**2 + 8 * side * half) + outputs * high * (
+            8 * (wide // 2 + 1) + 4 * wide
+        )
         total += tiles // side**2 * of_tile
     return total
 
@@ -142,10 +171,14 @@ def _far(plan, device, planes, shape):
         if device.on_host and level < last:  # halves of the ways to the next level and back
             values += (planes + channels) * high * across.splines(level + 1)
     if device.on_host:
-        values += planes * down.splines(0) * shape[1] + channels * plan.scene.samples[0] * across.splines(0)
+        values += planes * down.splines(0) * shape[1] + channels * plan.scene.samples[
+            0
+        ] * across.splines(0)
     quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
     tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
-    return 4 * (values + tables * quarter + (1 if plan.folded else channels) * prod(plan.scene.samples))
+    return 4 * (
+        values + tables * quarter + (1 if plan.folded else channels) * prod(plan.scene.samples)
+    )
 
 
 def _sensor(plan):
@@ -167,7 +200,17 @@ def _processor(plan):
     """Corrected mosaics, what the demosaicker needs beside them, camera values, linear and encoded colours."""
     sensor, processor = plan.camera.sensor, plan.camera.processor
     pixels = prod(plan.scene.shape) // prod(sensor.binning)
-    corrections = (sensor.bits == FLOAT_BITS) + (processor.defects != "none") + bool(processor.denoise)
-    scratch = {"adaptive": 2, "best": 28, "learned": 6}.get(processor.demosaic, 0)  # bytes a pixel, of their contracts
+    corrections = (
+        (sensor.bits == FLOAT_BITS) + (processor.defects != "none") + bool(processor.denoise)
+    )
+    scratch = {"adaptive": 2, "best": 28, "learned": 6}.get(
+        processor.demosaic, 0
+    )  # bytes a pixel, of their contracts
     channels = 3 if processor.table is not None else len(sensor.channels)
-    return pixels * (2 * (corrections + processor.shading) + 4 * bool(processor.denoise) + scratch + 4 * channels + 15)
+    return pixels * (
+        2 * (corrections + processor.shading)
+        + 4 * bool(processor.denoise)
+        + scratch
+        + 4 * channels
+        + 15
+    )

@@ -11,13 +11,22 @@ from gpusim.kernels.sensor.meter import meter
 def metered_by(simulator) -> tuple:
     """What an exposure time depends on beside the plan."""
     sensor, noise = simulator.camera.sensor, simulator.camera.sensor.noise
-    return (sensor.exposure_time, sensor.auto_exposure, noise.dark_current * noise.warmth,
-            simulator.readout.output.saturation, simulator.readout.pixels)
+    return (
+        sensor.exposure_time,
+        sensor.auto_exposure,
+        noise.dark_current * noise.warmth,
+        simulator.readout.output.saturation,
+        simulator.readout.pixels,
+    )
 
 
 def light_of(simulator, electrons):
     """Statistics of electrons (rows, cols) or (C, rows, cols), on the device: see `sensor.meter`."""
-    shape, automatic, device = electrons.shape, simulator.camera.sensor.auto_exposure, simulator.device
+    shape, automatic, device = (
+        electrons.shape,
+        simulator.camera.sensor.auto_exposure,
+        simulator.device,
+    )
     weights = simulator.kept("weights of metering", tuple(shape), lambda: automatic.weights(shape))
     flat = device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
     return meter(flat, *weights, automatic.fractions, device=device)

@@ -37,19 +37,40 @@ def drafted_by(camera: Camera) -> tuple:
     return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
-def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
-            least: int = 0) -> Plan:
+def planned(
+    simulator,
+    scene: Scene,
+    facts: Facts | None = None,
+    exposure_time: float | None = None,
+    least: int = 0,
+) -> Plan:
     """What a frame of `scene` takes: see `Simulator.plan`."""
     checked_scene(scene)
     reach, period, device = simulator.reach, simulator.period, simulator.device
-    most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
-        LENGTHS[-1] - 2 * (ceil((reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
+    most = (
+        LENGTHS[-1] // 2 - 2 * scene.margin
+        if scene.border == "zero"
+        else (
+            LENGTHS[-1]
+            - 2 * (ceil((reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin)
+        )
+    )
     if max(scene.samples) > most and not period:
-        raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
+        raise OutOfRange(
+            "scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way"
+        )
     simulator.readout.output_shape(scene.shape)
-    made = plan(scene, simulator.camera, tolerance=simulator.tolerance, facts=facts, exposure_time=exposure_time,
-                single=device.kind != "numpy", on_gpu=device.is_gpu, **_asked(simulator),
-                least=least)
+    made = plan(
+        scene,
+        simulator.camera,
+        tolerance=simulator.tolerance,
+        facts=facts,
+        exposure_time=exposure_time,
+        single=device.kind != "numpy",
+        on_gpu=device.is_gpu,
+        **_asked(simulator),
+        least=least,
+    )
     _require_met(simulator, made)
     needed = require_memory(made, device)
     return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])
@@ -80,13 +101,17 @@ def check_given(made, camera: Camera, scene: Scene):
         raise BadData(f"plan: {type(made).__name__}, wanted a Plan, such as of Simulator.plan")
     named = f"plan {made.name} of {shown(made.scene.name)}"
     if made.is_draft:
-        raise BadData(f"{named}: a draft, for a lens that is being turned; wanted one of Simulator.plan")
+        raise BadData(
+            f"{named}: a draft, for a lens that is being turned; wanted one of Simulator.plan"
+        )
     if camera is not made.camera:
         own, its = named_parts(made.camera), named_parts(camera)
         for name in own:
             if not same(own[name], its[name]):
-                raise BadData(f"{named} is of a camera with another {name}: {_short(own[name])}, this one has "
-                              f"{_short(its[name])}")
+                raise BadData(
+                    f"{named} is of a camera with another {name}: {_short(own[name])}, this one has "
+                    f"{_short(its[name])}"
+                )
     if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
         raise BadData(f"{named} does not serve {shown(scene.name)}: {why}")
 
@@ -100,10 +125,16 @@ def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = Non
 
 def _short(value):
     """A value in a message; of what is long its kind."""
-    return shown(value) if isinstance(value, int | float | str | tuple | type(None)) else type(value).__name__
+    return (
+        shown(value)
+        if isinstance(value, int | float | str | tuple | type(None))
+        else type(value).__name__
+    )
 
 
-def judged_by(simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None) -> Plan:
+def judged_by(
+    simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
+) -> Plan:
     """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
 
     Raises NotMet if the simulator is strict.
@@ -111,13 +142,25 @@ def judged_by(simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: 
     asked, single = simulator.tolerance, simulator.device.kind != "numpy"
     own, its = (planned_by(camera, asked) for camera in (made.camera, simulator.camera))
     is_own = made.scene is scene or same(made.scene, scene)
-    is_judged = is_own and not made.planned_for and made.single == single and made.tolerance == asked and same(own, its)
+    is_judged = (
+        is_own
+        and not made.planned_for
+        and made.single == single
+        and made.tolerance == asked
+        and same(own, its)
+    )
     if not is_judged and made.misfit(scene):  # another tolerance, device or noise
-        unknown = {"a plan of this scene alone, made for another tolerance, exposure or device": UNKNOWN}
+        unknown = {
+            "a plan of this scene alone, made for another tolerance, exposure or device": UNKNOWN
+        }
         account = replace(made.account, bounds=made.account.bounds | unknown)
-        made = replace(made, account=account, tolerance=asked, verdict=asked and account.verdict(asked))
+        made = replace(
+            made, account=account, tolerance=asked, verdict=asked and account.verdict(asked)
+        )
     elif not is_judged:
-        question = Question.of(scene, simulator.camera, facts, asked or made.tolerance, **_asked(simulator))
+        question = Question.of(
+            scene, simulator.camera, facts, asked or made.tolerance, **_asked(simulator)
+        )
         made = judged(made, question, exposure_time, asked, single)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
     _require_met(simulator, made)
@@ -127,12 +170,18 @@ def judged_by(simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: 
 def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
     """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
-    return probed(made, Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)), seconds)
+    return probed(
+        made,
+        Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)),
+        seconds,
+    )
 
 
 def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
     """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
-    question = Question.of(scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator))
+    question = Question.of(
+        scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator)
+    )
     question, picture = highlights.split(question)
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
 

@@ -39,7 +39,9 @@ class Probing:
         self._plan, self._scene, self._since = plan, None, 0
         self._account: Account | None = None
         self._drift: float | None = None  # of the scene that was probed
-        self._highest: tuple[float, float] | None = None  # drift, and that of the steepest rows, where probes held
+        self._highest: tuple[float, float] | None = (
+            None  # drift, and that of the steepest rows, where probes held
+        )
         self._awaited: Scene | None = None  # the same, until the survey has told its drift
         self._name = ""
 
@@ -85,12 +87,18 @@ class Probing:
         """What probes of a scene told."""
         plan, since = self._plan, self._since - 1
         self.count += 1
-        self._interval, self._since = TIMES * self._interval + 1, 0  # no even steps, which scenes in turn might follow
+        self._interval, self._since = (
+            TIMES * self._interval + 1,
+            0,
+        )  # no even steps, which scenes in turn might follow
         self._account, self._name, self._awaited, self._drift = account, scene.name, scene, None
         if not holds:
             words = f"{plan.count} planes" if plan.count else "leaving the blur out"
             unsure = f"; the {since} before were not probed" if since else ""
-            self._missed = plan.count, f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}"
+            self._missed = (
+                plan.count,
+                f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}",
+            )
 
     def surveyed(self, plan: Plan, scene: Scene, drift: float, steepest: float):
         """What the survey told of a scene, later: its drift, and that of its steepest rows."""
@@ -100,11 +108,18 @@ class Probing:
         is_probed = scene is self._awaited
         if is_probed:
             self._awaited, self._drift = None, drift
-        elif highest is not None and any(its > MOVED * most for its, most in zip(seen, highest, strict=True)):
-            self._interval, self._scene = 1, None  # this scene, if it is still at hand, else the next
+        elif highest is not None and any(
+            its > MOVED * most for its, most in zip(seen, highest, strict=True)
+        ):
+            self._interval, self._scene = (
+                1,
+                None,
+            )  # this scene, if it is still at hand, else the next
             is_probed = True
         if is_probed:
-            self._highest = seen if highest is None else (max(drift, highest[0]), max(steepest, highest[1]))
+            self._highest = (
+                seen if highest is None else (max(drift, highest[0]), max(steepest, highest[1]))
+            )
 
     def unfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
         """A plan did not do for a scene by its survey, which says how many more planes would.
@@ -133,6 +148,17 @@ class Probing:
 def kind_of(scene: Scene) -> tuple:
     """What scenes that one plan serves have in common: see `Plan.serves`."""
     content, light = scene.content, scene.illuminant
-    shared = [np.asarray(getattr(content, name)).tobytes() for name in ("wavelengths", *content.shared)]
-    return (type(content), content.shape, *shared, light.values.tobytes(), light.wavelengths.tobytes(), scene.border,
-            scene.margin, scene.fov, scene.samples_per_pixel)
+    shared = [
+        np.asarray(getattr(content, name)).tobytes() for name in ("wavelengths", *content.shared)
+    ]
+    return (
+        type(content),
+        content.shape,
+        *shared,
+        light.values.tobytes(),
+        light.wavelengths.tobytes(),
+        scene.border,
+        scene.margin,
+        scene.fov,
+        scene.samples_per_pixel,
+    )

@@ -20,7 +20,14 @@ from gpusim.pipeline.cache import Kept, One, same
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.metering import chosen, light_of, metered, metered_by
 from gpusim.pipeline.outputs import OUTPUTS, output_of
-from gpusim.pipeline.planning import check_given, drafted_by, judged_by, planned_by, probed_by, require_memory
+from gpusim.pipeline.planning import (
+    check_given,
+    drafted_by,
+    judged_by,
+    planned_by,
+    probed_by,
+    require_memory,
+)
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, looked_at_there
 from gpusim.pipeline.shots import Shots
@@ -94,15 +101,25 @@ class Program:
     predicted for that scene when it is asked for. Raises BadData for a plan of another kind of scene or camera.
     """
 
-    def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-                 meters_late: bool = False, before: Before | None = None, plan: Plan | None = None):
+    def __init__(
+        self,
+        simulator,
+        scene: Scene,
+        exposure_time: float | None = None,
+        gain: float = 1.0,
+        meters_late: bool = False,
+        before: Before | None = None,
+        plan: Plan | None = None,
+    ):
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = Before(simulator.device) if before is None else before
         self.kept = self.before.kept if before is None else before.kept.beside()
         self._pending: _Look | None = None
         self._metered: tuple[float, float] | None = None
-        self._operates: tuple[float, float] | None = None  # what was metered for this frame, from update to update
+        self._operates: tuple[float, float] | None = (
+            None  # what was metered for this frame, from update to update
+        )
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
         self._drafts = False
@@ -112,9 +129,13 @@ class Program:
             require_memory(plan, simulator.device)
 
     def __repr__(self):
-        return shortened(f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})")
+        return shortened(
+            f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})"
+        )
 
-    def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME, drafts: bool = False) -> "Program":
+    def update(
+        self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME, drafts: bool = False
+    ) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
 
         drafts: while a lens is turned, use the plan for where it stood, see `gpusim.planner.draft`; `plan.is_draft`
@@ -149,14 +170,26 @@ class Program:
             return self._given
         if (draft := self._draft()) is not None:
             return draft
-        is_other = by is not None and not (by is camera or same(planned_by(by, asked), planned_by(camera, asked)))
-        if plan is None or is_other or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds):
+        is_other = by is not None and not (
+            by is camera or same(planned_by(by, asked), planned_by(camera, asked))
+        )
+        if (
+            plan is None
+            or is_other
+            or not (plan.scene is scene or plan.serves(scene))
+            or not plan.lasts(seconds)
+        ):
             if is_other:
                 probing.forget()
             facts = self._facts()
             least, words = probing.least(scene), probing.words
-            plan = before.kept("plan", (One(facts), One(simulator), seconds, least, words), lambda: dataclasses.replace(
-                simulator.plan(scene, facts, seconds, least), probed=words))
+            plan = before.kept(
+                "plan",
+                (One(facts), One(simulator), seconds, least, words),
+                lambda: dataclasses.replace(
+                    simulator.plan(scene, facts, seconds, least), probed=words
+                ),
+            )
             probing.planned(plan)
         before.plan = plan, camera
         return self._draft() or plan
@@ -164,8 +197,12 @@ class Program:
     def _draft(self):
         """A draft by the plan that is there; None where none is wanted, none will do, or it would save nothing."""
         camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
-        if not self._drafts or plan is None or plan.scene is not self.scene or not same(
-                drafted_by(by), drafted_by(camera)):
+        if (
+            not self._drafts
+            or plan is None
+            or plan.scene is not self.scene
+            or not same(drafted_by(by), drafted_by(camera))
+        ):
             return None
         if camera.optics.is_symmetric and same(by.optics, camera.optics):
             return None
@@ -182,11 +219,18 @@ class Program:
         simulator, scene, probing = self.simulator, self.scene, self.before.probing
         if self.before.plan is None or not probing.is_due(plan := self.plan, scene):
             return self.before.plan is not None
-        seconds = simulator.camera.sensor.exposure_time if self._exposure_time is None else self._exposure_time
+        seconds = (
+            simulator.camera.sensor.exposure_time
+            if self._exposure_time is None
+            else self._exposure_time
+        )
         if seconds is None and self.meters_late and self._metered:
             seconds = self._metered[0]
-        account = self.before.kept("probes", (One(scene), One(plan), seconds), lambda: probed_by(
-            simulator, plan, scene, seconds))
+        account = self.before.kept(
+            "probes",
+            (One(scene), One(plan), seconds),
+            lambda: probed_by(simulator, plan, scene, seconds),
+        )
         does = holds(plan, account)
         probing.found(scene, account, does)
         if not does:
@@ -203,9 +247,13 @@ class Program:
         if not looked_at_there(device, scene):
             whole = Reading(device, content).whole()
             if not content.is_seen:
-                return Facts.of(dataclasses.replace(scene, content=whole))  # which looks at the values
+                return Facts.of(
+                    dataclasses.replace(scene, content=whole)
+                )  # which looks at the values
             return Facts.of(scene.stored(**{name: getattr(whole, name) for name in whole.samples}))
-        stored = self.before.kept("content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content))
+        stored = self.before.kept(
+            "content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content)
+        )
         return Facts(content, None, Reading(device, content, stored))
 
     def _content(self, plan):
@@ -225,15 +273,30 @@ class Program:
     def _exposed(self):
         """The exposure without its times."""
         last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
-        is_same = last is not None and all(own is its for own, its in zip(last.settings, settings, strict=True))
-        automatic = self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
-        is_metered = not (self.meters_late and automatic) or self._operates is not None  # for this frame
-        if is_same and is_metered and last.scene is self.scene and self._pending is None and self.before.plan and (
-                self.before.plan[0] is last.plan):
+        is_same = last is not None and all(
+            own is its for own, its in zip(last.settings, settings, strict=True)
+        )
+        automatic = (
+            self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
+        )
+        is_metered = (
+            not (self.meters_late and automatic) or self._operates is not None
+        )  # for this frame
+        if (
+            is_same
+            and is_metered
+            and last.scene is self.scene
+            and self._pending is None
+            and self.before.plan
+            and (self.before.plan[0] is last.plan)
+        ):
             return last.exposure
         self._last = None  # its arrays are written to from here on
-        made = self._again(last, is_same) if last and settings[0] is last.settings[0] and (
-            self.plan is last.plan) else None
+        made = (
+            self._again(last, is_same)
+            if last and settings[0] is last.settings[0] and (self.plan is last.plan)
+            else None
+        )
         made = made or self._anew()
         made.settings, self._last = settings, made
         return made.exposure
@@ -260,8 +323,11 @@ class Program:
     def _planes(self, plan):
         """The same, and the planes before the blur."""
         stored, samples = self.stored(plan)
-        planes = self.before.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(
-            plan.table, stored))
+        planes = self.before.kept(
+            "planes",
+            (samples, plan.table),
+            lambda: self.simulator.imaging.planes(plan.table, stored),
+        )
         return stored, samples, self.placed(plan, planes)
 
     def placed(self, plan, planes, name: str = "placed") -> Any:
@@ -269,17 +335,29 @@ class Program:
         if not plan.is_placed:
             return planes
         imaging, kept, view = self.simulator.imaging, self.before.kept, self.scene.view
-        places = kept("places", (view, plan.distortion, plan.scene.samples, plan.mix is None),
-                      lambda: imaging.places(plan, view))
+        places = kept(
+            "places",
+            (view, plan.distortion, plan.scene.samples, plan.mix is None),
+            lambda: imaging.places(plan, view),
+        )
         lights = imaging.lights(plan)
-        zoom = view.zoom if plan.distortion is not None and plan.distortion.method == "area" else 1.0
-        return kept(name, (kept.one(planes), kept.one(places), plan.scene.border, lights, zoom),
-                    lambda: imaging.placed(plan, planes, places, lights, zoom))
+        zoom = (
+            view.zoom if plan.distortion is not None and plan.distortion.method == "area" else 1.0
+        )
+        return kept(
+            name,
+            (kept.one(planes), kept.one(places), plan.scene.border, lights, zoom),
+            lambda: imaging.placed(plan, planes, places, lights, zoom),
+        )
 
     def _rates(self, plan, planes):
         """Electrons per second, with their mosaic."""
         kept = self.before.kept
-        return kept("rates", (kept.one(planes), One(plan)), partial(self.simulator.imaging.rates, plan, planes))
+        return kept(
+            "rates",
+            (kept.one(planes), One(plan)),
+            partial(self.simulator.imaging.rates, plan, planes),
+        )
 
     def _again(self, last, is_same):
         """The last exposure, its arrays made anew by what ran for it; None where that is not all.
@@ -291,7 +369,9 @@ class Program:
         stored, samples, planes = self._planes(plan)
         if planes is not last.planes or self._rates(plan, planes) is not last.rates:
             return None
-        is_metered = self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
+        is_metered = (
+            self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
+        )
         if last.scene is not self.scene and (not is_same or is_metered):
             return None
         if not self._does():
@@ -302,7 +382,9 @@ class Program:
         exposure = last.exposure
         mean = self._mean(last, exposure.exposure_time)
         if mean is not exposure.mean or (
-                chip_mean(self.simulator, mean, exposure.exposure_time, self.kept) is not exposure.chip_mean):
+            chip_mean(self.simulator, mean, exposure.exposure_time, self.kept)
+            is not exposure.chip_mean
+        ):
             return None
         last.scene, last.stored, last.samples = self.scene, stored, samples
         if plan.scene is not self.scene:
@@ -312,15 +394,23 @@ class Program:
     def _mean(self, made, seconds):
         """Mean electrons of every pixel of the scene [e-]."""
         plan, rates = made.plan, made.rates
-        return self.kept("mean", (self.kept.one(rates[0]), One(plan), seconds), lambda: self.simulator.imaging.exposed(
-            plan, rates, seconds), lambda tape: retime_collect(tape, seconds))
+        return self.kept(
+            "mean",
+            (self.kept.one(rates[0]), One(plan), seconds),
+            lambda: self.simulator.imaging.exposed(plan, rates, seconds),
+            lambda tape: retime_collect(tape, seconds),
+        )
 
     def _exposed_by(self, made):
         """The exposure of electrons per second."""
         simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._operated(of, lambda: self.before.kept("per second", of, lambda: (
-            simulator.imaging.exposed(plan, rates, 1.0))))
+        seconds, gain = self._operated(
+            of,
+            lambda: self.before.kept(
+                "per second", of, lambda: simulator.imaging.exposed(plan, rates, 1.0)
+            ),
+        )
         mean = self._mean(made, seconds)
         if plan.scene is not self.scene or self.meters_late:
             self._look(made, mean, seconds)
@@ -333,7 +423,9 @@ class Program:
         if seconds is not None:
             return float(seconds), float(self._gain)
         if self._operates is not None:
-            return self._operates  # however often the frame is asked for: its own light is for the next one
+            return (
+                self._operates
+            )  # however often the frame is asked for: its own light is for the next one
         if self.meters_late and self._metered:
             found = self._metered
         else:
@@ -353,8 +445,15 @@ class Program:
         light = kept("light", (kept.one(mean), automatic), lambda: light_of(simulator, mean))
         if plan.watch is not None and plan.scene is not self.scene and self._given is None:
             watch, (entries, ids) = plan.watch, made.stored
-            found = device.fetch(self.before.kept("survey", (made.samples, One(plan)), lambda: survey(
-                entries, watch.table, watch.first, ids, watch.scale, device=device)))
+            found = device.fetch(
+                self.before.kept(
+                    "survey",
+                    (made.samples, One(plan)),
+                    lambda: survey(
+                        entries, watch.table, watch.first, ids, watch.scale, device=device
+                    ),
+                )
+            )
         self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
 
     def judge(self) -> None:
@@ -367,8 +466,13 @@ class Program:
             return
         light = look.light()
         if light[4]:
-            self.before.looked, self._last = (), None  # it is refused again where it is not taken away
-            raise BadData(f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light")
+            self.before.looked, self._last = (
+                (),
+                None,
+            )  # it is refused again where it is not taken away
+            raise BadData(
+                f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light"
+            )
         if self.meters_late and light[0] > 0:
             self._metered = chosen(self.simulator, light, look.shape, look.seconds)
         if look.plan.scene is not look.scene and self._given is None:
@@ -384,7 +488,9 @@ class Program:
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):
-                probing.unfit(plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene)
+                probing.unfit(
+                    plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene
+                )
 
     @property
     def shots(self) -> Shots:
@@ -428,7 +534,11 @@ class Program:
         """A plan with what it is predicted to err in the scene."""
         if self._given is not None:
             return self._judged()
-        return plan if plan.scene is self.scene else self.before.probing.told(plan, self.scene, self._drift)
+        return (
+            plan
+            if plan.scene is self.scene
+            else self.before.probing.told(plan, self.scene, self._drift)
+        )
 
     @property
     def scene_plan(self) -> Plan:
@@ -438,15 +548,22 @@ class Program:
     def _judged(self):
         """The plan that was given, with the errors that are predicted for the scene."""
         simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
-        return self.before.kept("given", (One(scene), One(simulator), seconds), lambda: judged_by(
-            simulator, self._given, scene, self._facts(), seconds))
+        return self.before.kept(
+            "given",
+            (One(scene), One(simulator), seconds),
+            lambda: judged_by(simulator, self._given, scene, self._facts(), seconds),
+        )
 
 
 def chip_mean(simulator, mean, seconds, kept):
     """What this very chip makes of mean electrons: see `Readout.chip_mean`."""
     readout, of = simulator.readout, (kept.one(mean), simulator.readout.response_key, seconds)
-    return kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
-                lambda tape: retime_chip(tape, readout.dark_time(seconds)))
+    return kept(
+        "chip_mean",
+        of,
+        lambda: readout.chip_mean(mean, seconds),
+        lambda tape: retime_chip(tape, readout.dark_time(seconds)),
+    )
 
 
 def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:
@@ -454,21 +571,51 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
 
     seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. kept: what was made before for exposures alike.
     """
-    sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
+    sensor, readout, processor = (
+        simulator.camera.sensor,
+        simulator.readout,
+        simulator.camera.processor,
+    )
     of_chip = chip_mean(simulator, mean, seconds, kept)
-    camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
-        simulator.camera, sensor=readout.operated(gain)))
+    camera = kept(
+        "operated",
+        (simulator.camera, gain),
+        lambda: dataclasses.replace(simulator.camera, sensor=readout.operated(gain)),
+    )
     shading = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
-        falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.stacked, sensor.binning,
-                 sensor.binning_mode)
+        falls = (
+            plan.scene.shape,
+            plan.slope,
+            plan.falloff,
+            nodes,
+            sensor.cfa,
+            sensor.stacked,
+            sensor.binning,
+            sensor.binning_mode,
+        )
         shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
-    colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, One(camera.sensor),
-              without_tone(processor), camera.display, seconds, readout.pixels)
-    colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
+    colors = (
+        plan.white_rate,
+        plan.scene.illuminant,
+        plan.scene.light_is_known,
+        camera.optics,
+        One(camera.sensor),
+        without_tone(processor),
+        camera.display,
+        seconds,
+        readout.pixels,
+    )
+    colored = kept(
+        "rendering",
+        colors,
+        lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept),
+    )
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, of_chip, seconds, gain, colored, blur, shading, device=simulator.device)
+    return Exposure(
+        plan, camera, mean, of_chip, seconds, gain, colored, blur, shading, device=simulator.device
+    )
 
 
 def _shading(simulator, plan):

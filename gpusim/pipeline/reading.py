@@ -31,8 +31,10 @@ def looked_at_there(device: Device, scene: Scene) -> bool:
     arrays = [getattr(content, name) for name in content.samples]
     if not all(isinstance(array, np.ndarray) for array in arrays):
         return True
-    if device.on_host and all(is_seen(array) and array.dtype == np.float32 and array.flags.c_contiguous
-                              for array in arrays):
+    if device.on_host and all(
+        is_seen(array) and array.dtype == np.float32 and array.flags.c_contiguous
+        for array in arrays
+    ):
         return False
     return LARGE <= content.nbytes <= device.largest_array
 
@@ -42,12 +44,20 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
 
     curve: the device's array of a picture's curve, where there is one.
     """
+
     def cut(name):
-        array, index = getattr(content, name), window if isinstance(content, Picture) else (..., *window)
-        return device.samples(array[index] if isinstance(array, np.ndarray) else array, content.stored_type(name))
+        array, index = (
+            getattr(content, name),
+            window if isinstance(content, Picture) else (..., *window),
+        )
+        return device.samples(
+            array[index] if isinstance(array, np.ndarray) else array, content.stored_type(name)
+        )
 
     if isinstance(content, Picture):
-        return decode(cut("codes"), device.array(content.curve) if curve is None else curve, device=device), None
+        return decode(
+            cut("codes"), device.array(content.curve) if curve is None else curve, device=device
+        ), None
     if isinstance(content, Illuminated):
         return illuminate(cut("maps"), cut("coefficients"), device=device), None
     *labels, entries = [cut(name) for name in content.samples]
@@ -74,7 +84,9 @@ class Reading:
 
     def __init__(self, device: Device, content: Content, stored=None):
         self.device, self.content = device, content
-        if stored is None and not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples):
+        if stored is None and not all(
+            isinstance(getattr(content, name), np.ndarray) for name in content.samples
+        ):
             stored = store(device, content)
         self._stored = stored
 
@@ -82,7 +94,9 @@ class Reading:
         """Whole rows of the samples, int (n,), clipped to the frame, in host memory: see `windows`."""
         if self._stored is None:
             return OnHost(self.content).rows(np.clip(chosen, 0, self.content.shape[0] - 1))
-        return self._read(lambda samples, dtype: self._taken(samples, dtype, chosen[None])[..., 0, :, :])
+        return self._read(
+            lambda samples, dtype: self._taken(samples, dtype, chosen[None])[..., 0, :, :]
+        )
 
     def windows(self, rows, cols) -> Content:
         """Windows of the samples in host memory: content whose arrays have the shape (..., n, h, w).
@@ -93,7 +107,9 @@ class Reading:
         """
         if self._stored is None:
             height, width = self.content.shape
-            return OnHost(self.content).windows(np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1))
+            return OnHost(self.content).windows(
+                np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
+            )
         return self._read(lambda samples, dtype: self._taken(samples, dtype, rows, cols))
 
     def _read(self, taken):
@@ -108,13 +124,18 @@ class Reading:
 
     def _taken(self, samples, dtype, rows, cols=None):
         """Windows of stored samples as a new array of the host."""
-        return np.moveaxis(np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3)
+        return np.moveaxis(
+            np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3
+        )
 
     def whole(self) -> Content:
         """All samples, in host memory; of a picture its codes. Raises BadData."""
+
         def read(array):
             values = np.asarray(self.device.numpy(array))
-            return values.astype(np.float32) if values.dtype == np.float16 else values  # NumPy is slow with halves
+            return (
+                values.astype(np.float32) if values.dtype == np.float16 else values
+            )  # NumPy is slow with halves
 
         return self.content.with_samples(read)
 

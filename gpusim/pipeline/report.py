@@ -32,9 +32,12 @@ class Error:
         difference = np.abs(mean - reference)
         sigma = difference / np.sqrt(np.maximum(reference + read_noise**2, 1.0))
         size = np.sqrt(np.mean(reference**2))
-        return cls(float(np.sqrt(np.mean(difference**2)) / size) if size else float(difference.max() > 0),
-                   float((difference / np.maximum(reference, 1.0)).max()), float(np.quantile(sigma, 0.999)),
-                   float(sigma.max()))
+        return cls(
+            float(np.sqrt(np.mean(difference**2)) / size) if size else float(difference.max() > 0),
+            float((difference / np.maximum(reference, 1.0)).max()),
+            float(np.quantile(sigma, 0.999)),
+            float(sigma.max()),
+        )
 
     def meets(self, tolerance: Tolerance) -> bool:
         """Whether every bound of `tolerance` that is set holds."""
@@ -42,10 +45,16 @@ class Error:
 
     def nearest(self, tolerance: Tolerance) -> tuple[float, str]:
         """Error over bound, and both in words, of the bound that is nearest to being broken or farthest beyond."""
-        bounds = ((self.rms, tolerance.rms, "rms"), (self.p999_sigma, tolerance.p999_sigma, "sigma at 99.9 %"),
-                  (self.max_sigma, tolerance.max_sigma, "sigma"))
-        return max((value / bound, f"{value:.2g} of {bound:.2g} {unit}") for value, bound, unit in bounds
-                   if bound is not None)
+        bounds = (
+            (self.rms, tolerance.rms, "rms"),
+            (self.p999_sigma, tolerance.p999_sigma, "sigma at 99.9 %"),
+            (self.max_sigma, tolerance.max_sigma, "sigma"),
+        )
+        return max(
+            (value / bound, f"{value:.2g} of {bound:.2g} {unit}")
+            for value, bound, unit in bounds
+            if bound is not None
+        )
 
 
 def merged(order: list[str], names) -> list[str]:
@@ -53,7 +62,9 @@ def merged(order: list[str], names) -> list[str]:
     order, names = list(order), list(names)
     for number, name in enumerate(names):
         if name not in order:
-            after = next((order.index(other) for other in names[number + 1 :] if other in order), None)
+            after = next(
+                (order.index(other) for other in names[number + 1 :] if other in order), None
+            )
             before = order.index(names[number - 1]) + 1 if number else len(order)
             order.insert(before if after is None else after, name)
     return order
@@ -103,7 +114,11 @@ class Report(Tabled):
     @property
     def meets_tolerance(self) -> bool | None:
         """Whether the true error is within the tolerance; None unless both are known."""
-        return None if self.error is None or self.tolerance is None else self.error.meets(self.tolerance)
+        return (
+            None
+            if self.error is None or self.tolerance is None
+            else self.error.meets(self.tolerance)
+        )
 
     @property
     def prediction_ratio(self) -> float | None:
@@ -113,16 +128,24 @@ class Report(Tabled):
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
-        return asdict(self) | {"account": self.account.as_dict(), "ms": self.ms,
-                               "meets_tolerance": self.meets_tolerance, "prediction_ratio": self.prediction_ratio,
-                               "predicted": self.account.total.as_dict(),
-                               "verdict": self.verdict and self.verdict.as_dict()}
+        return asdict(self) | {
+            "account": self.account.as_dict(),
+            "ms": self.ms,
+            "meets_tolerance": self.meets_tolerance,
+            "prediction_ratio": self.prediction_ratio,
+            "predicted": self.account.total.as_dict(),
+            "verdict": self.verdict and self.verdict.as_dict(),
+        }
 
     @property
     def errors(self) -> list[tuple[str, Bound]]:
         """Name and bound of every predicted error, and of all that are known together."""
         bounds = self.account.bounds
-        last = "all together" if all(bound.is_known for bound in bounds.values()) else "all known together"
+        last = (
+            "all together"
+            if all(bound.is_known for bound in bounds.values())
+            else "all known together"
+        )
         return [*bounds.items(), (last, self.account.total)]
 
     @property
@@ -136,30 +159,46 @@ class Report(Tabled):
     def __repr__(self):
         named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
         verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
-        return shortened(f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
-                         f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})")
+        return shortened(
+            f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
+            f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})"
+        )
 
     def __str__(self):
-        lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
-                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
-                 f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"]
+        lines = [
+            f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
+            f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
+            f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"
+        ]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
-        lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
-        lines += [f"  predicted: {name:22s} " + (
-            f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
-            if bound.is_known else "not known") for name, bound in self.errors]
+        lines.append(
+            f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included"
+        )
+        lines += [
+            f"  predicted: {name:22s} "
+            + (
+                f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+                if bound.is_known
+                else "not known"
+            )
+            for name, bound in self.errors
+        ]
         lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error
-            lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
-                         f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma")
+            lines.append(
+                f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
+                f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma"
+            )
         if self.prediction_ratio:
             lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
         if self.tolerance is not None:
             verdict = str(self.verdict)
             if error := self.error:
-                verdict = (f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
-                           f"predicted {verdict}")
+                verdict = (
+                    f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
+                    f"predicted {verdict}"
+                )
             lines.append(f"  tolerance: {verdict}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
         lines += [f"  plan: {self.plan}"] * bool(self.plan)

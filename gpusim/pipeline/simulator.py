@@ -45,15 +45,32 @@ class Simulator:
     hold).
     """
 
-    def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 guaranteed: bool = False, reach: int | None = None,
-                 period: tuple[int, int] | None = None, strict: bool = False):
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        device: Device | str = "auto",
+        tolerance: Tolerance | str | None = None,
+        guaranteed: bool = False,
+        reach: int | None = None,
+        period: tuple[int, int] | None = None,
+        strict: bool = False,
+    ):
         self.strict = strict
         self.guaranteed, self.reach, self.period = guaranteed, checked_reach(reach), period
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
-        if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
-            raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
+        if (
+            self.tolerance
+            and self.tolerance.rms
+            and self.tolerance.rms < 1e-6
+            and self.device.kind != "numpy"
+        ):
+            raise OutOfRange(
+                "tolerance rms",
+                self.tolerance.rms,
+                "rms >= 1e-6 in float32; below it use device numpy",
+            )
         self.launched: list[str] = []  # names of stages in their order
         self._drawing = OwnTape()
         self._connect(camera, Kept(), Kept())
@@ -78,19 +95,39 @@ class Simulator:
         """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
         return copy(self)._connect(camera, Kept(), tables)
 
-    def batch(self, count: int, output: str = "codes", planned_for: Scene | None = None,
-              plan: Plan | None = None) -> Batch:
+    def batch(
+        self,
+        count: int,
+        output: str = "codes",
+        planned_for: Scene | None = None,
+        plan: Plan | None = None,
+    ) -> Batch:
         """Frames of several scenes, or of several settings, in one array: see `gpusim.pipeline.batch.Batch`."""
         return Batch(self, count, output, planned_for, plan)
 
-    def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-                meters_late: bool = False, plan: Plan | None = None) -> Program:
+    def program(
+        self,
+        scene: Scene,
+        exposure_time: float | None = None,
+        gain: float = 1.0,
+        meters_late: bool = False,
+        plan: Plan | None = None,
+    ) -> Program:
         """Frames of a scene, in which what a change does not touch is kept: see `Program`."""
         return Program(self, scene, exposure_time, gain, meters_late, plan=plan)
 
-    def stream(self, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
-               exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True,
-               plan: Plan | None = None) -> Stream:
+    def stream(
+        self,
+        scenes: Iterable[Scene],
+        output: str = "codes",
+        *,
+        seed: int = 0,
+        first: int = 0,
+        exposure_time: float | None = None,
+        gain: float = 1.0,
+        meters_late: bool = True,
+        plan: Plan | None = None,
+    ) -> Stream:
         """One frame of every scene, an array of the device, which is written anew for the next one.
 
         output: a name of `gpusim.pipeline.outputs.OUTPUTS`, such as "codes" or "raw". seed: of the noise;
@@ -102,16 +139,39 @@ class Simulator:
         `Program`; `plan` makes all frames instead. The stream's `plan` is that of its last frame. Raises as `frames`
         does.
         """
-        return Stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
-                      meters_late=meters_late, plan=plan)
+        return Stream(
+            self,
+            scenes,
+            output,
+            seed=seed,
+            first=first,
+            exposure_time=exposure_time,
+            gain=gain,
+            meters_late=meters_late,
+            plan=plan,
+        )
 
     @overload
-    def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False,
-                 plan: Plan | None = None) -> Frame: ...
+    def __call__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        frame: int = 0,
+        verify: bool = False,
+        plan: Plan | None = None,
+    ) -> Frame: ...
 
     @overload
-    def __call__(self, scene: Iterable[Scene], *, seed: int = 0, frame: int = 0, verify: bool = False,
-                 plan: Plan | None = None) -> Iterator[Frame]: ...
+    def __call__(
+        self,
+        scene: Iterable[Scene],
+        *,
+        seed: int = 0,
+        frame: int = 0,
+        verify: bool = False,
+        plan: Plan | None = None,
+    ) -> Iterator[Frame]: ...
 
     def __call__(self, scene, *, seed=0, frame=0, verify=False, plan=None):
         """One frame of `scene`, of number `frame`; see `frames`.
@@ -120,15 +180,29 @@ class Simulator:
         on: each is made when it is asked for, and is what its scene and number give by themselves. `stream` is faster
         where their arrays are enough. Raises as `frames` does: at the call for what is no scene, also in a list.
         """
-        if isinstance(scene, Iterable) and not isinstance(scene, str | bytes) and not is_array(scene):
+        if (
+            isinstance(scene, Iterable)
+            and not isinstance(scene, str | bytes)
+            and not is_array(scene)
+        ):
             for one in scene if isinstance(scene, list | tuple | set | dict) else ():
                 checked_scene(one)
-            return (self(one, seed=seed, frame=number, verify=verify, plan=plan)
-                    for number, one in enumerate(scene, frame))
+            return (
+                self(one, seed=seed, frame=number, verify=verify, plan=plan)
+                for number, one in enumerate(scene, frame)
+            )
         return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify, plan=plan))
 
-    def frames(self, scene: Scene, count: int, *, seed: int = 0, first: int = 0,
-               verify: bool = False, plan: Plan | None = None) -> Iterator[Frame]:
+    def frames(
+        self,
+        scene: Scene,
+        count: int,
+        *,
+        seed: int = 0,
+        first: int = 0,
+        verify: bool = False,
+        plan: Plan | None = None,
+    ) -> Iterator[Frame]:
         """`count` noisy frames of one scene, numbered from `first`; the mean electrons are computed once.
 
         seed: names the noise; frame n of a seed is the same whatever else is drawn. verify: also run the float64
@@ -145,16 +219,28 @@ class Simulator:
         error = truths.load().true_error(self, scene, exposure) if verify else None
         yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
 
-    def shoot(self, exposure: Exposure, count: int = 1, *, seed: int = 0, first: int = 0,
-              error: Error | None = None) -> Iterator[Frame]:
+    def shoot(
+        self,
+        exposure: Exposure,
+        count: int = 1,
+        *,
+        seed: int = 0,
+        first: int = 0,
+        error: Error | None = None,
+    ) -> Iterator[Frame]:
         """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
         checked_count("count of frames", count)
         shots = Shots(self, exposure)
         for number in range(first, first + count):
             yield shots.frame(seed=seed, frame=number, error=error, first=number == first)
 
-    def plan(self, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
-             least: int = 0) -> Plan:
+    def plan(
+        self,
+        scene: Scene,
+        facts: Facts | None = None,
+        exposure_time: float | None = None,
+        least: int = 0,
+    ) -> Plan:
         """What a frame of `scene` takes.
 
         facts: of it, where they are known. exposure_time: [s], in place of the camera's. least: planes of the blur.
@@ -162,8 +248,13 @@ class Simulator:
         """
         return planned(self, scene, facts, exposure_time, least)
 
-    def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-               plan: Plan | None = None) -> Exposure:
+    def expose(
+        self,
+        scene: Scene,
+        exposure_time: float | None = None,
+        gain: float = 1.0,
+        plan: Plan | None = None,
+    ) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.
 
         Automatic exposure is as the sensor's `auto_exposure` says, and chooses the analog gain too. gain: beside the
@@ -174,15 +265,22 @@ class Simulator:
         exposure = program.exposure
         return replace(exposure, plan=program.scene_plan, is_rewritten=False)
 
-    def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None) -> Any:
+    def draw(
+        self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None
+    ) -> Any:
         """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.
 
         frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
         stacked pixels one below the other.
         """
-        drawing, of = self._drawing, (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout)
+        drawing, of = (
+            self._drawing,
+            (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout),
+        )
         if frames is None and drawing.of and all(map(is_, drawing.of, of)):
-            return self.readout.draw_again(drawing.tape, exposure.chip_mean.shape, seed=seed, frame=frame)
+            return self.readout.draw_again(
+                drawing.tape, exposure.chip_mean.shape, seed=seed, frame=frame
+            )
         drawing.of = ()
         with noted(drawing.tape):
             raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames)

@@ -21,13 +21,24 @@ class Stream(Iterator):
     plan: by which the last frame was made; before the first, the one that was given, or None.
     """
 
-    def __init__(self, simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
-                 plan: Plan | None = None, **settings):
+    def __init__(
+        self,
+        simulator,
+        scenes: Iterable[Scene],
+        output: str = "codes",
+        *,
+        seed: int = 0,
+        first: int = 0,
+        plan: Plan | None = None,
+        **settings,
+    ):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         checked_count("first", first, 0)
         if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
-            raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
+            raise BadData(
+                f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]"
+            )
         self.plan, self._settings = plan, settings | {"plan": plan}
         self._frames = self._made(simulator, scenes, output, seed, first)
 
@@ -42,8 +53,11 @@ class Stream(Iterator):
         arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
         try:
             for number, scene in enumerate(arriving, first):
-                program = (simulator.program(scene, **self._settings) if program is None else
-                           program.update(scene=scene))
+                program = (
+                    simulator.program(scene, **self._settings)
+                    if program is None
+                    else program.update(scene=scene)
+                )
                 frame = program.output(output, seed=seed, frame=number)
                 self.plan = program.plan
                 yield frame

@@ -37,29 +37,50 @@ class LensTables:
         Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
         """
         sensor = self.camera.sensor
-        return (sensor.pixel_pitch / samples_per_pixel,
-                tuple(side / sensor.pixel_pitch for side in sensor.aperture) if samples_per_pixel == 1 else (1.0, 1.0))
+        return (
+            sensor.pixel_pitch / samples_per_pixel,
+            tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+            if samples_per_pixel == 1
+            else (1.0, 1.0),
+        )
 
     def transfer(self, plan: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
         name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
         if plan.is_draft and (short := self._short(plan)):
-            return self._kept("drafted", (short, self._key(plan)), lambda: self._widened(plan, short))
-        return self._kept(name, self._key(plan), lambda: self._near(plan, self.combined(plan, self.all_bands(plan))))
+            return self._kept(
+                "drafted", (short, self._key(plan)), lambda: self._widened(plan, short)
+            )
+        return self._kept(
+            name,
+            self._key(plan),
+            lambda: self._near(plan, self.combined(plan, self.all_bands(plan))),
+        )
 
     def _near(self, plan, tables):
         """Tables less what Gaussians over the world without end make."""
         if plan.far is None:
             return tables
-        return near(tables, plan.far.energies(plan.transfers), plan.far.sigmas, plan.period, device=self.device)
+        return near(
+            tables,
+            plan.far.energies(plan.transfers),
+            plan.far.sigmas,
+            plan.period,
+            device=self.device,
+        )
 
     def _short(self, plan):
         """A period that holds most of the light of points, where a CPU would be long at the tables of the plan's; or 0.
 
         The rest of the light, which falls as 1 / r^3 and so is some q / SHORT of all, is put elsewhere in it.
         """
-        if self.device.is_gpu or self.camera.optics.is_symmetric or plan.far is not None or plan.transfers is None:
+        if (
+            self.device.is_gpu
+            or self.camera.optics.is_symmetric
+            or plan.far is not None
+            or plan.transfers is None
+        ):
             return 0
         pitch = self.grid(plan.scene.samples_per_pixel)[0]
         wide = 4 * spread_radius(self.camera.optics, plan.scene.wavelengths, pitch)
@@ -78,15 +99,25 @@ class LensTables:
         wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]
         along = scipy.fft.rfft(wide, workers=-1)
         tables = np.zeros((*along.shape[:-2], rows, along.shape[-1]), np.complex64)
-        tables[..., :middle, :], tables[..., -middle:, :] = along[..., :middle, :], along[..., middle:, :]
+        tables[..., :middle, :], tables[..., -middle:, :] = (
+            along[..., :middle, :],
+            along[..., middle:, :],
+        )
         tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
         return self.device.array(tables.view(np.float32))
 
     def _key(self, plan):
         """What the tables of a plan are made of."""
         far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
-        return (*far, self._lens, plan.q, self.grid(plan.scene.samples_per_pixel), plan.period, plan.mix.shape,
-                plan.transfers)
+        return (
+            *far,
+            self._lens,
+            plan.q,
+            self.grid(plan.scene.samples_per_pixel),
+            plan.period,
+            plan.mix.shape,
+            plan.transfers,
+        )
 
     def bands(self, q, pitch, aperture, rows, cols, device, distance=None):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
@@ -98,15 +129,32 @@ class LensTables:
         optics, sensor = self.camera.optics, self.camera.sensor
         displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
         if optics.psf is not None:
-            tables = psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows, cols,
-                                finest=float(q.min()) * pitch / 2, displacement=displacement)
+            tables = psf_tables(
+                optics.psf,
+                q * pitch / optics.working_f_number * 1e9,
+                pitch,
+                aperture,
+                rows,
+                cols,
+                finest=float(q.min()) * pitch / 2,
+                displacement=displacement,
+            )
             return tables if device.kind == "numpy" else device.array(tables)
         if optics.is_ideal and distance is None and not any(displacement):
             return airy(device.array(q), aperture, rows, cols, device=device)
         waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
-        return pupil(optics.pupil, waves, device.array(q), aperture, rows, cols, device=device,
-                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch,
-                     displacement=displacement)
+        return pupil(
+            optics.pupil,
+            waves,
+            device.array(q),
+            aperture,
+            rows,
+            cols,
+            device=device,
+            spots=tuple(length / pitch for length in optics.birefringence),
+            diffuser=optics.diffuser / pitch,
+            displacement=displacement,
+        )
 
     def all_bands(self, plan: Plan, distance=None):
         """Transfer tables of every wavelength of a plan, as the stages take them."""
@@ -128,11 +176,15 @@ class LensTables:
             if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
                 bands = integrate(bands, self.device.array(np.diag(flat / own)), device=self.device)
             cover = integrate(bands, self.device.array(white / flat), device=self.device)
-            return self.combined(plan, bands), self.device.reshape(cover, (len(white), 1, *bands.shape[1:]))
+            return self.combined(plan, bands), self.device.reshape(
+                cover, (len(white), 1, *bands.shape[1:])
+            )
 
         if plan.transfers is None:
             return made()
-        return self._kept(f"transfer at {kernel}", (distance, white, plan.flat, *self._key(plan)), made)
+        return self._kept(
+            f"transfer at {kernel}", (distance, white, plan.flat, *self._key(plan)), made
+        )
 
     def _flat(self, plan: Plan, distance: float) -> np.ndarray:
         """Return what a flat field of 1 at `distance` gives if every sample is a point of light of 1, shape (L,)."""
@@ -141,9 +193,17 @@ class LensTables:
             return np.ones(len(plan.q))
         optics, displacement = self.camera.optics, self.camera.sensor.displacement
         waves = optics.waves(plan.q * pitch / optics.working_f_number * 1e9, distance=distance)
-        tables = folded_pupil(optics.pupil, waves, plan.q, aperture, 1, 1,
-                              tuple(length / pitch for length in optics.birefringence), optics.diffuser / pitch,
-                              displacement)
+        tables = folded_pupil(
+            optics.pupil,
+            waves,
+            plan.q,
+            aperture,
+            1,
+            1,
+            tuple(length / pitch for length in optics.birefringence),
+            optics.diffuser / pitch,
+            displacement,
+        )
         return tables[:, 0, 0]
 
     def deviation(self, plan: Plan) -> float:
@@ -155,13 +215,21 @@ class LensTables:
 
         def deviation():
             # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
-            tables = transfer_tables(self.camera.optics, sensor.pixel_pitch / 4, 4 * q,
-                                     tuple(4 * side for side in aperture), 32, 32)
+            tables = transfer_tables(
+                self.camera.optics,
+                sensor.pixel_pitch / 4,
+                4 * q,
+                tuple(4 * side for side in aperture),
+                32,
+                32,
+            )
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
                 tables = np.ascontiguousarray(tables).view(complex)
             light = plan.weights.sum(axis=0)
-            passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
-                      for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]
+            passed = [
+                light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
+                for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)
+            ]
             return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
 
         return self._kept("deviation", (self._lens, q, plan.weights), deviation)
@@ -172,5 +240,7 @@ class LensTables:
         if plan.transfers is None:
             return device.reshape(bands, (1, *bands.shape))
         channels, planes, count = plan.transfers.shape
-        tables = integrate(bands, device.array(plan.transfers.reshape(channels * planes, count)), device=device)
+        tables = integrate(
+            bands, device.array(plan.transfers.reshape(channels * planes, count)), device=device
+        )
         return device.reshape(tables, (channels, planes, *bands.shape[1:]))

@@ -18,8 +18,11 @@ def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
     """
     assert plan.watch is not None
     picture = highlights.whole(question)
-    operation = picture.operation(question, None) if seconds is None else Operation(
-        seconds, picture.level, float(question.sensor.read_sigma**2))
+    operation = (
+        picture.operation(question, None)
+        if seconds is None
+        else Operation(seconds, picture.level, float(question.sensor.read_sigma**2))
+    )
     probes = spectral.probes_of(question, picture, operation)
     if plan.transfers is None:
         bound = probes.unblurred

@@ -31,7 +31,9 @@ class Differences:
         self.middle = (np.array(shape) - 1) / 2 + axis
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
-        self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
+        self.mirrored = (
+            isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
+        )
         self.size = self._enough(error)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
         self._known: dict = {}
@@ -39,9 +41,13 @@ class Differences:
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
         kernels = np.empty((len(places), len(self.mix), self.size, self.size))
-        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True):
+        for kernel, (y, x) in zip(
+            kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True
+        ):
             if self.mirrored:  # the other quadrants are mirror images
-                kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
+                kernel[:] = self._at(abs(y), abs(x))[
+                    :, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1
+                ]
             else:
                 kernel[:] = self._at(y, x)
         return kernels
@@ -50,16 +56,22 @@ class Differences:
         key = round(y, 9), round(x, 9)
         if key not in self._known:
             kernels = self.lens.kernels(self.nodes, (y, x), self.size)
-            self._known[key] = np.tensordot(self.mix, self._whole(_even(kernels - self._axis), (y, x)), 1)
+            self._known[key] = np.tensordot(
+                self.mix, self._whole(_even(kernels - self._axis), (y, x)), 1
+            )
         return self._known[key]
 
     def _whole(self, differences, place):
         """Differences whose first moments are those of all the light: what moves beyond them is added as a slope."""
         if not isinstance(self.lens, PupilLens):
             return differences  # given spreads end within the kernels
-        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(self.nodes, (0.0, 0.0))
+        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(
+            self.nodes, (0.0, 0.0)
+        )
         at = np.arange(self.size) - self.size // 2
-        left = wanted - np.stack([differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1)
+        left = wanted - np.stack(
+            [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1
+        )
         y, x = left.T[..., None, None] / (self.size * (at @ at))
         return differences + y * at[:, None] + x * at
 
@@ -67,12 +79,22 @@ class Differences:
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
         corner = farthest_corner(self.shape, self.middle) / self.corner
-        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner * np.hypot(*corner)
+        shift = (
+            np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
+            * self.corner
+            * np.hypot(*corner)
+        )
         if shift > WIDEST_SHIFT:
-            raise OutOfRange("optics.lateral_color", f"{shift:.3g} pixels at the frame's corner",
-                             f"up to {WIDEST_SHIFT} pixels; or a coarser pixel")
+            raise OutOfRange(
+                "optics.lateral_color",
+                f"{shift:.3g} pixels at the frame's corner",
+                f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
+            )
         middle = [self.nodes[len(self.nodes) // 2]]
-        whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
+        whole, axis = (
+            self.lens.kernels(middle, place, max(SIZES[-1], least))
+            for place in (corner, (0.0, 0.0))
+        )
         for size in SIZES:
             if size >= least:
                 cut = _even(whole - axis)[None]
@@ -80,8 +102,11 @@ class Differences:
                 cut[..., inner, inner] = 0
                 if image_error(cut, np.zeros_like(cut))[0] <= error:
                     return size
-        raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
-                         "narrower ones; or a coarser pixel")
+        raise OutOfRange(
+            "field variation",
+            f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
+            "narrower ones; or a coarser pixel",
+        )
 
 
 def farthest_corner(shape, axis) -> np.ndarray:

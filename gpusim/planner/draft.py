@@ -11,10 +11,17 @@ from gpusim.optics.ladder import tail, variance
 from gpusim.optics.lens import spread_radius
 from gpusim.planner.plan import Plan
 
-WIDER, ROOM = 1.5, 0.25  # times as wide a blur or as narrow, and that much beside [sample]: tiles and planes still do
+WIDER, ROOM = (
+    1.5,
+    0.25,
+)  # times as wide a blur or as narrow, and that much beside [sample]: tiles and planes still do
 
 TURNED: dict[str, Any] = {  # what may be other
-    "f_number": 8.0, "object_distance": np.inf, "defocus": 0.0, "wavefront": Wavefront()}
+    "f_number": 8.0,
+    "object_distance": np.inf,
+    "defocus": 0.0,
+    "wavefront": Wavefront(),
+}
 
 
 def drafted(plan: Plan, camera: Camera) -> Plan | None:
@@ -27,7 +34,9 @@ def drafted(plan: Plan, camera: Camera) -> Plan | None:
     own, optics = plan.camera.optics, camera.optics
     if plan.mix is None or plan.depth is not None or plan.varying is not None or optics.varies:
         return None
-    if optics.is_symmetric != own.is_symmetric or (plan.highlights is not None and not optics.is_ideal):
+    if optics.is_symmetric != own.is_symmetric or (
+        plan.highlights is not None and not optics.is_ideal
+    ):
         return None
     pitch = camera.sensor.pixel_pitch / plan.scene.samples_per_pixel
     q = plan.scene.wavelengths * 1e-9 * optics.working_f_number / pitch
@@ -37,11 +46,25 @@ def drafted(plan: Plan, camera: Camera) -> Plan | None:
     far = plan.far
     if far is not None:
         cell = _cell(camera, plan)
-        far = replace(far, tails=tail(optics, q, optics.waves(plan.scene.wavelengths), variance(optics, pitch, cell)))
+        far = replace(
+            far,
+            tails=tail(
+                optics, q, optics.waves(plan.scene.wavelengths), variance(optics, pitch, cell)
+            ),
+        )
     light = optics.irradiance_factor / own.irradiance_factor
     white = None if plan.white_rate is None else light * plan.white_rate
-    return replace(plan, camera=camera, q=q, far=far, weights=light * plan.weights, white_rate=white,
-                   mix=light * plan.mix, verdict=None, is_draft=True)
+    return replace(
+        plan,
+        camera=camera,
+        q=q,
+        far=far,
+        weights=light * plan.weights,
+        white_rate=white,
+        mix=light * plan.mix,
+        verdict=None,
+        is_draft=True,
+    )
 
 
 def _cell(camera, plan):

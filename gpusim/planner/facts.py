@@ -13,7 +13,9 @@ from gpusim.optics.depth import flattened
 from gpusim.optics.fusion import Spectra, row_pairs
 from gpusim.optics.sampling import Moments, moments
 
-MUCH = 16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
+MUCH = (
+    16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
+)
 MOST_BRIGHT = 32  # such pairs
 
 
@@ -45,8 +47,11 @@ class OnHost:
 
     def windows(self, rows, cols) -> Content:
         """See `Samples`."""
+
         def taken(array):
-            found = np.empty((len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]), array.dtype)
+            found = np.empty(
+                (len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]), array.dtype
+            )
             for window, y, x in zip(found, rows, cols, strict=True):
                 if (np.diff(y) == 1).all() and (np.diff(x) == 1).all():
                     window[:] = array[..., y[0] : y[-1] + 1, x[0] : x[-1] + 1]
@@ -71,7 +76,9 @@ class Facts:
     samples: how the content's are read, by default in host memory.
     """
 
-    def __init__(self, content: Content, depth: np.ndarray | None = None, samples: Samples | None = None):
+    def __init__(
+        self, content: Content, depth: np.ndarray | None = None, samples: Samples | None = None
+    ):
         self.content, self.depth, self.samples = content, depth, samples or OnHost(content)
         self._brightness: tuple[bytes, np.ndarray] | None = None
         self._channels: tuple[bytes, np.ndarray] | None = None
@@ -79,9 +86,16 @@ class Facts:
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
         """Those of the picture that a scene shows."""
-        if not all(content.is_seen for content in (scene.content, *(layer.content for layer in scene.layers))):
-            layers = tuple(replace(layer, content=layer.content.on_host()) for layer in scene.layers)
-            scene = replace(scene, content=scene.content.on_host(), layers=layers)  # which looks at the values
+        if not all(
+            content.is_seen
+            for content in (scene.content, *(layer.content for layer in scene.layers))
+        ):
+            layers = tuple(
+                replace(layer, content=layer.content.on_host()) for layer in scene.layers
+            )
+            scene = replace(
+                scene, content=scene.content.on_host(), layers=layers
+            )  # which looks at the values
         return cls(*flattened(scene))
 
     @cached_property
@@ -99,7 +113,9 @@ class Facts:
         Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
         """
         first = self._chosen[0]
-        return self.samples.rows(np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel())
+        return self.samples.rows(
+            np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel()
+        )
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -118,7 +134,10 @@ class Facts:
         key, found = weights.tobytes(), self._channels
         if found is None or found[0] != key:
             table = weights @ self.pairs.entry_spectra.T
-            found = self._channels = key, self.pairs.mixed(table.astype(np.float32)).astype(np.float64)
+            found = self._channels = (
+                key,
+                self.pairs.mixed(table.astype(np.float32)).astype(np.float64),
+            )
         return found[1]
 
     def moments(self, weights) -> Moments:

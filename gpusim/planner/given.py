@@ -16,8 +16,18 @@ from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Question
 
-PIXELS = ("pixel_pitch", "aperture", "displacement", "qe", "cfa", "channels", "stacked", "microlens", "vignetting",
-          "binning")  # of a sensor, which plans depend on
+PIXELS = (
+    "pixel_pitch",
+    "aperture",
+    "displacement",
+    "qe",
+    "cfa",
+    "channels",
+    "stacked",
+    "microlens",
+    "vignetting",
+    "binning",
+)  # of a sensor, which plans depend on
 REMEDY = "a plan of its own may meet it"
 
 
@@ -33,10 +43,17 @@ def named_parts(camera: Camera) -> dict:
     """The settings of a camera that frames by a plan depend on, by name."""
     optics, sensor = camera.optics, camera.sensor
     return {f"optics.{part.name}": getattr(optics, part.name) for part in fields(optics)} | {
-        f"sensor.{name}": getattr(sensor, name) for name in PIXELS}
+        f"sensor.{name}": getattr(sensor, name) for name in PIXELS
+    }
 
 
-def judged(plan: Plan, question: Question, exposure_time: float | None, asked: Tolerance | None, single: bool) -> Plan:
+def judged(
+    plan: Plan,
+    question: Question,
+    exposure_time: float | None,
+    asked: Tolerance | None,
+    single: bool,
+) -> Plan:
     """The same plan as of another scene that it serves, all of its errors predicted for that scene.
 
     question: of that scene, of the plan's tolerance if none is asked for. exposure_time: given, or None [s]. asked: the
@@ -45,7 +62,9 @@ def judged(plan: Plan, question: Question, exposure_time: float | None, asked: T
     camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
     operation = picture.operation(question, exposure_time)
     if plan.mix is not None and picture.is_spiky and highlights.can_be_split(question):
-        notes.leave_out("highlights, which a plan of this scene's own would add exactly", UNKNOWN, "highlights")
+        notes.leave_out(
+            "highlights, which a plan of this scene's own would add exactly", UNKNOWN, "highlights"
+        )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
         question = question.limited(probes)
@@ -53,7 +72,9 @@ def judged(plan: Plan, question: Question, exposure_time: float | None, asked: T
         assert probes is not None  # a blur is left out for a tolerance alone
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
         notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
-        question = replace(question, camera=replace(camera, optics=replace(camera.optics, model="none", psf=None)))
+        question = replace(
+            question, camera=replace(camera, optics=replace(camera.optics, model="none", psf=None))
+        )
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
         geometry.viewed(question, told(), notes)
@@ -67,21 +88,48 @@ def judged(plan: Plan, question: Question, exposure_time: float | None, asked: T
     _geometry(plan, placed, question, probes, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, plan.taps, notes)
-    account = Account({name: bound for name, bound in notes.bounds.items() if bound != Bound()}, operation.seconds,
-                      doubt_of(question))
-    return replace(plan, scene=question.scene, camera=camera, content=question.content, account=account,
-                   verdict=None if asked is None else account.verdict(asked, REMEDY), tolerance=asked, single=single,
-                   left_out=notes.left_out, beside=notes.beside, planned_for="", probed="", given_of=plan.scene.name)
+    account = Account(
+        {name: bound for name, bound in notes.bounds.items() if bound != Bound()},
+        operation.seconds,
+        doubt_of(question),
+    )
+    return replace(
+        plan,
+        scene=question.scene,
+        camera=camera,
+        content=question.content,
+        account=account,
+        verdict=None if asked is None else account.verdict(asked, REMEDY),
+        tolerance=asked,
+        single=single,
+        left_out=notes.left_out,
+        beside=notes.beside,
+        planned_for="",
+        probed="",
+        given_of=plan.scene.name,
+    )
 
 
-def _blur(plan: Plan, question: Question, picture: highlights.Picture, operation: Operation, probes: Probes | None,
-          rounding: dict[str, Bound], notes: Notes) -> dict[str, Bound]:
+def _blur(
+    plan: Plan,
+    question: Question,
+    picture: highlights.Picture,
+    operation: Operation,
+    probes: Probes | None,
+    rounding: dict[str, Bound],
+    notes: Notes,
+) -> dict[str, Bound]:
     """Predict what planes and border err. Returns the rounding of what is transformed."""
-    around = border.surroundings_of(question, picture, operation.level, plan.period, plan.far, plan.tiling)
+    around = border.surroundings_of(
+        question, picture, operation.level, plan.period, plan.far, plan.tiling
+    )
     notes.bounds["planes"] = _planes(plan, probes)
     around.describe(question, notes)
     picture.describe_unsplit(notes)
-    return {name: bound.times(around.brighter) if name == "transforms" else bound for name, bound in rounding.items()}
+    return {
+        name: bound.times(around.brighter) if name == "transforms" else bound
+        for name, bound in rounding.items()
+    }
 
 
 def _planes(plan, probes):
@@ -102,10 +150,14 @@ def _geometry(plan, made, question, probes, notes):
     if made is not None and plan.distortion is None and probes is not None:
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
-        notes.leave_out(f"distortion by up to {move:.2g} of a sample", probes.moved(move), "distortion left out")
+        notes.leave_out(
+            f"distortion by up to {move:.2g} of a sample", probes.moved(move), "distortion left out"
+        )
     geometry.describe_calibration(question, notes)
     gains, _ = falloff.falloff_of(question, None, own)
     notes.left_out += own.left_out
     if gains is not None and plan.falloff is None and probes is not None:
         most = float(np.abs(gains - 1).max())
-        notes.leave_out(f"fall-off of up to {most:.2g}", probes.even_error(most), "fall-off left out")
+        notes.leave_out(
+            f"fall-off of up to {most:.2g}", probes.even_error(most), "fall-off left out"
+        )

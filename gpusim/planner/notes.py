@@ -27,7 +27,11 @@ class Notes:
         tolerance is called met then. name: of the error in the account; "": the words. of_scene: the scene does not
         hold it. The account is of the scene as it is given, so this error is reported next to the account.
         """
-        size = f"relative rms {bound.rms:.2g}, predicted" if bound.is_known else "its error is not known"
+        size = (
+            f"relative rms {bound.rms:.2g}, predicted"
+            if bound.is_known
+            else "its error is not known"
+        )
         self.left_out.append(words if bound == DECLARED else f"{words}: {size}")
         if of_scene:
             self.beside[name or words] = bound.rms

@@ -25,8 +25,15 @@ class Operation:
         return max(self.seconds * self.size, 1e-30)
 
     @classmethod
-    def of(cls, camera, facts: Facts, weights, level: float, highest: float,
-           exposure_time: float | None = None) -> "Operation":
+    def of(
+        cls,
+        camera,
+        facts: Facts,
+        weights,
+        level: float,
+        highest: float,
+        exposure_time: float | None = None,
+    ) -> "Operation":
         """For the light of a scene.
 
         weights: of the channels, (C, L). level, highest: root mean square and maximum over the frame of the sums over
@@ -47,7 +54,9 @@ class Operation:
             try:
                 automatic, brightest = sensor.auto_exposure, float(looked.max())
                 if automatic.method == "highlights" and brightest > 0:
-                    top = rates.max() * highest / brightest  # the frame's brightest need not be among these samples
+                    top = (
+                        rates.max() * highest / brightest
+                    )  # the frame's brightest need not be among these samples
                     rates = np.append(np.minimum(rates, top), top)
                 seconds = automatic.choose(rates + dark, sensor.saturation)[0]
                 if automatic.method == "full" and highest > 0:

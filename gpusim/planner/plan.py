@@ -22,7 +22,16 @@ from gpusim.optics.planned_tables import Kept, made_anew
 from gpusim.optics.sampling import Taps
 from gpusim.optics.tiling import Tiling
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs import blur, border, depth, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.knobs import (
+    blur,
+    border,
+    depth,
+    falloff,
+    geometry,
+    highlights,
+    sampling,
+    spectral,
+)
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.notes import Notes
@@ -30,7 +39,9 @@ from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
 
-STORED = 2.0**-24 / 3**0.5  # relative RMS of electrons stored as float32: evenly up to half of the last bit
+STORED = (
+    2.0**-24 / 3**0.5
+)  # relative RMS of electrons stored as float32: evenly up to half of the last bit
 LETTERS = 12  # of a plan's name
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
 
@@ -115,9 +126,11 @@ class Plan:
     def __repr__(self):
         rows, cols = self.scene.shape
         planes = len(self.weights if self.table is None else self.table)
-        return shortened(f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: {planes} planes"
-                         f"{'' if self.mix is None else f', transforms of {self.period[1]}x{self.period[0]}'}, "
-                         f"predicted rms {self.account.total.rms:.2g})")
+        return shortened(
+            f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: {planes} planes"
+            f"{'' if self.mix is None else f', transforms of {self.period[1]}x{self.period[0]}'}, "
+            f"predicted rms {self.account.total.rms:.2g})"
+        )
 
     @cached_property
     def front(self) -> tuple[Candidate, ...]:
@@ -135,19 +148,54 @@ class Plan:
         What it predicts and the samples of its scene have no part in it. Computed numbers count as float32, as devices
         take them.
         """
-        optics, sensor, scene, varying, depth = (self.camera.optics, self.camera.sensor, self.scene, self.varying,
-                                                 self.depth)
-        numbers = (self.weights, self.white_rate, self.flat, self.table, self.mix, self.transfers, self.falloff, self.q,
-                   self.slope, self.taps and [(axis.start, axis.weights) for axis in self.taps],
-                   self.far and (self.far.sigmas, self.far.tails, self.far.spacings),
-                   self.distortion and self.distortion.nodes, varying and (varying.kernels, varying.edges),
-                   depth and (depth.distances, depth.kernels, depth.confusion))
-        choices = (self.folded, self.spare, self.period, self.tiling, self.far and self.far.border, self.highlights,
-                   self.distortion and self.distortion.method, varying and (varying.method, varying.index),
-                   depth and (depth.layers, depth.layer))
+        optics, sensor, scene, varying, depth = (
+            self.camera.optics,
+            self.camera.sensor,
+            self.scene,
+            self.varying,
+            self.depth,
+        )
+        numbers = (
+            self.weights,
+            self.white_rate,
+            self.flat,
+            self.table,
+            self.mix,
+            self.transfers,
+            self.falloff,
+            self.q,
+            self.slope,
+            self.taps and [(axis.start, axis.weights) for axis in self.taps],
+            self.far and (self.far.sigmas, self.far.tails, self.far.spacings),
+            self.distortion and self.distortion.nodes,
+            varying and (varying.kernels, varying.edges),
+            depth and (depth.distances, depth.kernels, depth.confusion),
+        )
+        choices = (
+            self.folded,
+            self.spare,
+            self.period,
+            self.tiling,
+            self.far and self.far.border,
+            self.highlights,
+            self.distortion and self.distortion.method,
+            varying and (varying.method, varying.index),
+            depth and (depth.layers, depth.layer),
+        )
         kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
-        return digest((kind, optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.cfa,
-                       sensor.channels, _as_float32(numbers), choices))[:LETTERS]
+        return digest(
+            (
+                kind,
+                optics,
+                sensor.pixel_pitch,
+                sensor.aperture,
+                sensor.displacement,
+                sensor.cfa,
+                sensor.channels,
+                _as_float32(numbers),
+                choices,
+            )
+        )[:LETTERS]
 
     @property
     def count(self) -> int:
@@ -174,30 +222,46 @@ class Plan:
     def misfit(self, scene: Scene) -> str:
         """Why it does not say how to make a frame of another scene, in words; "" if it does."""
         own = self.scene
-        for part, why in ((self.highlights, "it has split off the highlights of its own scene"),
-                          (self.varying, "its blur varies over the field, by its own scene's light"),
-                          (own.depth, "its blur goes by its own scene's depth"),
-                          (scene.depth, "that scene has depth")):
+        for part, why in (
+            (self.highlights, "it has split off the highlights of its own scene"),
+            (self.varying, "its blur varies over the field, by its own scene's light"),
+            (own.depth, "its blur goes by its own scene's depth"),
+            (scene.depth, "that scene has depth"),
+        ):
             if part is not None:
                 return why
         if not own.content.is_like(scene.content):
             return "wanted content of the same kind, wavelengths and entries"
         light, its = own.illuminant, scene.illuminant
-        if light is not its and not (np.array_equal(light.values, its.values)
-                                     and np.array_equal(light.wavelengths, its.wavelengths)):
+        if light is not its and not (
+            np.array_equal(light.values, its.values)
+            and np.array_equal(light.wavelengths, its.wavelengths)
+        ):
             return "wanted the same light"
         ratio = own.samples_per_pixel
-        if own.view.is_plain != scene.view.is_plain or own.view.is_whole(ratio) != scene.view.is_whole(ratio):
+        if own.view.is_plain != scene.view.is_plain or own.view.is_whole(
+            ratio
+        ) != scene.view.is_whole(ratio):
             return "wanted a view of the same kind"
-        pairs = [("samples", own.content.shape, scene.content.shape), *(
-            (name, getattr(own, name), getattr(scene, name)) for name in ("border", "margin", "fov",
-                                                                          "samples_per_pixel"))]
-        return next((f"its {name}: {its}, wanted {wanted}" for name, wanted, its in pairs if wanted != its), "")
+        pairs = [
+            ("samples", own.content.shape, scene.content.shape),
+            *(
+                (name, getattr(own, name), getattr(scene, name))
+                for name in ("border", "margin", "fov", "samples_per_pixel")
+            ),
+        ]
+        return next(
+            (f"its {name}: {its}, wanted {wanted}" for name, wanted, its in pairs if wanted != its),
+            "",
+        )
 
     def lasts(self, exposure_time: float | None) -> bool:
         """Whether a tolerance that it meets is met by it at another exposure time [s], too; None: that of its own."""
-        if exposure_time in (None, self.account.seconds) or self.tolerance is None or (
-                self.verdict is None or not self.verdict.met):
+        if (
+            exposure_time in (None, self.account.seconds)
+            or self.tolerance is None
+            or (self.verdict is None or not self.verdict.met)
+        ):
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).met
 
@@ -226,13 +290,26 @@ class Plan:
         verdict = None
         if self.tolerance is not None and self.verdict is not None:
             verdict = account.verdict(self.tolerance, self.verdict.remedy)
-        return replace(self, scene=scene, planned_for=self.scene.name, account=account, verdict=verdict)
+        return replace(
+            self, scene=scene, planned_for=self.scene.name, account=account, verdict=verdict
+        )
 
 
-def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
-         reach: int | None = None, period: tuple[int, int] | None = None,
-         kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None,
-         single: bool = True, on_gpu: bool = False, least: int = 0) -> Plan:
+def plan(
+    scene: Scene,
+    camera: Camera,
+    *,
+    tolerance: Tolerance | None = None,
+    guaranteed: bool = False,
+    reach: int | None = None,
+    period: tuple[int, int] | None = None,
+    kept: Kept = made_anew,
+    facts: Facts | None = None,
+    exposure_time: float | None = None,
+    single: bool = True,
+    on_gpu: bool = False,
+    least: int = 0,
+) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
@@ -251,8 +328,18 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
-    question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
-                           reach=reach, period=period, kept=kept, on_gpu=on_gpu, least=least)
+    question = Question.of(
+        scene,
+        camera,
+        Facts.of(scene) if facts is None else facts,
+        tolerance,
+        guaranteed=guaranteed,
+        reach=reach,
+        period=period,
+        kept=kept,
+        on_gpu=on_gpu,
+        least=least,
+    )
     question, picture = highlights.split(question)
     notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
     blurred = question
@@ -267,8 +354,11 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     placed = geometry.interpolated(question, told, notes)
     by_depth = depth.by_depth(question, told, notes)
     fixed = rounding_of(question, probes, single)
-    seen = _seen(question, picture, probes, operation, by_depth, fixed, notes) if question.is_blurred else _plain(
-        question, blurred, fixed, notes)
+    seen = (
+        _seen(question, picture, probes, operation, by_depth, fixed, notes)
+        if question.is_blurred
+        else _plain(question, blurred, fixed, notes)
+    )
     taps, spare = sampling.taps_of(question, seen.around.spare if seen.around else 0)
     depth.describe(by_depth, notes)
     picture.describe(notes)
@@ -282,14 +372,40 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     weights, planes = question.weights, seen.planes
     account = Account(notes.bounds, operation.seconds, doubt_of(question))
     return Plan(
-        scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
-        planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,
-        gains, seen.folded, taps, spare, question.q,
-        seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
-        notes.left_out, account, notes.beside,
-        None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.tell_front,
-        tolerance=tolerance, far=seen.around.far if seen.around else None,
-        tiling=seen.around.tiling if seen.around else None, single=single)
+        scene,
+        camera,
+        weights,
+        weights.sum(axis=1) if scene.light_is_known else None,
+        planes.flat,
+        planes.table,
+        planes.mix,
+        planes.transfers,
+        question.content,
+        picture.highlights,
+        planes.varying,
+        by_depth,
+        distortion,
+        gains,
+        seen.folded,
+        taps,
+        spare,
+        question.q,
+        seen.around.period if seen.around else question.size,
+        slope,
+        0,
+        planes.watch,
+        seen.limit,
+        notes.models,
+        notes.left_out,
+        account,
+        notes.beside,
+        None if tolerance is None else account.verdict(tolerance, seen.remedy),
+        seen.tell_front,
+        tolerance=tolerance,
+        far=seen.around.far if seen.around else None,
+        tiling=seen.around.tiling if seen.around else None,
+        single=single,
+    )
 
 
 def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict[str, Bound]:
@@ -336,8 +452,13 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     tolerance = question.tolerance
     fixed |= notes.bounds | depth.bounds_of(by_depth, probes)
     arounds = border.surroundings(question, picture, by_depth, operation.level)
-    found = options(question, spectral.ways(question, probes), arounds, fixed,
-                    lambda around: blur.form_of(question, around, by_depth)[1])
+    found = options(
+        question,
+        spectral.ways(question, probes),
+        arounds,
+        fixed,
+        lambda around: blur.form_of(question, around, by_depth)[1],
+    )
     option, needed = chosen(found, tolerance), remedy(question, found, arounds, fixed)
     form, folded = blur.form_of(question, option.around, by_depth)
     notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
@@ -349,7 +470,15 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     limit = None
     if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
-        own = HEADROOM * total((Bound(rest), option.way.bound)).rms  # what is missed already may be missed as much
+        own = (
+            HEADROOM * total((Bound(rest), option.way.bound)).rms
+        )  # what is missed already may be missed as much
         limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
-    return _Seen(planes, option.around, folded, limit,
-                 tuple if tolerance is None else lambda: front(found, tolerance), needed)
+    return _Seen(
+        planes,
+        option.around,
+        folded,
+        limit,
+        tuple if tolerance is None else lambda: front(found, tolerance),
+        needed,
+    )

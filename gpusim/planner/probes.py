@@ -19,10 +19,16 @@ from gpusim.optics.outside import border_indices
 from gpusim.optics.windows import Windows, quantile
 from gpusim.planner.facts import Facts
 
-SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
+SIDE, RIM = (
+    SAMPLED_PERIOD,
+    12,
+)  # of a window, and of what of it does not count, on each side [sample]
 INNER = SIDE - 2 * RIM
 UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over that of all channels, from which on it is the error
-COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
+COUNT, LEAST_WINDOWS = (
+    12,
+    4,
+)  # windows of 31 wavelengths; of more there are fewer, but not below these
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +79,9 @@ class Probes:
     @cached_property
     def signal(self) -> np.ndarray:
         """Electrons per second of the channels in the windows' inner parts, (n, C, *inner)."""
-        return np.maximum(self._inside(self.exact) + (self.means @ self.weights.T)[..., None, None], 0)
+        return np.maximum(
+            self._inside(self.exact) + (self.means @ self.weights.T)[..., None, None], 0
+        )
 
     def _inside(self, spectra):
         rows, cols = self.inner
@@ -102,13 +110,17 @@ class Probes:
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
         rms = np.sqrt(squares) / self._size
-        if self.channels is not None:  # few pixels hold the error, so that it depends on the channels that they have
+        if (
+            self.channels is not None
+        ):  # few pixels hold the error, so that it depends on the channels that they have
             own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
             even = self.windows.weight @ _mean_squares(self.signal) @ self.share
             if size > 0 and own * even > UNEVEN * squares * size:
                 rms *= np.sqrt(own / squares * (even / size if self.apart is None else 1.0))
         sigma = error * (self.seconds / self._sigma)
-        return Bound(float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
+        return Bound(
+            float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest)
+        )
 
     @cached_property
     def _sigma(self):
@@ -128,16 +140,22 @@ class Probes:
     @cached_property
     def unblurred(self) -> Bound:
         """The error of leaving the blur out."""
-        return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact)
+        return self.bound(
+            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
+        )
 
     def changed(self, share: float) -> Bound:
         """A bound of the error of transfer functions that are wrong by up to `share`, 1 that of no blur."""
-        return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share))
+        return self.bound(
+            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
+        )
 
     def moved(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
         f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)
-        return self.bound(self.exact * (np.exp(2j * np.pi * move / np.sqrt(2) * f) - 1).astype(np.complex64))
+        return self.bound(
+            self.exact * (np.exp(2j * np.pi * move / np.sqrt(2) * f) - 1).astype(np.complex64)
+        )
 
     def resampled(self, view: View, ratio: float) -> Bound:
         """The error of a picture that is interpolated where a view looks, or one like it. ratio: samples per pixel.
@@ -150,8 +168,13 @@ class Probes:
 
     def _magnified(self, zoom: float) -> "Probes":
         """The same windows where the lens blurs a magnified picture: waves of f cycles per sample as f / zoom."""
-        places = np.meshgrid(np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij")
-        tables = [scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap") for one in self.tables]
+        places = np.meshgrid(
+            np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
+        )
+        tables = [
+            scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap")
+            for one in self.tables
+        ]
         return replace(self, tables=np.stack(tables))
 
     def interpolated(self, phases=None, width: float | None = None) -> Bound:
@@ -159,11 +182,17 @@ class Probes:
 
         Between samples the truth is the wave of each frequency that runs through them.
         """
-        wrong = [np.sqrt(interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, one)).astype(
-            np.float32) for one in ((None, 1.0) if width is None else (width,))]
+        wrong = [
+            np.sqrt(
+                interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, one)
+            ).astype(np.float32)
+            for one in ((None, 1.0) if width is None else (width,))
+        ]
         if width is not None or not np.any(self.uninterpolated):
             return self.bound(self.exact * wrong[0])
-        return self.bound((self.exact - self.uninterpolated) * wrong[0] + self.uninterpolated * wrong[1])
+        return self.bound(
+            (self.exact - self.uninterpolated) * wrong[0] + self.uninterpolated * wrong[1]
+        )
 
     @cached_property
     def uninterpolated(self) -> np.ndarray:
@@ -172,11 +201,15 @@ class Probes:
         Cubics would fall below 0 next to it.
         """
         means = (self.means @ self.weights.T)[..., None, None]
-        light = np.maximum(scipy.fft.irfft2(_mixed(self.weights, self.spectra), (SIDE, SIDE)) + means, 0)
+        light = np.maximum(
+            scipy.fft.irfft2(_mixed(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
+        )
         left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
         for n, share in enumerate(left):
             if share.any():
-                planes = scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
+                planes = (
+                    scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
+                )
                 part = scipy.fft.rfft2((planes * share).astype(np.float32))
                 found[n] = _mixed(self.even, (part * self.tables)[None].astype(np.complex64))[0]
         return found
@@ -214,7 +247,11 @@ class Probes:
     def brightened(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
         sigma = share * self.signal * self.seconds / self._sigma
-        return Bound(share, quantile(sigma, self.windows.weight[:, None] * self.share, 0.999), float(sigma.max()))
+        return Bound(
+            share,
+            quantile(sigma, self.windows.weight[:, None] * self.share, 0.999),
+            float(sigma.max()),
+        )
 
     def fused(self, table, transfers):
         """Bounds of the first n planes for each n from the number of channels on.
@@ -242,7 +279,11 @@ def _planes(facts, windows, border):
     if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
         planes, spectra = taken.planes, taken.entry_spectra
     else:
-        planes = taken.planes if taken.is_spectral else taken.mixed(taken.entry_spectra.T.astype(np.float32))
+        planes = (
+            taken.planes
+            if taken.is_spectral
+            else taken.mixed(taken.entry_spectra.T.astype(np.float32))
+        )
     planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
     if border == "zero":
         planes *= ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
@@ -252,11 +293,17 @@ def _planes(facts, windows, border):
 def _mixed(weights, spectra):
     """Sums of planes' transforms, complex64 (n, planes, SIDE, SIDE // 2 + 1), by real weights (sums, planes)."""
     numbers = spectra.reshape(*spectra.shape[:2], -1).view(np.float32)
-    return (weights.astype(np.float32) @ numbers).view(np.complex64).reshape(len(spectra), -1, *spectra.shape[2:])
+    return (
+        (weights.astype(np.float32) @ numbers)
+        .view(np.complex64)
+        .reshape(len(spectra), -1, *spectra.shape[2:])
+    )
 
 
 def _mean_squares(values):
     """Over the last two axes, float64 of sums in the type of the values."""
     values, power = in_range(values)
     rows, cols = values.shape[-2:]
-    return np.ldexp(np.float64(np.einsum("...yx,...yx->...", values, values) / (rows * cols)), 2 * power)
+    return np.ldexp(
+        np.float64(np.einsum("...yx,...yx->...", values, values) / (rows * cols)), 2 * power
+    )

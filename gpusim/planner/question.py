@@ -52,11 +52,16 @@ class Question:
     limit: float | None = None
 
     @classmethod
-    def of(cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked) -> "Question":
+    def of(
+        cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked
+    ) -> "Question":
         """What `plan` was asked. Raises BadData, OutOfRange."""
         kept, optics, sensor = asked["kept"], camera.optics, camera.sensor
-        weights = kept("electrons", (scene.illuminant, scene.wavelengths, optics, sensor.aperture, sensor.qe),
-                       lambda: electrons_per_content(scene, camera))
+        weights = kept(
+            "electrons",
+            (scene.illuminant, scene.wavelengths, optics, sensor.aperture, sensor.qe),
+            lambda: electrons_per_content(scene, camera),
+        )
         check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
         made._check_displacement()
@@ -67,7 +72,9 @@ class Question:
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
         assert self.tolerance is not None
         # in the dark no error breaks it
-        return replace(self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT))
+        return replace(
+            self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT)
+        )
 
     @property
     def optics(self) -> Optics:
@@ -98,7 +105,11 @@ class Question:
     def distortion(self) -> Model | None:
         """The lens's, for this frame; None: it shows what a pinhole does. Raises OutOfRange."""
         distortion = self.optics.distortion
-        return None if distortion is None else framed(distortion, self.scene.shape, self.sensor.pixel_pitch)
+        return (
+            None
+            if distortion is None
+            else framed(distortion, self.scene.shape, self.sensor.pixel_pitch)
+        )
 
     @property
     def axis(self) -> tuple[float, float]:
@@ -193,7 +204,9 @@ class Question:
         if not self.is_blurred:
             return 0.0
         share = 2 if 2 * self.spread > min(self.scene.samples) else 4
-        return float(np.sqrt((0.42 * self.mean_q) ** 2 + self.spread**2 / share + (self.ratio**2 - 1) / 12))
+        return float(
+            np.sqrt((0.42 * self.mean_q) ** 2 + self.spread**2 / share + (self.ratio**2 - 1) / 12)
+        )
 
     @property
     def spread(self) -> float:
@@ -215,21 +228,40 @@ class Question:
         """Refuse a displacement of the apertures from a centred grid that nothing honours."""
         scene, displacement = self.scene, self.sensor.displacement
         shown = f"{displacement[0]:.6g}, {displacement[1]:.6g} pixels"
-        if any(abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)):
-            raise OutOfRange("sensor.offset + sensor.centre", shown, "up to a quarter of the frame; or move the scene")
-        if not self.is_blurred and scene.samples_per_pixel == 1 and any(
-                abs(move - round(move)) > 1e-9 for move in displacement):
-            raise OutOfRange("sensor.offset + sensor.centre", f"{shown}, with one scene sample per pixel and no blur",
-                             "whole pixels; or raise samples_per_pixel, or blur")
+        if any(
+            abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)
+        ):
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                shown,
+                "up to a quarter of the frame; or move the scene",
+            )
+        if (
+            not self.is_blurred
+            and scene.samples_per_pixel == 1
+            and any(abs(move - round(move)) > 1e-9 for move in displacement)
+        ):
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                f"{shown}, with one scene sample per pixel and no blur",
+                "whole pixels; or raise samples_per_pixel, or blur",
+            )
 
     def _check_q(self):
         """Refuse pixels that are far too coarse for the lens."""
         if self.is_blurred and self.q.min() < SMALLEST_Q:
             step = "pixel pitch" if self.ratio == 1 else "distance of scene samples"
-            raise OutOfRange(f"{self.camera.name}: wavelength x f-number / {step}", f"{self.q.min():.2g}",
-                             f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
+            raise OutOfRange(
+                f"{self.camera.name}: wavelength x f-number / {step}",
+                f"{self.q.min():.2g}",
+                f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"',
+            )
 
 
 def displaced(displacement) -> str:
     """What is displaced, in words that follow what it is; "" where it is not."""
-    return f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels" if any(displacement) else ""
+    return (
+        f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"
+        if any(displacement)
+        else ""
+    )

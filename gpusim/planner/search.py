@@ -15,24 +15,32 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.spectral import Way
 from gpusim.planner.question import Question
 
-FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
-CACHED = 2**21  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
+FLOP_PER_BYTE = (
+    0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
+)
+CACHED = (
+    2**21
+)  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
 # [flop] of one of a tile's transforms, which stay in a core's cache or a GPU's local memory, and of a multiplication of
 # the far field; both measured beside transforms of frames on two cores, and on an H200
 TILE_COST, GPU_TILE_COST = 0.6, 1.4
 FAR_COST, GPU_FAR_COST = 3.5, 21.0
-WIDER = 2.0  # times the exact way's samples that transforms may have, for a world without end beyond
+WIDER = (
+    2.0  # times the exact way's samples that transforms may have, for a world without end beyond
+)
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
 
-REMEDIES = {"transforms": "float64 would, so use device numpy",
-            "rounding": "float64 would, so use device numpy",
-            "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
-            "view": "a scene drawn finer, by samples_per_pixel, would be met",
-            "distortion": "a scene drawn finer, by samples_per_pixel, would be met",
-            "depth left out": "a lens without field variation, distortion or measured spreads would show it",
-            "depth, light behind the edges of layers": "a larger tolerance would be met",
-            "depth": "a scene that gives its layers, or less depth, would be met"}
+REMEDIES = {
+    "transforms": "float64 would, so use device numpy",
+    "rounding": "float64 would, so use device numpy",
+    "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
+    "view": "a scene drawn finer, by samples_per_pixel, would be met",
+    "distortion": "a scene drawn finer, by samples_per_pixel, would be met",
+    "depth left out": "a lens without field variation, distortion or measured spreads would show it",
+    "depth, light behind the edges of layers": "a larger tolerance would be met",
+    "depth": "a scene that gives its layers, or less depth, would be met",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +56,14 @@ class Option:
     def bounds(self) -> dict[str, Bound]:
         """Its errors."""
         brighter = self.around.brighter  # ends that go on are transformed, too
-        return {**{name: bound.times(brighter) if name == "transforms" else bound
-                   for name, bound in self.fixed.items()}, "planes": self.way.bound, "border": self.around.bound}
+        return {
+            **{
+                name: bound.times(brighter) if name == "transforms" else bound
+                for name, bound in self.fixed.items()
+            },
+            "planes": self.way.bound,
+            "border": self.around.bound,
+        }
 
     @cached_property
     def total(self) -> Bound:
@@ -81,16 +95,24 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
         area = float(around.tiling.samples(question.scene.samples))
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
-    products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
+    products = (
+        8 * count * back * area / 2
+    )  # of complex numbers, and their sums, at the frequencies of a half spectrum
     far = 0.0
     if around.far is not None:
         far = multiplied * multiplications(
-            question.size, count, channels, tuple(around.far.sigmas), around.far.spacings)
+            question.size, count, channels, tuple(around.far.sigmas), around.far.spacings
+        )
     return (count + back) * transform + products + far + FLOP_PER_BYTE * read
 
 
-def options(question: Question, ways: list[Way], arounds: Iterable[list[Surroundings]], fixed: dict[str, Bound],
-            folds) -> list[Option]:
+def options(
+    question: Question,
+    ways: list[Way],
+    arounds: Iterable[list[Surroundings]],
+    fixed: dict[str, Bound],
+    folds,
+) -> list[Option]:
     """Ways in more and more surroundings, none dearer than the exact one in the first, or in a world without end.
 
     The cheapest is first. The errors of those beyond one that meets the tolerance are not computed here.
@@ -103,10 +125,15 @@ def options(question: Question, ways: list[Way], arounds: Iterable[list[Surround
         for around in together:
             costs = [cost_of(question, way.count, around, folds(around)) for way in ways]
             first = first or around
-            if around is first or (around.far is not None and prod(around.period) <= WIDER * prod(first.period)):
+            if around is first or (
+                around.far is not None and prod(around.period) <= WIDER * prod(first.period)
+            ):
                 most = max(most, costs[-1])  # the exact way, and with a world without end
-            affordable += [Option(way, around, fixed, cost) for way, cost in zip(ways, costs, strict=True)
-                           if cost <= most]
+            affordable += [
+                Option(way, around, fixed, cost)
+                for way, cost in zip(ways, costs, strict=True)
+                if cost <= most
+            ]
         if not affordable:
             break
         affordable.sort(key=lambda option: option.cost)
@@ -117,8 +144,12 @@ def options(question: Question, ways: list[Way], arounds: Iterable[list[Surround
     return found
 
 
-def remedy(question: Question, found: list[Option], arounds: Iterable[list[Surroundings]],
-           fixed: dict[str, Bound]) -> str:
+def remedy(
+    question: Question,
+    found: list[Option],
+    arounds: Iterable[list[Surroundings]],
+    fixed: dict[str, Bound],
+) -> str:
     """What would meet the tolerance that no option of `found` does, in words; "" where one does.
 
     arounds: more surroundings than these options have.
@@ -136,7 +167,9 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[list[Surro
                 times = cost_of(question, best.way.count, around, False) / best.cost
                 return f"reach = {around.reach} pixels would meet it, at about {times:.3g} times the cost"
         return "no reach that transforms take meets it"
-    return REMEDIES.get(by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met")
+    return REMEDIES.get(
+        by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met"
+    )
 
 
 def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
@@ -150,8 +183,10 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
     if good is not None:
         return good
     least = min(option.total.ratio(tolerance) for option in found)
-    return min((option for option in found if option.total.ratio(tolerance) <= NEAR * least),
-               key=lambda option: option.cost)
+    return min(
+        (option for option in found if option.total.ratio(tolerance) <= NEAR * least),
+        key=lambda option: option.cost,
+    )
 
 
 @dataclass(frozen=True)
@@ -173,13 +208,24 @@ class Candidate:
     @property
     def surroundings(self) -> str:
         """What of the world takes part, in words."""
-        of = "surroundings" if self.tiling is None else f"surroundings of tiles of {self.tiling.side}"
+        of = (
+            "surroundings"
+            if self.tiling is None
+            else f"surroundings of tiles of {self.tiling.side}"
+        )
         return f"{self.reach} pixels of {of}{', and the world beyond' if self.far else ''}"
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
-        return {"words": self.words, "planes": self.planes, "reach": self.reach, "endless": self.far is not None,
-                "tiles": self.tiling is not None, "period": self.period, "error": asdict(self.error)}
+        return {
+            "words": self.words,
+            "planes": self.planes,
+            "reach": self.reach,
+            "endless": self.far is not None,
+            "tiles": self.tiling is not None,
+            "period": self.period,
+            "error": asdict(self.error),
+        }
 
 
 def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
@@ -188,5 +234,15 @@ def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
     for option in sorted(found, key=lambda option: option.cost):
         if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
             best.append(option)
-    return tuple(Candidate(option.way.words, option.way.count, option.around.reach, option.around.far,
-                           option.around.tiling, option.around.period, option.total) for option in best)
+    return tuple(
+        Candidate(
+            option.way.words,
+            option.way.count,
+            option.around.reach,
+            option.around.far,
+            option.around.tiling,
+            option.around.period,
+            option.total,
+        )
+        for option in best
+    )

@@ -11,5 +11,24 @@ from gpusim.plot.light import inspect, optical_image, scene, spectra
 from gpusim.plot.pictures import color_checker, colors, delta_e, picture, sfr
 from gpusim.plot.sensor import noise, photon_transfer, raw, snr
 
-__all__ = ["camera", "color_checker", "colors", "delta_e", "efficiency", "error", "inspect", "mtf", "noise",
-           "optical_image", "photon_transfer", "picture", "plan", "psf", "raw", "scene", "sfr", "snr", "spectra"]
+__all__ = [
+    "camera",
+    "color_checker",
+    "colors",
+    "delta_e",
+    "efficiency",
+    "error",
+    "inspect",
+    "mtf",
+    "noise",
+    "optical_image",
+    "photon_transfer",
+    "picture",
+    "plan",
+    "psf",
+    "raw",
+    "scene",
+    "sfr",
+    "snr",
+    "spectra",
+]

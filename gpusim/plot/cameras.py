@@ -18,15 +18,25 @@ def efficiency(camera: Camera, ax=None) -> Any:
     """
     sensor, optics = checked_camera(camera).sensor, camera.optics
     ax, wavelengths = axes_of(ax), sensor.qe.wavelengths
-    for (letter, color), curve in zip(channel_colors(sensor.channels).items(), sensor.qe.values, strict=True):
+    for (letter, color), curve in zip(
+        channel_colors(sensor.channels).items(), sensor.qe.values, strict=True
+    ):
         ax.plot(wavelengths, curve, color=color, label=f"channel {letter}")
     through = optics.transmission if isinstance(optics.transmission, Spectrum) else None
     if through is not None or optics.transmission_at(wavelengths).max() < 1:
-        ax.plot(wavelengths, optics.transmission_at(wavelengths), color=QUIET, linestyle="--", label="lens")
+        ax.plot(
+            wavelengths,
+            optics.transmission_at(wavelengths),
+            color=QUIET,
+            linestyle="--",
+            label="lens",
+        )
     seen = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
     ax.set_xlim(wavelengths[seen[0]], wavelengths[seen[-1]])
     ax.set_ylim(0, 1.05 * ax.get_ylim()[1])
-    return finish(ax, camera.name, "quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]")
+    return finish(
+        ax, camera.name, "quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]"
+    )
 
 
 def camera(camera: Camera, figure=None) -> Any:

@@ -6,10 +6,31 @@ from gpusim.data.colorimetry import adaptation, cmf
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, Missing
 
-CHANNELS = {"R": (0.84, 0.15, 0.16), "G": (0.17, 0.63, 0.17), "B": (0.12, 0.35, 0.80), "Y": (0.35, 0.35, 0.35),
-            "W": (0.45, 0.45, 0.45), "C": (0.09, 0.65, 0.75), "M": (0.80, 0.20, 0.65), "E": (0.05, 0.55, 0.45)}
-OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))  # of letters not in it
-WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # ways of matplotlib to draw
+CHANNELS = {
+    "R": (0.84, 0.15, 0.16),
+    "G": (0.17, 0.63, 0.17),
+    "B": (0.12, 0.35, 0.80),
+    "Y": (0.35, 0.35, 0.35),
+    "W": (0.45, 0.45, 0.45),
+    "C": (0.09, 0.65, 0.75),
+    "M": (0.80, 0.20, 0.65),
+    "E": (0.05, 0.55, 0.45),
+}
+OTHERS = (
+    (0.90, 0.55, 0.10),
+    (0.50, 0.30, 0.65),
+    (0.55, 0.34, 0.29),
+    (0.50, 0.50, 0.13),
+)  # of letters not in it
+WITHOUT_WINDOW = (
+    "agg",
+    "cairo",
+    "pdf",
+    "pgf",
+    "ps",
+    "svg",
+    "template",
+)  # ways of matplotlib to draw
 STYLES = ("-", "--", "-.", ":")
 LIGHTEST = 0.5  # of a line's codes on white
 BAR = 1.3  # inches of a colour bar
@@ -21,7 +42,9 @@ def matplotlib():
     try:
         from matplotlib import pyplot
     except ImportError:
-        raise Missing("plot: matplotlib is not installed; wanted: pip install 'gpusim[plot]'") from None
+        raise Missing(
+            "plot: matplotlib is not installed; wanted: pip install 'gpusim[plot]'"
+        ) from None
     return pyplot
 
 
@@ -41,7 +64,9 @@ def axes_of(ax, size=(6.4, 4.4)):
     if ax is None:
         return matplotlib().subplots(figsize=size, layout="constrained")[1]
     if not (hasattr(ax, "plot") and hasattr(ax, "imshow")):
-        raise BadData(f"ax: {type(ax).__name__}, wanted axes of matplotlib, such as matplotlib.pyplot.gca()")
+        raise BadData(
+            f"ax: {type(ax).__name__}, wanted axes of matplotlib, such as matplotlib.pyplot.gca()"
+        )
     return ax
 
 
@@ -86,7 +111,9 @@ def curve(ax, x, y, color, label, first: int = 0, **options):
     first: number of the first one's dashes in STYLES.
     """
     before = sum(line.get_color() == color for line in ax.get_lines() if len(line.get_xdata()) > 1)
-    ax.plot(x, y, color=color, linestyle=STYLES[(first + before) % len(STYLES)], label=label, **options)
+    ax.plot(
+        x, y, color=color, linestyle=STYLES[(first + before) % len(STYLES)], label=label, **options
+    )
 
 
 def legend_once(ax, label: str) -> str:
@@ -101,7 +128,10 @@ def widened(ax, high: float) -> float:
 
 def finish(ax, name, title, x, y):
     """Title, labels of both axes, a faint grid and a legend; of axes that have another's the title without the name."""
-    ax.set_title(title[0].upper() + title[1:] if ax.get_title() or not name else f"{name}: {title}", fontsize="medium")
+    ax.set_title(
+        title[0].upper() + title[1:] if ax.get_title() or not name else f"{name}: {title}",
+        fontsize="medium",
+    )
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.grid(True, color="0.9", linewidth=0.8)
@@ -129,7 +159,9 @@ def wavelength_color(nanometres: float) -> tuple:
 def readable(codes) -> tuple:
     """A colour 0 .. 1 (3,) made dark enough for a line on white."""
     codes = np.clip(codes, 0, 1)
-    return tuple(float(value) for value in codes * min(1.0, LIGHTEST / max(codes @ (0.3, 0.6, 0.1), 1e-9)))
+    return tuple(
+        float(value) for value in codes * min(1.0, LIGHTEST / max(codes @ (0.3, 0.6, 0.1), 1e-9))
+    )
 
 
 def srgb(xyz, white=None) -> np.ndarray:
@@ -138,4 +170,6 @@ def srgb(xyz, white=None) -> np.ndarray:
     matrix = display.rgb_from_xyz
     if white is not None:
         matrix = matrix @ adaptation(white, display.xyz_from_rgb.sum(1))
-    return np.clip(display.encode(np.clip(np.moveaxis(np.tensordot(matrix, xyz, 1), 0, -1), 0, 1)), 0, 1)
+    return np.clip(
+        display.encode(np.clip(np.moveaxis(np.tensordot(matrix, xyz, 1), 0, -1), 0, 1)), 0, 1
+    )

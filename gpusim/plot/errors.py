@@ -14,8 +14,11 @@ from gpusim.pipeline.simulator import Simulator
 from gpusim.plot.canvas import BAR, CHANNELS, QUIET, axes_of, error_map, panels, picture_size
 
 HIGH = 99.9  # percentile of |error| that has full colour
-UNITS = {"rms": "relative rms error of the mean electrons", "p999_sigma": "error / noise sigma, 99.9 % of pixels",
-         "max_sigma": "error / noise sigma, largest"}
+UNITS = {
+    "rms": "relative rms error of the mean electrons",
+    "p999_sigma": "error / noise sigma, 99.9 % of pixels",
+    "max_sigma": "error / noise sigma, largest",
+}
 
 
 def error(simulator: Simulator, scene, ax=None) -> Any:
@@ -29,8 +32,10 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
     require_truth(simulator.camera, checked_scene(scene))
     mean, truth = seen(simulator, scene, simulator.expose(scene))
     if mean.ndim == 1:
-        raise BadData(f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels, of which the "
-                      "reference computes parts alone; wanted a smaller scene")
+        raise BadData(
+            f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels, of which the "
+            "reference computes parts alone; wanted a smaller scene"
+        )
     read = simulator.camera.sensor.read_sigma
     sigma = (mean - truth) / np.sqrt(np.maximum(truth + read**2, 1.0))
     whole = Error.between(mean, truth, read)
@@ -40,9 +45,15 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
     words = f"rms {whole.rms:.2g}, largest {whole.max_sigma:.2g} sigma"
     if simulator.tolerance is not None:
         words = f"{whole.nearest(simulator.tolerance)[1]} asked"
-    return error_map(axes_of(ax, picture_size(sigma.shape, BAR)), sigma,
-                     f"{scene.name} by {simulator.camera.name}: error {words}", "error / sigma of the pixel's noise",
-                     cmap="RdBu_r", vmin=-most, vmax=most)
+    return error_map(
+        axes_of(ax, picture_size(sigma.shape, BAR)),
+        sigma,
+        f"{scene.name} by {simulator.camera.name}: error {words}",
+        "error / sigma of the pixel's noise",
+        cmap="RdBu_r",
+        vmin=-most,
+        vmax=most,
+    )
 
 
 def plan(what, figure=None) -> Any:
@@ -54,19 +65,25 @@ def plan(what, figure=None) -> Any:
     """
     if isinstance(what, Forecast):
         account, tolerance, ms = what.plan.account, what.plan.tolerance, what.ms
-        verdict, title = what.plan.verdict, f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: "
+        verdict, title = (
+            what.plan.verdict,
+            f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: ",
+        )
         title += f"about {sum(ms.values()):.3g} ms a frame, predicted"
     elif isinstance(what, Report):
         account, tolerance, verdict = what.account, what.tolerance, what.verdict
         ms = {stage.stage: stage.ms for stage in what.stages}
-        title = (f"{what.scene['name']} by {what.camera['name']} on {what.device['name']}: {what.ms:.3g} ms of "
-                 f"{what.wall_ms:.3g} ms")
+        title = (
+            f"{what.scene['name']} by {what.camera['name']} on {what.device['name']}: {what.ms:.3g} ms of "
+            f"{what.wall_ms:.3g} ms"
+        )
     else:
         raise BadData(f"plan: {type(what).__name__}, wanted a Forecast or a frame's Report")
     _, name, *_ = account.total.nearest(tolerance or Tolerance(rms=1.0))
     errors = {cause: getattr(bound, name) for cause, bound in account.bounds.items()}
-    errors = {cause: value for cause, value in errors.items() if 0 < value < np.inf} | {"all together":
-                                                                             getattr(account.total, name)}
+    errors = {cause: value for cause, value in errors.items() if 0 < value < np.inf} | {
+        "all together": getattr(account.total, name)
+    }
     ms = {stage: value for stage, value in ms.items() if value > 0}
     height = 1.6 + 0.3 * max(len(ms), len(errors) + 1)
     figure, axes = panels(figure, 1, 2, (12.0, height))
@@ -89,7 +106,9 @@ def _bars(ax, values, color, label, form):
     bars = ax.barh(range(len(values)), list(values.values()), color=color, height=0.7)
     ax.set_yticks(range(len(values)), list(values))
     ax.invert_yaxis()
-    ax.bar_label(bars, [form.format(value) for value in values.values()], padding=3, fontsize="small")
+    ax.bar_label(
+        bars, [form.format(value) for value in values.values()], padding=3, fontsize="small"
+    )
     ax.set_xlim(right=1.18 * max(values.values(), default=0.0) or 1.0)
     ax.set_xlabel(label)
     ax.spines[["top", "right"]].set_visible(False)

@@ -33,8 +33,17 @@ RINGS = 5.0  # Airy radii around the middle of it
 DECADES = 4  # of a point spread's picture
 
 
-def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0.0, 0.0), light="D65",
-        pixel: bool = False, label: str = "") -> Any:
+def mtf(
+    camera: Camera,
+    of=None,
+    ax=None,
+    *,
+    direction: str = "across",
+    place=(0.0, 0.0),
+    light="D65",
+    pixel: bool = False,
+    label: str = "",
+) -> Any:
     """Modulation transfer of a camera's lens against the frequency on the sensor.
 
     of: wavelengths [nm] and letters of channels, one or several; None: 450, 550, 650 nm and every channel. A channel
@@ -57,9 +66,18 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
     right = widened(ax, frequencies[-1])
     for one in of:
         nodes, weights = _light_of(camera, one, light)
-        response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (np.abs(own) if pixel else 1)
+        response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (
+            np.abs(own) if pixel else 1
+        )
         name, is_channel = f"{label} {_name(one)}".strip(), isinstance(one, str)
-        curve(ax, frequencies, response, colors[one] if is_channel else wavelength_color(one), name, first=is_channel)
+        curve(
+            ax,
+            frequencies,
+            response,
+            colors[one] if is_channel else wavelength_color(one),
+            name,
+            first=is_channel,
+        )
     alone = f"{label} pixel aperture alone".strip()
     ax.plot(frequencies, np.abs(own), color=QUIET, linestyle=":", label=legend_once(ax, alone))
     ax.axvline(nyquist, color=QUIET, linewidth=0.8)
@@ -68,8 +86,13 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
     ax.set_ylim(0, 1.05)
     parts = "lens and pixel" if pixel else "lens"
     at = "" if not any(place) else f" at field ({place[0]:g}, {place[1]:g})"
-    return finish(ax, f"{camera.name}, f/{optics.f_number:g}", f"MTF of the {parts}, {direction}{at}",
-                  "frequency on the sensor [cycle/mm]", "modulation transfer")
+    return finish(
+        ax,
+        f"{camera.name}, f/{optics.f_number:g}",
+        f"MTF of the {parts}, {direction}{at}",
+        "frequency on the sensor [cycle/mm]",
+        "modulation transfer",
+    )
 
 
 def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figure=None) -> Any:
@@ -82,14 +105,23 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
     of, place = _asked(checked_camera(camera), of), _field(place)
     if camera.optics.model == "none":
-        raise BadData(f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another')
+        raise BadData(
+            f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another'
+        )
     if several and ax is not None:
-        raise BadData(f"psf: {len(of)} pictures on one ax; wanted figure =, or of = one wavelength or channel")
+        raise BadData(
+            f"psf: {len(of)} pictures on one ax; wanted figure =, or of = one wavelength or channel"
+        )
     if not several:
         nodes, weights = _light_of(camera, of[0], light)
         energy, step = spread_of(camera, nodes, place, _reach(camera, nodes, place))
-        drawn = _spread(camera, np.tensordot(weights, energy, 1), step, axes_of(ax, (4.8, 4.0)),
-                        f"{camera.name}: point spread, {_name(of[0])}, f/{camera.optics.f_number:g}")
+        drawn = _spread(
+            camera,
+            np.tensordot(weights, energy, 1),
+            step,
+            axes_of(ax, (4.8, 4.0)),
+            f"{camera.name}: point spread, {_name(of[0])}, f/{camera.optics.f_number:g}",
+        )
         drawn.axes.figure.colorbar(drawn, ax=drawn.axes, label="irradiance over that of the peak")
         return drawn.axes
     cols = min(len(of), 3)
@@ -103,10 +135,12 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
             known[tuple(nodes)] = spread_of(camera, nodes, place, reach)
         energy, step = known[tuple(nodes)]
         drawn = _spread(camera, np.tensordot(weights, energy, 1), step, ax, _name(one))
-    for ax in axes.flat[len(of):]:
+    for ax in axes.flat[len(of) :]:
         ax.set_axis_off()
     figure.colorbar(drawn, ax=axes, label="irradiance over that of the peak", shrink=0.8)
-    figure.suptitle(f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}", fontsize="medium")
+    figure.suptitle(
+        f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}", fontsize="medium"
+    )
     return figure
 
 
@@ -116,10 +150,19 @@ def _spread(camera, energy, step, ax, title):
 
     half = 1e6 * step / 2 * np.array(energy.shape)  # [um]
     extent = (-half[1], half[1], half[0], -half[0])
-    drawn = ax.imshow(np.maximum(energy / energy.max(), 10.0**-DECADES), norm=LogNorm(10.0**-DECADES, 1),
-                      cmap="magma", extent=extent, interpolation="nearest")
+    drawn = ax.imshow(
+        np.maximum(energy / energy.max(), 10.0**-DECADES),
+        norm=LogNorm(10.0**-DECADES, 1),
+        cmap="magma",
+        extent=extent,
+        interpolation="nearest",
+    )
     height, width = (1e6 * side for side in camera.sensor.aperture)
-    ax.add_patch(Rectangle((-width / 2, -height / 2), width, height, fill=False, edgecolor="w", linewidth=0.8))
+    ax.add_patch(
+        Rectangle(
+            (-width / 2, -height / 2), width, height, fill=False, edgecolor="w", linewidth=0.8
+        )
+    )
     ax.set_title(title, fontsize="medium")
     ax.set_xlabel("[µm]")
     ax.set_ylabel("[µm]")
@@ -136,7 +179,9 @@ def spread_of(camera: Camera, wavelengths, place, reach: float) -> tuple[np.ndar
     if optics.psf is not None:
         return spread_at(optics.psf, wavelengths, place), optics.psf.spacing
     step = 2 * reach / ACROSS
-    return open_lens(replace(optics, lateral_color=0.0), step, 1.0, (1, 1)).kernels(wavelengths, place, ACROSS), step
+    return open_lens(replace(optics, lateral_color=0.0), step, 1.0, (1, 1)).kernels(
+        wavelengths, place, ACROSS
+    ), step
 
 
 def _reach(camera, wavelengths, place):
@@ -168,7 +213,9 @@ def _field(place):
     try:
         y, x = (float(one) for one in place)
     except (TypeError, ValueError):
-        raise BadData(f"place = {shown(place)}: wanted a field point (y, x), 1 the frame's corner") from None
+        raise BadData(
+            f"place = {shown(place)}: wanted a field point (y, x), 1 the frame's corner"
+        ) from None
     if not np.hypot(y, x) <= 1 + 1e-9:
         raise OutOfRange("place", (y, x), "up to 1, the frame's corner, from the axis")
     return y, x
@@ -180,15 +227,25 @@ def _light_of(camera, one, light):
         return np.array([float(one)]), np.ones(1)
     sensor, spread = camera.sensor, camera.optics.psf
     light = photons_from_energy(light_of(light))
-    low = max(sensor.qe.wavelengths[0], light.wavelengths[0], 0 if spread is None else spread.wavelengths[0])
-    high = min(sensor.qe.wavelengths[-1], light.wavelengths[-1], np.inf if spread is None else spread.wavelengths[-1])
+    low = max(
+        sensor.qe.wavelengths[0],
+        light.wavelengths[0],
+        0 if spread is None else spread.wavelengths[0],
+    )
+    high = min(
+        sensor.qe.wavelengths[-1],
+        light.wavelengths[-1],
+        np.inf if spread is None else spread.wavelengths[-1],
+    )
     if not low < high:
         raise BadData(f"channel {one}: sees nothing of the light {light.name} through the lens")
     nodes = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
     number = sensor.channels.index(one)
     curve = Spectrum(sensor.qe.wavelengths, sensor.qe.values[number])
     through = camera.optics.transmission
-    weights = product_weights(nodes, light, curve, *([through] if isinstance(through, Spectrum) else []))
+    weights = product_weights(
+        nodes, light, curve, *([through] if isinstance(through, Spectrum) else [])
+    )
     if not weights.sum() > 0:
         raise BadData(f"channel {one}: sees nothing of the light {light.name} through the lens")
     return nodes, weights / weights.sum()

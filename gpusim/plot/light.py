@@ -18,7 +18,13 @@ from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.domain.spectrum import LONGEST, SHORTEST, Spectrum, energy_from_photons, energy_per_photon
+from gpusim.domain.spectrum import (
+    LONGEST,
+    SHORTEST,
+    Spectrum,
+    energy_from_photons,
+    energy_per_photon,
+)
 from gpusim.domain.view import View
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.optics.outside import rule_of
@@ -26,10 +32,18 @@ from gpusim.optics.sampling import frame_start
 from gpusim.optics.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
-MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}  # of borders, as SciPy names them
+MODES = {
+    "zero": "grid-constant",
+    "edge": "nearest",
+    "reflect": "reflect",
+}  # of borders, as SciPy names them
 UNSEEN = (0.4, 0.4, 0.4)
 BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
-QUANTITIES = {"radiance": "[W m⁻² sr⁻¹ nm⁻¹]", "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]", "reflectance": "[1]"}
+QUANTITIES = {
+    "radiance": "[W m⁻² sr⁻¹ nm⁻¹]",
+    "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]",
+    "reflectance": "[1]",
+}
 
 
 def scene(scene: Scene, ax=None) -> Any:
@@ -39,8 +53,11 @@ def scene(scene: Scene, ax=None) -> Any:
     """
     codes, white = radiance_codes(scene)
     rows, cols = scene.shape
-    return image(axes_of(ax, picture_size(scene.shape)), codes,
-                 f"{scene.name}: radiance, {cols} x {rows} pixels, white {white:.3g} cd/m²")
+    return image(
+        axes_of(ax, picture_size(scene.shape)),
+        codes,
+        f"{scene.name}: radiance, {cols} x {rows} pixels, white {white:.3g} cd/m²",
+    )
 
 
 def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
@@ -73,9 +90,14 @@ def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> An
         raise UnknownName("quantity", str(quantity), QUANTITIES)
     scene = _viewed(checked_scene(scene))
     if quantity == "reflectance" and not scene.light_is_known:
-        raise BadData(f"spectra: {scene.name} is radiance, whose light is not known; wanted another quantity than "
-                      "reflectance")
-    found = [(*patch_spectrum(scene, place, quantity), name) for place, name in zip(*_places(scene, at), strict=True)]
+        raise BadData(
+            f"spectra: {scene.name} is radiance, whose light is not known; wanted another quantity than "
+            "reflectance"
+        )
+    found = [
+        (*patch_spectrum(scene, place, quantity), name)
+        for place, name in zip(*_places(scene, at), strict=True)
+    ]
     ax = axes_of(ax)
     for (wavelengths, values, color, name), style in zip(found, cycle(STYLES)):
         ax.plot(wavelengths, values, color=color, linestyle=style, label=name)
@@ -83,8 +105,13 @@ def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> An
     ax.set_ylim(bottom=min(0.0, *(float(values.min()) for _, values, *_ in found)))
     ax.ticklabel_format(axis="y", scilimits=(-2, 3))
     unit = QUANTITIES[quantity]
-    return finish(ax, scene.name, f"{quantity} of {'a patch' if len(found) == 1 else 'patches'}", "wavelength [nm]",
-                  f"{quantity} {unit}")
+    return finish(
+        ax,
+        scene.name,
+        f"{quantity} of {'a patch' if len(found) == 1 else 'patches'}",
+        "wavelength [nm]",
+        f"{quantity} {unit}",
+    )
 
 
 def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
@@ -138,8 +165,17 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
         if event.inaxes is not left:
             return
         rows, cols = scene.shape
-        places[:] = [] if event.button == 3 else [*places, (min(max(round(event.xdata), 0), cols - 1),
-                                                            min(max(round(event.ydata), 0), rows - 1))]
+        places[:] = (
+            []
+            if event.button == 3
+            else [
+                *places,
+                (
+                    min(max(round(event.xdata), 0), cols - 1),
+                    min(max(round(event.ydata), 0), rows - 1),
+                ),
+            ]
+        )
         right.clear()
         spectra(scene, places or None, right, quantity=quantity)
         for mark in list(left.lines):
@@ -164,8 +200,12 @@ def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto") -> An
     """
     codes, lux = irradiance_codes(camera, scene, device)
     rows, cols = codes.shape[:2]
-    return image(axes_of(ax, picture_size((rows, cols))), codes, f"{scene.name} behind {camera.name}: irradiance, "
-                 f"f/{camera.optics.f_number:g}, white {lux:.3g} lx")
+    return image(
+        axes_of(ax, picture_size((rows, cols))),
+        codes,
+        f"{scene.name} behind {camera.name}: irradiance, "
+        f"f/{camera.optics.f_number:g}, white {lux:.3g} lx",
+    )
 
 
 def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.ndarray, float]:
@@ -176,18 +216,51 @@ def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.nd
     eye = energy_from_photons(cmf())
     peak = float(eye.values.max())
     edge = np.array([[0.0]] * 3)
-    seen = Spectrum(np.concatenate([[SHORTEST], [eye.wavelengths[0] - 1], eye.wavelengths, [eye.wavelengths[-1] + 1],
-                                    [LONGEST]]),
-                    np.concatenate([edge, edge, eye.values / peak, edge, edge], axis=1), "CIE 1931 observer")
+    seen = Spectrum(
+        np.concatenate(
+            [
+                [SHORTEST],
+                [eye.wavelengths[0] - 1],
+                eye.wavelengths,
+                [eye.wavelengths[-1] + 1],
+                [LONGEST],
+            ]
+        ),
+        np.concatenate([edge, edge, eye.values / peak, edge, edge], axis=1),
+        "CIE 1931 observer",
+    )
     own = camera.sensor
-    sensor = replace(own, qe=seen, channels=tuple("XYZ"), cfa=("XYZ",), stacked=True, bits=FLOAT_BITS, noise=Noise(),
-                     microlens=None, vignetting=None, exposure_time=1.0, binning=(1, 1), gain=None,
-                     conversion_gain=None, adc_range=None, black_level=0, analog_offset=0.0, row_time=0.0)
-    plain = replace(camera, sensor=sensor, processor=Processor(color="none", white_balance="none"), display=Display())
+    sensor = replace(
+        own,
+        qe=seen,
+        channels=tuple("XYZ"),
+        cfa=("XYZ",),
+        stacked=True,
+        bits=FLOAT_BITS,
+        noise=Noise(),
+        microlens=None,
+        vignetting=None,
+        exposure_time=1.0,
+        binning=(1, 1),
+        gain=None,
+        conversion_gain=None,
+        adc_range=None,
+        black_level=0,
+        analog_offset=0.0,
+        row_time=0.0,
+    )
+    plain = replace(
+        camera,
+        sensor=sensor,
+        processor=Processor(color="none", white_balance="none"),
+        display=Display(),
+    )
     simulator = Simulator(plain, device=device)
     height, width = own.aperture
     to_lux = LUMINOUS_EFFICACY * peak / (height * width)
-    xyz = to_lux * np.asarray(simulator.device.numpy(simulator.program(scene).output("electrons")), np.float64)
+    xyz = to_lux * np.asarray(
+        simulator.device.numpy(simulator.program(scene).output("electrons")), np.float64
+    )
     if scene.light_is_known:
         white = to_lux * electrons_per_content(scene, plain).sum(1)
         return srgb(xyz / white[1], white / white[1]), float(white[1])
@@ -197,7 +270,9 @@ def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.nd
 
 def _eye(scene):
     """Weights of a scene's wavelengths for XYZ [cd m-2], and the white of its light over its luminance, or None."""
-    weights = LUMINOUS_EFFICACY * product_weights(scene.wavelengths, energy_from_photons(cmf()), scene.illuminant)
+    weights = LUMINOUS_EFFICACY * product_weights(
+        scene.wavelengths, energy_from_photons(cmf()), scene.illuminant
+    )
     if not scene.light_is_known:
         return weights, None
     white = weights.sum(1)
@@ -210,8 +285,15 @@ def _places(scene, at):
     """Patches that were asked for, and what they are called."""
     if at is None:
         return [(0, 0, *scene.shape[::-1])], ["all of the frame"]
-    places = list(at) if isinstance(at, (list, tuple, np.ndarray)) and len(at) and np.ndim(at[0]) else [at]
-    return places, ["({})".format(", ".join(map(str, place))) if np.ndim(place) else str(place) for place in places]
+    places = (
+        list(at)
+        if isinstance(at, (list, tuple, np.ndarray)) and len(at) and np.ndim(at[0])
+        else [at]
+    )
+    return places, [
+        "({})".format(", ".join(map(str, place))) if np.ndim(place) else str(place)
+        for place in places
+    ]
 
 
 def _window(scene, place):
@@ -221,16 +303,25 @@ def _window(scene, place):
     except TypeError:
         numbers = []
     if len(numbers) not in (2, 4):
-        raise BadData(f"at = {shown(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
-                      "list of such")
+        raise BadData(
+            f"at = {shown(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
+            "list of such"
+        )
     left, top = numbers[:2]
     right, bottom = numbers[2:] or (left + 1, top + 1)
     rows, cols = scene.shape
     if not (0 <= left < right <= cols and 0 <= top < bottom <= rows):
-        raise OutOfRange("at", tuple(numbers), f"columns 0 .. {cols - 1} and rows 0 .. {rows - 1} of the frame, right "
-                         "and bottom beyond left and top")
+        raise OutOfRange(
+            "at",
+            tuple(numbers),
+            f"columns 0 .. {cols - 1} and rows 0 .. {rows - 1} of the frame, right "
+            "and bottom beyond left and top",
+        )
     ratio, window = scene.samples_per_pixel, []
-    for first, last, pixels, samples in ((top, bottom, rows, scene.samples[0]), (left, right, cols, scene.samples[1])):
+    for first, last, pixels, samples in (
+        (top, bottom, rows, scene.samples[0]),
+        (left, right, cols, scene.samples[1]),
+    ):
         start = scene.margin + frame_start(samples, pixels, ratio)
         low = int(start + first * ratio + 1e-9)
         window.append(slice(low, max(low + 1, ceil(start + last * ratio - 1e-9))))
@@ -246,11 +337,21 @@ def _viewed(scene) -> Scene:
         return scene
     content = scene.content.on_host()
     if type(content) is not Basis:  # splines overshoot, which a basis may
-        content = Basis(content.wavelengths, content.bands_at(slice(None)), np.eye(len(content.wavelengths)))
+        content = Basis(
+            content.wavelengths, content.bands_at(slice(None)), np.eye(len(content.wavelengths))
+        )
     middle = [(n - 1) / 2 for n in content.shape]
     y, x = np.indices(content.shape)
     y, x = scene.view.place(y - middle[0], x - middle[1], scene.samples_per_pixel)
-    planes = np.stack([scipy.ndimage.map_coordinates(
-        plane.astype(np.float64), [y + middle[0], x + middle[1]], order=5, mode=MODES[rule_of(scene.border)])
-        for plane in content.planes])
+    planes = np.stack(
+        [
+            scipy.ndimage.map_coordinates(
+                plane.astype(np.float64),
+                [y + middle[0], x + middle[1]],
+                order=5,
+                mode=MODES[rule_of(scene.border)],
+            )
+            for plane in content.planes
+        ]
+    )
     return replace(scene, content=content.with_planes(planes), view=View())

@@ -36,7 +36,11 @@ def png(what) -> bytes | None:
     from PIL import Image
 
     try:
-        codes = what.rgb if isinstance(what, Frame) else _radiance(what, max(1, max(what.shape) // MOST))
+        codes = (
+            what.rgb
+            if isinstance(what, Frame)
+            else _radiance(what, max(1, max(what.shape) // MOST))
+        )
     except GpusimError:
         return None
     shown = Image.fromarray(np.ascontiguousarray(codes))
@@ -61,39 +65,82 @@ def html(what) -> str:
 
 
 def _camera(camera):
-    optics, sensor, noise, processor = camera.optics, camera.sensor, camera.sensor.noise, camera.processor
+    optics, sensor, noise, processor = (
+        camera.optics,
+        camera.sensor,
+        camera.sensor.noise,
+        camera.processor,
+    )
     time = "automatic" if sensor.exposure_time is None else f"{1e3 * sensor.exposure_time:.4g} ms"
     mosaic = f"stacked {''.join(sensor.channels)}" if sensor.stacked else "/".join(sensor.cfa)
-    rows = [("lens", f"f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, {optics.description}"),
-            ("pixels", f"{1e6 * sensor.pixel_pitch:.4g} µm, {mosaic}, {sensor.full_well:.6g} e⁻"),
-            ("converter", f"{sensor.bits} bits, {sensor.gain_dn_per_electron:.4g} DN/e⁻, black {sensor.black_level}"),
-            ("noise", f"read {sensor.read_sigma:.3g} e⁻, dark current {noise.dark_current:.3g} e⁻/s, PRNU "
-             f"{100 * noise.prnu:.3g} %, DSNU {noise.dsnu:.3g} e⁻"), ("exposure", time),
-            ("processor", f"{processor.demosaic}, colour {processor.color}, display {camera.display.name}")]
+    rows = [
+        (
+            "lens",
+            f"f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, {optics.description}",
+        ),
+        ("pixels", f"{1e6 * sensor.pixel_pitch:.4g} µm, {mosaic}, {sensor.full_well:.6g} e⁻"),
+        (
+            "converter",
+            f"{sensor.bits} bits, {sensor.gain_dn_per_electron:.4g} DN/e⁻, black {sensor.black_level}",
+        ),
+        (
+            "noise",
+            f"read {sensor.read_sigma:.3g} e⁻, dark current {noise.dark_current:.3g} e⁻/s, PRNU "
+            f"{100 * noise.prnu:.3g} %, DSNU {noise.dsnu:.3g} e⁻",
+        ),
+        ("exposure", time),
+        (
+            "processor",
+            f"{processor.demosaic}, colour {processor.color}, display {camera.display.name}",
+        ),
+    ]
     return _table(f"Camera {camera.name}", rows)
 
 
 def _report(report):
     lines = str(report).split("\n")
     rows = [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
-    rows.append(("all stages", f"{report.ms:.3g} ms", f"of {report.wall_ms:.4g} ms, planning and copies included"))
+    rows.append(
+        (
+            "all stages",
+            f"{report.ms:.3g} ms",
+            f"of {report.wall_ms:.4g} ms, planning and copies included",
+        )
+    )
     for name, bound in report.errors:
         sigmas = f"99.9 % below {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
-        rows.append((f"predicted error: {name}", *((f"{bound.rms:.2g} rms", sigmas) if bound.is_known else (
-            "not known", ""))))
+        rows.append(
+            (
+                f"predicted error: {name}",
+                *((f"{bound.rms:.2g} rms", sigmas) if bound.is_known else ("not known", "")),
+            )
+        )
     if report.error:
         error = report.error
-        rows.append(("true error", f"{error.rms:.2g} rms", f"99.9 % below {error.p999_sigma:.2g} sigma, largest "
-                     f"{error.max_sigma:.2g} sigma"))
+        rows.append(
+            (
+                "true error",
+                f"{error.rms:.2g} rms",
+                f"99.9 % below {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma",
+            )
+        )
     if report.tolerance is not None:
-        rows.append(("tolerance", report.verdict.shown if report.verdict else "", str(report.verdict)))
-    rows += [("not modelled", "", "; ".join(report.left_out)), *(("note", "", note) for note in report.notes)]
+        rows.append(
+            ("tolerance", report.verdict.shown if report.verdict else "", str(report.verdict))
+        )
+    rows += [
+        ("not modelled", "", "; ".join(report.left_out)),
+        *(("note", "", note) for note in report.notes),
+    ]
     return _table(lines[0], rows)
 
 
 def _table(title, rows):
     """A table with its title, the first column its rows' names."""
-    body = "".join(f"<tr><th style='text-align:left'>{escape(name)}</th>"
-                   + "".join(f"<td style='text-align:left'>{escape(cell)}</td>" for cell in cells) + "</tr>"
-                   for name, *cells in rows)
+    body = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        + "".join(f"<td style='text-align:left'>{escape(cell)}</td>" for cell in cells)
+        + "</tr>"
+        for name, *cells in rows
+    )
     return f"<table><caption style='text-align:left'>{escape(title)}</caption><tbody>{body}</tbody></table>"

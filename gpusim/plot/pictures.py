@@ -45,12 +45,20 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
     """
     found, letters, camera, pitch = _response(what, seed, device)
     ax, responses = axes_of(ax), np.atleast_2d(found.response)
-    frequencies, unit = (found.frequencies, "cycle/pixel") if found.per_mm is None else (found.per_mm, "cycle/mm")
+    frequencies, unit = (
+        (found.frequencies, "cycle/pixel") if found.per_mm is None else (found.per_mm, "cycle/mm")
+    )
     colors = channel_colors(letters)
     right, top = widened(ax, frequencies[-1]), ax.get_ylim()[1] if ax.get_lines() else 1.05
     for letter, response, half in zip(letters, responses, np.atleast_1d(mtf50(found)), strict=True):
         name = f"{label} {letter}".strip()
-        curve(ax, frequencies, response, colors[letter], f"{name}: MTF50 {half:.4g} {unit}".lstrip(": "))
+        curve(
+            ax,
+            frequencies,
+            response,
+            colors[letter],
+            f"{name}: MTF50 {half:.4g} {unit}".lstrip(": "),
+        )
         ax.plot([half], [0.5], "o", color=colors[letter], markersize=4)
     ax.axhline(0.5, color=QUIET, linewidth=0.8, zorder=0.5)
     nyquist = 0.5 if pitch is None else 0.5e-3 / pitch
@@ -58,7 +66,13 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
     ax.text(nyquist, 0.02, " Nyquist", color="0.4", fontsize="small", clip_on=True)
     ax.set_xlim(0, right)
     ax.set_ylim(0, max(top, 1.05 * float(responses.max())))
-    return finish(ax, camera, "SFR of a slanted edge", f"frequency along the edge's normal [{unit}]", "response")
+    return finish(
+        ax,
+        camera,
+        "SFR of a slanted edge",
+        f"frequency along the edge's normal [{unit}]",
+        "response",
+    )
 
 
 def picture(frame, ax=None) -> Any:
@@ -66,8 +80,11 @@ def picture(frame, ax=None) -> Any:
     _require_frame(frame, "picture")
     codes = frame.rgb
     rows, cols = codes.shape[:2]
-    return image(axes_of(ax, picture_size((rows, cols))), codes,
-                 f"{frame.camera.name}: {cols} x {rows} pixels, exposed {1e3 * frame.exposure_time:.4g} ms")
+    return image(
+        axes_of(ax, picture_size((rows, cols))),
+        codes,
+        f"{frame.camera.name}: {cols} x {rows} pixels, exposed {1e3 * frame.exposure_time:.4g} ms",
+    )
 
 
 def delta_e(frame, reference, ax=None) -> Any:
@@ -77,10 +94,19 @@ def delta_e(frame, reference, ax=None) -> Any:
     """
     _require_frame(frame, "delta_e")
     found = ciede2000(frame, reference)
-    title = (f"{frame.camera.name}: colour error, mean {found.mean():.2f}, 95 % below "
-             f"{np.percentile(found, 95):.2f}")
-    return error_map(axes_of(ax, picture_size(found.shape, BAR)), found, title, "CIEDE2000", cmap="viridis", vmin=0,
-                     vmax=max(float(np.percentile(found, HIGH)), 1e-6))
+    title = (
+        f"{frame.camera.name}: colour error, mean {found.mean():.2f}, 95 % below "
+        f"{np.percentile(found, 95):.2f}"
+    )
+    return error_map(
+        axes_of(ax, picture_size(found.shape, BAR)),
+        found,
+        title,
+        "CIEDE2000",
+        cmap="viridis",
+        vmin=0,
+        vmax=max(float(np.percentile(found, HIGH)), 1e-6),
+    )
 
 
 def color_checker(frame, scene, ax=None) -> Any:
@@ -92,17 +118,35 @@ def color_checker(frame, scene, ax=None) -> Any:
     _require_frame(frame, "color_checker")
     checker = checker_of(scene) if isinstance(scene, Scene) else None
     if checker is None or frame.linear.shape[:2] != scene.shape:
-        raise BadData('color_checker: wanted a frame and its scene, the chart "colorchecker" of 48 rows or more in a '
-                      "known light, not binned")
+        raise BadData(
+            'color_checker: wanted a frame and its scene, the chart "colorchecker" of 48 rows or more in a '
+            "known light, not binned"
+        )
     found = checker.differences(frame.linear, frame.rendering.diffuser, frame.camera.display)
     ax = axes_of(ax, (7.6, 4.2))
-    ax.bar(np.arange(1, 25), found, color=srgb(checker.true.T[..., None])[:, 0], edgecolor="0.3", linewidth=0.6)
-    ax.axhline(found.mean(), color="0.3", linestyle="--", label=f"mean {found.mean():.2f}, largest {found.max():.2f}")
+    ax.bar(
+        np.arange(1, 25),
+        found,
+        color=srgb(checker.true.T[..., None])[:, 0],
+        edgecolor="0.3",
+        linewidth=0.6,
+    )
+    ax.axhline(
+        found.mean(),
+        color="0.3",
+        linestyle="--",
+        label=f"mean {found.mean():.2f}, largest {found.max():.2f}",
+    )
     ax.set_xticks(np.arange(1, 25))
     ax.set_xlim(0.3, 24.7)
     ax.set_ylim(0, 1.15 * float(found.max()) or 1.0)
-    finish(ax, frame.camera.name, "colour error of a ColorChecker", "patch, from dark skin (1) to black (24)",
-           "CIEDE2000")
+    finish(
+        ax,
+        frame.camera.name,
+        "colour error of a ColorChecker",
+        "patch, from dark skin (1) to black (24)",
+        "CIEDE2000",
+    )
     ax.grid(False, axis="x")
     return ax
 
@@ -113,7 +157,11 @@ def colors(frame, scene, figure=None) -> Any:
     Returns the figure of matplotlib. Raises BadData, Missing.
     """
     _require_frame(frame, "colors")
-    has_patches = isinstance(scene, Scene) and checker_of(scene) is not None and frame.linear.shape[:2] == scene.shape
+    has_patches = (
+        isinstance(scene, Scene)
+        and checker_of(scene) is not None
+        and frame.linear.shape[:2] == scene.shape
+    )
     figure, axes = panels(figure, 1, 1 + has_patches, (6.5 + 6.5 * has_patches, 4.4))
     delta_e(frame, scene, axes[0, 0])
     if has_patches:
@@ -124,7 +172,11 @@ def colors(frame, scene, figure=None) -> Any:
 def _response(what, seed, device):
     """Edge response, letters of its planes, a name and the pixels' pitch [m]."""
     if isinstance(what, EdgeResponse):
-        letters = "RGB" if np.shape(what.response)[:-1] == (3,) else range(len(np.atleast_2d(what.response)))
+        letters = (
+            "RGB"
+            if np.shape(what.response)[:-1] == (3,)
+            else range(len(np.atleast_2d(what.response)))
+        )
         pitch = None if what.per_mm is None else float(what.frequencies[1] / what.per_mm[1] * 1e-3)
         return what, ["" if len(letters) == 1 else str(one) for one in letters], "", pitch
     pitch = None
@@ -139,7 +191,9 @@ def _response(what, seed, device):
     elif _is_frame(what):
         frames = [what]
     else:
-        raise BadData(f"sfr: {type(what).__name__}, wanted a Camera, a frame of a slanted edge or an EdgeResponse")
+        raise BadData(
+            f"sfr: {type(what).__name__}, wanted a Camera, a frame of a slanted edge or an EdgeResponse"
+        )
     sensor = frames[0].camera.sensor
     linear = np.mean([frame.linear for frame in frames], axis=0)
     linear, letters = (linear[..., 0], sensor.channels) if sensor.is_monochrome else (linear, "RGB")

@@ -15,10 +15,23 @@ from gpusim.measure.photon_transfer import PhotonTransfer
 from gpusim.measure.photon_transfer import photon_transfer as measured
 from gpusim.measure.snr import snr_curve
 from gpusim.pipeline.readout import Readout
-from gpusim.plot.canvas import CHANNELS, QUIET, axes_of, channel_colors, curve, finish, image, legend_once, picture_size
+from gpusim.plot.canvas import (
+    CHANNELS,
+    QUIET,
+    axes_of,
+    channel_colors,
+    curve,
+    finish,
+    image,
+    legend_once,
+    picture_size,
+)
 
 RAW_GAMMA = 2.2  # of the mosaic's picture
-SPREAD, CUT = 5.0, 4.0  # sigmas of a histogram, and from black or saturation within which noise is cut off
+SPREAD, CUT = (
+    5.0,
+    4.0,
+)  # sigmas of a histogram, and from black or saturation within which noise is cut off
 FLAT = (96, 96)  # pixels of the frames of which a photon transfer curve is measured
 LOWEST = -10.0  # SNR that is drawn [dB]
 
@@ -35,18 +48,25 @@ def raw(frame, ax=None, *, gamma: float = RAW_GAMMA) -> Any:
     codes = raw_codes(frame.raw, sensor, gamma)
     rows, cols = codes.shape[:2]
     pattern = "stacked " + "".join(sensor.channels) if sensor.stacked else "/".join(sensor.cfa)
-    return image(axes_of(ax, picture_size((rows, cols))), codes,
-                 f"{frame.camera.name}: raw, {pattern}, {cols} x {rows} pixels, 0 .. {sensor.white_level} DN")
+    return image(
+        axes_of(ax, picture_size((rows, cols))),
+        codes,
+        f"{frame.camera.name}: raw, {pattern}, {cols} x {rows} pixels, 0 .. {sensor.white_level} DN",
+    )
 
 
 def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
     """uint8 (rows, cols, 3) of raw values (rows, cols), or of stacked pixels (C, rows, cols) [DN]."""
     black, white = sensor.dark_level, sensor.white_level
-    values = np.clip((np.asarray(raw, np.float32) - np.float32(black)) / np.float32(white - black), 0, 1)
+    values = np.clip(
+        (np.asarray(raw, np.float32) - np.float32(black)) / np.float32(white - black), 0, 1
+    )
     return colored(sensor, np.uint8(255 * values ** (1 / gamma) + 0.5))
 
 
-def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False, label: str = "") -> Any:
+def snr(
+    camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False, label: str = ""
+) -> Any:
     """Signal to noise ratio of each channel against the exposure of the sensor, up to saturation.
 
     camera: a Camera or a Sensor. light, seconds, temporal: see `gpusim.measure.snr_curve`. The grey line has the
@@ -58,28 +78,45 @@ def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = 
     sensor = camera.sensor if isinstance(camera, Camera) else camera
     found = snr_curve(sensor, light, seconds=seconds, temporal=temporal)
     if np.isposinf(found.snr).any():
-        raise BadData("snr: the sensor has no noise, so its ratio is infinite; wanted some, if only of photons")
+        raise BadData(
+            "snr: the sensor has no noise, so its ratio is infinite; wanted some, if only of photons"
+        )
     ax = axes_of(ax)
-    left, lowest = ax.get_xlim()[0] if ax.get_lines() else np.inf, max(LOWEST, float(found.snr.min()))
+    left, lowest = (
+        ax.get_xlim()[0] if ax.get_lines() else np.inf,
+        max(LOWEST, float(found.snr.min())),
+    )
     most = int(found.saturation.argmin())
     seen = found.exposure <= found.saturation[most]
-    for (letter, color), values, full in zip(channel_colors(sensor.channels).items(), found.snr, found.saturation,
-                                             strict=True):
+    for (letter, color), values, full in zip(
+        channel_colors(sensor.channels).items(), found.snr, found.saturation, strict=True
+    ):
         best = f", at most {values.max():.1f} dB" if np.isfinite(full) else ""
         below = np.where(found.exposure <= full, values, np.nan)
         curve(ax, found.exposure, below, color, f"{label} channel {letter}{best}".strip())
         if np.isfinite(full):
             ax.plot([full], values[found.exposure == full], "o", color=color, markersize=4)
     alone = f"{label} photons alone, channel {sensor.channels[most]}".strip()
-    ax.plot(found.exposure[seen], 10 * np.log10(found.electrons[most, seen]), color=QUIET, linestyle="--", zorder=0.5,
-            label=legend_once(ax, alone))
+    ax.plot(
+        found.exposure[seen],
+        10 * np.log10(found.electrons[most, seen]),
+        color=QUIET,
+        linestyle="--",
+        zorder=0.5,
+        label=legend_once(ax, alone),
+    )
     ax.set_xscale("log")
     ax.set_ylim(bottom=lowest)
     ax.set_xlim(left=min(left, found.exposure[found.snr.max(axis=0) >= lowest][0]))
     named = light if isinstance(light, str) else light.name or "the light given"
     name = camera.name if isinstance(camera, Camera) else ""
-    return finish(ax, name, f"{'temporal ' * temporal}SNR up to saturation",
-                  f"exposure of the sensor in {named} [lx s]", "signal to noise ratio [dB]")
+    return finish(
+        ax,
+        name,
+        f"{'temporal ' * temporal}SNR up to saturation",
+        f"exposure of the sensor in {named} [lx s]",
+        "signal to noise ratio [dB]",
+    )
 
 
 def noise(frame, ax=None) -> Any:
@@ -97,24 +134,44 @@ def noise(frame, ax=None) -> Any:
         if values.size < 2:
             continue
         share = np.histogram(values, edges)[0] / (values.size * step)
-        ax.step(middle, share, where="mid", color=colors[letter],
-                label=f"{letter}: {values.size} pixels, mean {values.mean():+.3f}, sigma {values.std():.3f}")
-    ax.plot(middle, np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi), color="0.3", linestyle="--", label="normal")
+        ax.step(
+            middle,
+            share,
+            where="mid",
+            color=colors[letter],
+            label=f"{letter}: {values.size} pixels, mean {values.mean():+.3f}, sigma {values.std():.3f}",
+        )
+    ax.plot(
+        middle,
+        np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi),
+        color="0.3",
+        linestyle="--",
+        label="normal",
+    )
     ax.set_ylim(0, 1.55 * ax.get_ylim()[1])
-    return finish(ax, frame.camera.name, "noise of one frame", "(raw value - expected) / expected sigma",
-                  "probability density")
+    return finish(
+        ax,
+        frame.camera.name,
+        "noise of one frame",
+        "(raw value - expected) / expected sigma",
+        "probability density",
+    )
 
 
 def noise_of(frame) -> dict[str, np.ndarray]:
     """Raw values less the expected ones over the expected sigma, of each channel's pixels that are not cut off [1]."""
     _require_frame(frame, "noise")
     if frame.averaged is None:
-        raise BadData("noise: a picture of several exposures, whose noise is of no one gain; wanted a frame of one")
+        raise BadData(
+            "noise: a picture of several exposures, whose noise is of no one gain; wanted a frame of one"
+        )
     sensor = frame.camera.sensor
     own, gain = sensor.noise, sensor.gain_dn_per_electron
     electrons = frame.mean + own.dark_current * own.warmth * frame.exposure_time
     parts = RawNoise.of(sensor, frame.averaged)
-    variance = parts.variance(electrons) + (parts.response + parts.line_response) * np.square(frame.mean, dtype=float)
+    variance = parts.variance(electrons) + (parts.response + parts.line_response) * np.square(
+        frame.mean, dtype=float
+    )
     sigma = np.sqrt(variance)
     inside = electrons + CUT * sigma < sensor.saturation
     if sensor.bits != FLOAT_BITS:
@@ -123,13 +180,20 @@ def noise_of(frame) -> dict[str, np.ndarray]:
         found = (frame.raw - (sensor.dark_level + gain * electrons)) / (gain * sigma)
     inside &= np.isfinite(found)
     if not inside.any():
-        raise BadData("noise: all pixels are near black or saturation, where noise is cut off, or have no noise; "
-                      "wanted another exposure")
+        raise BadData(
+            "noise: all pixels are near black or saturation, where noise is cut off, or have no noise; "
+            "wanted another exposure"
+        )
     if found.ndim == 3:
-        return {letter: one[use] for letter, one, use in zip(sensor.channels, found, inside, strict=True)}
+        return {
+            letter: one[use]
+            for letter, one, use in zip(sensor.channels, found, inside, strict=True)
+        }
     (rows, cols), cfa = found.shape, sensor.cfa_indices
     tiled = np.tile(cfa, (-(-rows // cfa.shape[0]), -(-cols // cfa.shape[1])))[:rows, :cols]
-    return {letter: found[inside & (tiled == number)] for number, letter in enumerate(sensor.channels)}
+    return {
+        letter: found[inside & (tiled == number)] for number, letter in enumerate(sensor.channels)
+    }
 
 
 def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
@@ -143,22 +207,43 @@ def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     if isinstance(what, (Camera, Sensor)):
         what = measured_transfer(what.sensor if isinstance(what, Camera) else what, seed, device)
     if not isinstance(what, PhotonTransfer):
-        raise BadData(f"photon_transfer: {type(what).__name__}, wanted a PhotonTransfer, a Camera or a Sensor")
+        raise BadData(
+            f"photon_transfer: {type(what).__name__}, wanted a PhotonTransfer, a Camera or a Sensor"
+        )
     ax, floor = axes_of(ax), what.dark_noise_dn
     signal, total = what.signal, np.sqrt(np.maximum(what.variance, 0) + floor**2)
     seen = signal > 0
     ax.plot(signal[seen], total[seen], "o", color="0.2", markersize=4, label="frames")
     line = np.geomspace(signal[seen].min(), signal[what.saturation_level], 100)
-    ax.plot(line, np.sqrt(what.gain * line), color=CHANNELS["B"], linestyle="--",
-            label=f"photons: K = {what.gain:.4g} DN/e⁻")
-    ax.axhline(floor, color=CHANNELS["G"], linestyle="--", label=f"dark: {floor:.3g} DN, {what.dark_noise:.3g} e⁻")
+    ax.plot(
+        line,
+        np.sqrt(what.gain * line),
+        color=CHANNELS["B"],
+        linestyle="--",
+        label=f"photons: K = {what.gain:.4g} DN/e⁻",
+    )
+    ax.axhline(
+        floor,
+        color=CHANNELS["G"],
+        linestyle="--",
+        label=f"dark: {floor:.3g} DN, {what.dark_noise:.3g} e⁻",
+    )
     ax.plot(line, np.sqrt(what.gain * line + floor**2), color=CHANNELS["R"], label="both")
-    ax.axvline(signal[what.saturation_level], color=QUIET,
-               label=f"saturation: {what.saturation_capacity:.4g} e⁻, range {what.dynamic_range_db:.1f} dB")
+    ax.axvline(
+        signal[what.saturation_level],
+        color=QUIET,
+        label=f"saturation: {what.saturation_capacity:.4g} e⁻, range {what.dynamic_range_db:.1f} dB",
+    )
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.5 * min(floor, total[seen].min()))
-    return finish(ax, name, "photon transfer", "signal above dark [DN]", "temporal noise, standard deviation [DN]")
+    return finish(
+        ax,
+        name,
+        "photon transfer",
+        "signal above dark [DN]",
+        "temporal noise, standard deviation [DN]",
+    )
 
 
 def measured_transfer(sensor: Sensor, seed: int = 0, device="auto") -> PhotonTransfer:
@@ -173,9 +258,14 @@ def measured_transfer(sensor: Sensor, seed: int = 0, device="auto") -> PhotonTra
     pixels = np.ones(FLAT, np.float32)
 
     def frames(electrons, number, count=2):
-        return readout.draw_electrons(electrons * pixels, 1e-9, seed=seed, frame=2 * number, frames=count)
+        return readout.draw_electrons(
+            electrons * pixels, 1e-9, seed=seed, frame=2 * number, frames=count
+        )
 
-    levels = (frames(np.float32(part * sensor.saturation), 1 + number) for number, part in enumerate(parts))
+    levels = (
+        frames(np.float32(part * sensor.saturation), 1 + number)
+        for number, part in enumerate(parts)
+    )
     return measured(levels, frames(np.float32(0), 0), parts * sensor.saturation / efficiency)
 
 

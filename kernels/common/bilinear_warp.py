@@ -42,13 +42,22 @@ def line(raw: wp.array2d[Any], converter: wp.vec3, y: int, x: int):
     """Return a row's number at x, and the sum of its two neighbours in it."""
     row = mirror(y, raw.shape[0])
     cols = raw.shape[1]
-    sides = digitised(raw[row, mirror(x - 1, cols)], converter) + digitised(raw[row, mirror(x + 1, cols)], converter)
+    sides = digitised(raw[row, mirror(x - 1, cols)], converter) + digitised(
+        raw[row, mirror(x + 1, cols)], converter
+    )
     return wp.vec2i(digitised(raw[row, x], converter), sides)
 
 
 @wp.func
-def interpolated(up: wp.vec2i, here: wp.vec2i, down: wp.vec2i, is_own: bool, is_red_row: bool, black_level: float,
-                 scale: float):
+def interpolated(
+    up: wp.vec2i,
+    here: wp.vec2i,
+    down: wp.vec2i,
+    is_own: bool,
+    is_red_row: bool,
+    black_level: float,
+    scale: float,
+):
     """Return red, green and blue of a pixel from its line and those beside it."""
     vertical = up[0] + down[0]
     own = 2 * here[1]
@@ -58,8 +67,11 @@ def interpolated(up: wp.vec2i, here: wp.vec2i, down: wp.vec2i, is_own: bool, is_
         own = 4 * here[0]
         green = here[1] + vertical
         other = up[1] + down[1]
-    colors = wp.vec3((0.25 * float(own) - black_level) * scale, (0.25 * float(green) - black_level) * scale,
-                     (0.25 * float(other) - black_level) * scale)
+    colors = wp.vec3(
+        (0.25 * float(own) - black_level) * scale,
+        (0.25 * float(green) - black_level) * scale,
+        (0.25 * float(other) - black_level) * scale,
+    )
     if is_red_row:
         return colors
     return wp.vec3(colors[2], colors[1], colors[0])

@@ -16,6 +16,21 @@ def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 
         grid, group = extended.shape[:2], (1, 1)
     else:
         grid, group = extended.shape, None
-    device.launch("common.border", "extend", grid, planes, extended, BORDERS[border], first, *before, *hole,
-                  extended.shape[0], rows, cols, *period, group=group, defines={"GPU": 1} if device.is_gpu else None)
+    device.launch(
+        "common.border",
+        "extend",
+        grid,
+        planes,
+        extended,
+        BORDERS[border],
+        first,
+        *before,
+        *hole,
+        extended.shape[0],
+        rows,
+        cols,
+        *period,
+        group=group,
+        defines={"GPU": 1} if device.is_gpu else None,
+    )
     return extended

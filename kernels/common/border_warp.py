@@ -7,7 +7,9 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def inside(i: int, n: int, border: int):  # the pixel that stands for pixel i; some pixel in the dark
+def inside(
+    i: int, n: int, border: int
+):  # the pixel that stands for pixel i; some pixel in the dark
     j = wp.clamp(i, 0, n - 1)
     if border == 2:  # mirrored with the outermost pixel repeated, however far outside
         j = i % (2 * n)
@@ -50,4 +52,6 @@ def extend(
 ):
     k, y, x = wp.tid()
     if y < top or y >= bottom or x < left or x >= right:
-        extended[k, y, x] = value_at(planes, first + k, y - before_y, x - before_x, rows, cols, border)
+        extended[k, y, x] = value_at(
+            planes, first + k, y - before_y, x - before_x, rows, cols, border
+        )

@@ -29,15 +29,36 @@ def convolve(device, shape, flipped, surrounded):
     extended = surrounded((kh // 2, kw // 2), (valid * (strips - 1) + length, reach))
     transfer = np.conj(np.fft.fft(flipped, length, axis=1)) / length
     transfer = device.array(np.ascontiguousarray(transfer).view(np.float64), np.float64)
-    pitch = AHEAD + kept + 8  # not a power of two: the rows of a column would share the cache's sets
+    pitch = (
+        AHEAD + kept + 8
+    )  # not a power of two: the rows of a column would share the cache's sets
     passes = -(-(length.bit_length() - 1) // 2)
     defines = {"LENGTH": length, "PITCH": pitch, "ODD": passes % 2, "AHEAD": AHEAD}
     scratch = device.empty((strips, parts, 2, length, pitch), np.float64)
     out = device.empty(shape)
     for k in range(count):
-        device.launch("common.columns", "columns", (strips, parts), extended, transfer, _roots(device, length), scratch,
-                      out, k, int(len(flipped) > 1), valid, width, kept, parts, kw, rows, cols, *extended.shape[1:],
-                      group=(1, 1), defines=defines)
+        device.launch(
+            "common.columns",
+            "columns",
+            (strips, parts),
+            extended,
+            transfer,
+            _roots(device, length),
+            scratch,
+            out,
+            k,
+            int(len(flipped) > 1),
+            valid,
+            width,
+            kept,
+            parts,
+            kw,
+            rows,
+            cols,
+            *extended.shape[1:],
+            group=(1, 1),
+            defines=defines,
+        )
     return out
 
 

@@ -13,8 +13,19 @@ import numpy as np
 f32 = np.float32
 
 # (log(1 + f) - f + f^2/2) / f^3 on [sqrt(1/2) - 1, sqrt(2) - 1]
-LOG = [f32(c) for c in (0.333333313, -0.250008196, 0.200012416, -0.166234091,
-                        0.1420158, -0.131596103, 0.127622172, -0.0763643906)]
+LOG = [
+    f32(c)
+    for c in (
+        0.333333313,
+        -0.250008196,
+        0.200012416,
+        -0.166234091,
+        0.1420158,
+        -0.131596103,
+        0.127622172,
+        -0.0763643906,
+    )
+]
 # (exp(-r) - 1 + r) / r^2 on [-ln(2)/2, ln(2)/2]
 EXP = [f32(c) for c in (0.49999994, -0.166665211, 0.0416682735, -0.00836868584, 0.00138201355)]
 # (sin(a) - a) / a^3 and (cos(a) - 1 + a^2/2) / a^4, in a^2, on [0, (pi/4)^2]
@@ -40,7 +51,9 @@ def log(x):
     """Natural logarithm of positive normal float32 numbers."""
     bits = np.asarray(x, f32).view(np.int32)
     exponent = (bits - SQRT_HALF_BITS) >> np.int32(23)
-    f = (bits - (exponent << np.int32(23))).view(f32) - f32(1)  # exact: x / 2^exponent is in [sqrt(1/2), sqrt(2))
+    f = (bits - (exponent << np.int32(23))).view(f32) - f32(
+        1
+    )  # exact: x / 2^exponent is in [sqrt(1/2), sqrt(2))
     n = exponent.astype(f32)
     square = f * f
     rest = (f * square) * horner(f, LOG) - f32(0.5) * square
@@ -64,8 +77,10 @@ def exp_negative(x):
 def sine_cosine(a):
     """sin(a) and cos(a) for |a| <= pi/4."""
     square = a * a
-    return (a + (a * square) * horner(square, SIN),
-            f32(1) - (f32(0.5) * square - (square * square) * horner(square, COS)))
+    return (
+        a + (a * square) * horner(square, SIN),
+        f32(1) - (f32(0.5) * square - (square * square) * horner(square, COS)),
+    )
 
 
 def uniform(high, low):

@@ -18,7 +18,9 @@ from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.optics.lengths import LENGTHS
 
 GROUP = 512  # work-items at most
-REGISTERS = 65536 // GROUP  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
+REGISTERS = (
+    65536 // GROUP
+)  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
 RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 SECTOR = 4  # complex values that memory moves at once, 32 bytes
 
@@ -64,7 +66,17 @@ def inverse(device, spectra, cols):
         return _host_inverse(device, spectra, cols)
     _columns(device, spectra, spectra, 0, 1)
     planes = device.empty((count, rows, cols))
-    _rows(device, "rows_inverse", spectra, planes, (1 / (rows * cols),), count * rows, (pitch,), cols, 1)
+    _rows(
+        device,
+        "rows_inverse",
+        spectra,
+        planes,
+        (1 / (rows * cols),),
+        count * rows,
+        (pitch,),
+        cols,
+        1,
+    )
     return planes
 
 
@@ -77,8 +89,10 @@ def room(length, lines=1) -> int:
 def passes(length, lines, sign, step=1) -> str:
     """The PASSes of a transform (fft.clh): sign -1 forward, +1 inverse; roots are those of length x step."""
     radices = _radices(length)
-    return " ".join(f"PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f)"
-                    for n, radix in enumerate(radices))
+    return " ".join(
+        f"PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f)"
+        for n, radix in enumerate(radices)
+    )
 
 
 def threads(device, length, lines) -> int:
@@ -111,30 +125,73 @@ def _local_forward(device, planes, first, size, border, period):
     _, rows, cols = planes.shape
     pitch = pitch_of(device, period[1])
     before_y, before_x = middle((rows, cols), period)
-    halves, spectra = device.empty((size, rows, pitch, 2)), device.empty((size, period[0], pitch, 2))
-    _rows(device, "rows_forward", planes, halves, (first * rows, before_x), size * rows, (cols, pitch), period[1], -1,
-          border)
+    halves, spectra = (
+        device.empty((size, rows, pitch, 2)),
+        device.empty((size, period[0], pitch, 2)),
+    )
+    _rows(
+        device,
+        "rows_forward",
+        planes,
+        halves,
+        (first * rows, before_x),
+        size * rows,
+        (cols, pitch),
+        period[1],
+        -1,
+        border,
+    )
     _columns(device, halves, spectra, before_y, -1, border)
     return spectra
 
 
 def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
     group = threads(device, length, 1)
-    device.launch("common.fft", kernel, (-(-rows // 2) * group,), source, roots(device, length), target, *parameters,
-                  rows, *sizes, group=(group,), defines=_defines(length, 1, group, sign, border))  # two rows to a line
+    device.launch(
+        "common.fft",
+        kernel,
+        (-(-rows // 2) * group,),
+        source,
+        roots(device, length),
+        target,
+        *parameters,
+        rows,
+        *sizes,
+        group=(group,),
+        defines=_defines(length, 1, group, sign, border),
+    )  # two rows to a line
 
 
 def _columns(device, source, target, before, sign, border="zero"):
     (count, rows, pitch, _), length = source.shape, target.shape[1]
     lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= device.local_bytes)
     group, groups = threads(device, length, lines), pitch // lines
-    device.launch("common.fft", "columns", (count * groups * group,), source, roots(device, length), target, before,
-                  rows, pitch, groups, group=(group,), defines=_defines(length, lines, group, sign, border))
+    device.launch(
+        "common.fft",
+        "columns",
+        (count * groups * group,),
+        source,
+        roots(device, length),
+        target,
+        before,
+        rows,
+        pitch,
+        groups,
+        group=(group,),
+        defines=_defines(length, lines, group, sign, border),
+    )
 
 
 def _defines(length, lines, group, sign, border):
-    return {"BORDER": BORDERS[border], "LENGTH": length, "LINES": lines, "THREADS": group, "REGISTERS": REGISTERS,
-            "LOCAL_BYTES": room(length, lines), "PASSES": passes(length, lines, sign)}
+    return {
+        "BORDER": BORDERS[border],
+        "LENGTH": length,
+        "LINES": lines,
+        "THREADS": group,
+        "REGISTERS": REGISTERS,
+        "LOCAL_BYTES": room(length, lines),
+        "PASSES": passes(length, lines, sign),
+    }
 
 
 def _host_forward(device, planes):
@@ -151,7 +208,9 @@ def _host_inverse(device, spectra, cols):
 
     with device.host_work():
         values = device.numpy(spectra).view(np.complex64)[..., 0]
-        planes = scipy.fft.irfft2(values, (spectra.shape[1], cols), workers=os.cpu_count(), overwrite_x=True)
+        planes = scipy.fft.irfft2(
+            values, (spectra.shape[1], cols), workers=os.cpu_count(), overwrite_x=True
+        )
     return device.array(planes)
 
 
@@ -164,7 +223,9 @@ def _radices(length):
     for n in LENGTHS[1:]:
         if length % n:
             continue
-        choices = [(*best[n // radix], radix) for radix in RADICES if n % radix == 0 and n // radix in best]
+        choices = [
+            (*best[n // radix], radix) for radix in RADICES if n % radix == 0 and n // radix in best
+        ]
         best[n] = min(choices, key=lambda found: (len(found), max(found)))
         if n == length:
             break

@@ -6,7 +6,10 @@ Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3
 import numpy as np
 
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-WEYL = np.uint32(0x9E3779B9), np.uint32(0xBB67AE85)  # golden ratio and sqrt(3) - 1: what the key grows by each round
+WEYL = (
+    np.uint32(0x9E3779B9),
+    np.uint32(0xBB67AE85),
+)  # golden ratio and sqrt(3) - 1: what the key grows by each round
 ROUNDS = 10
 
 
@@ -18,11 +21,17 @@ def philox(counter, key):
     Returns four uint32 arrays of the broadcast shape.
     """
     c0, c1, c2, c3 = np.broadcast_arrays(*(np.asarray(word, np.uint32) for word in counter))
-    k0, k1 = (np.atleast_1d(np.asarray(word, np.uint32)) for word in key)  # scalars would warn when they wrap around
+    k0, k1 = (
+        np.atleast_1d(np.asarray(word, np.uint32)) for word in key
+    )  # scalars would warn when they wrap around
     for _ in range(ROUNDS):
         first, second = MULTIPLIERS[0] * c0, MULTIPLIERS[1] * c2
-        c0, c1, c2, c3 = (_high(second) ^ c1 ^ k0, second.astype(np.uint32),
-                          _high(first) ^ c3 ^ k1, first.astype(np.uint32))
+        c0, c1, c2, c3 = (
+            _high(second) ^ c1 ^ k0,
+            second.astype(np.uint32),
+            _high(first) ^ c3 ^ k1,
+            first.astype(np.uint32),
+        )
         k0, k1 = k0 + WEYL[0], k1 + WEYL[1]
     return c0, c1, c2, c3
 

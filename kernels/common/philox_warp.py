@@ -11,8 +11,14 @@ Words = wp.types.vector(length=4, dtype=wp.uint32)
 
 
 @wp.func
-def philox(pixel: wp.uint32, draw: wp.uint32, frame: wp.uint32, stream: wp.uint32,
-           key_low: wp.uint32, key_high: wp.uint32):
+def philox(
+    pixel: wp.uint32,
+    draw: wp.uint32,
+    frame: wp.uint32,
+    stream: wp.uint32,
+    key_low: wp.uint32,
+    key_high: wp.uint32,
+):
     """Four random words; key: the low and the high half of the seed."""
     a, b, c, d = pixel, draw, frame, stream
     k0, k1 = key_low, key_high

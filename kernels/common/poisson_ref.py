@@ -10,7 +10,9 @@ import numpy as np
 from gpusim.kernels.common import exact64_ref
 from gpusim.kernels.common.exact_ref import exp_negative, f32, horner
 
-SEARCH_BELOW = f32(9)  # mean [e-]; above it the expansion is within 1e-4 of Poisson in total variation (5.2e-5 there)
+SEARCH_BELOW = f32(
+    9
+)  # mean [e-]; above it the expansion is within 1e-4 of Poisson in total variation (5.2e-5 there)
 MOST_BY_SEARCH = 40  # P(k > 40) < 1e-14 at mean 9
 EXACT_SEARCH_BELOW = f32(24)  # the same for 1e-6 (2.4e-7 there)
 EXACT_MOST_BY_SEARCH = 96  # P(k > 96) < 1e-26 at mean 24
@@ -23,7 +25,8 @@ TERMS = (
     (-8 / 405, 7 / 810, 1 / 270),
     (671 / 38880, -137 / 38880, -23 / 17280),
     (-16 / 25515, -5189 / 408240, 5 / 3024, 19 / 34020),
-    (274867 / 146966400, 2647909 / 293932800, -165779 / 195955200, -11237 / 43545600))
+    (274867 / 146966400, 2647909 / 293932800, -165779 / 195955200, -11237 / 43545600),
+)
 FAST_TERMS = [[f32(c) for c in term] for term in TERMS[:4]]
 
 

@@ -3,7 +3,11 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  imported only by modules that a Warp device launches
 
-from gpusim.kernels.common.exact64_warp import exact_exp_negative64, exact_normal_quantile, exact_uniform64
+from gpusim.kernels.common.exact64_warp import (
+    exact_exp_negative64,
+    exact_normal_quantile,
+    exact_uniform64,
+)
 from gpusim.kernels.common.exact_warp import exact_exp_negative, exact_uniform
 
 f64 = wp.float64
@@ -18,8 +22,11 @@ C1 = wp.constant(wp.types.vector(2, f64)(-1 / 36, -1 / 72))
 C2 = wp.constant(wp.types.vector(3, f64)(-8 / 405, 7 / 810, 1 / 270))
 C3 = wp.constant(wp.types.vector(3, f64)(671 / 38880, -137 / 38880, -23 / 17280))
 C4 = wp.constant(wp.types.vector(4, f64)(-16 / 25515, -5189 / 408240, 5 / 3024, 19 / 34020))
-C5 = wp.constant(wp.types.vector(4, f64)(274867 / 146966400, 2647909 / 293932800, -165779 / 195955200,
-                                         -11237 / 43545600))
+C5 = wp.constant(
+    wp.types.vector(4, f64)(
+        274867 / 146966400, 2647909 / 293932800, -165779 / 195955200, -11237 / 43545600
+    )
+)
 
 
 @wp.func

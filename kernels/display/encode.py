@@ -43,8 +43,19 @@ def encode(device, rgb, thresholds):
     out = device.empty((rows, cols, 3), np.uint8)
     step = 4 if device.kind == "opencl" else 1
     run = step if device.is_gpu else 2048  # pixels of an item; a GPU wants many small ones
-    device.launch("display.encode", "encode", (-(-pixels // run),), device.array(rgb), table.entries, out,
-                  *table.numbers, run, pixels, defines=defines, group=None if device.is_gpu else (1,))
+    device.launch(
+        "display.encode",
+        "encode",
+        (-(-pixels // run),),
+        device.array(rgb),
+        table.entries,
+        out,
+        *table.numbers,
+        run,
+        pixels,
+        defines=defines,
+        group=None if device.is_gpu else (1,),
+    )
     return out
 
 
@@ -64,13 +75,19 @@ def checked(thresholds) -> np.ndarray:
     """Thresholds as float32. Raises BadData."""
     edges = np.asarray(thresholds, np.float32)
     if edges.shape != (255,):
-        raise BadData(f"thresholds: shape {edges.shape}, wanted (255,): the smallest values of codes 1 .. 255")
+        raise BadData(
+            f"thresholds: shape {edges.shape}, wanted (255,): the smallest values of codes 1 .. 255"
+        )
     if not (np.isfinite(edges).all() and edges[0] >= LEAST):
-        raise BadData(f"thresholds: {edges.min():g} .. {edges.max():g}, wanted finite values of {LEAST:g} and more")
+        raise BadData(
+            f"thresholds: {edges.min():g} .. {edges.max():g}, wanted finite values of {LEAST:g} and more"
+        )
     if not (np.diff(edges) > 0).all():
         code = int(np.argmin(np.diff(edges) > 0)) + 1
-        raise BadData(f"thresholds: {edges[code - 1]:g} of code {code} is followed by {edges[code]:g}; wanted a curve "
-                      "that increases, by more than the spacing of float32 from code to code")
+        raise BadData(
+            f"thresholds: {edges[code - 1]:g} of code {code} is followed by {edges[code]:g}; wanted a curve "
+            "that increases, by more than the spacing of float32 from code to code"
+        )
     return edges
 
 
@@ -87,11 +104,15 @@ class CodeTable:
             named = bits >> shift
             if (np.diff(named) > 0).all():
                 break
-        first = (bits[0] - 1) >> shift  # what is clamped to the first bin's beginning lies below the first threshold
+        first = (
+            bits[0] - 1
+        ) >> shift  # what is clamped to the first bin's beginning lies below the first threshold
         if named[-1] - first >= MOST_BINS:
             code = int(np.argmin(np.diff(edges) / edges[1:])) + 1
-            raise BadData(f"thresholds: too steep a curve, {edges[code - 1]:.7g} of code {code} is followed by "
-                          f"{edges[code]:.7g} while the first is {edges[0]:.3g}; wanted a smoother curve")
+            raise BadData(
+                f"thresholds: too steep a curve, {edges[code - 1]:.7g} of code {code} is followed by "
+                f"{edges[code]:.7g} while the first is {edges[0]:.3g}; wanted a smoother curve"
+            )
         bins = np.arange(first, named[-1] + 1)
         below = np.searchsorted(named, bins)  # thresholds before the bin
         ends = (bins + 1) << shift
@@ -116,8 +137,11 @@ def codes_defines(device, cols) -> dict:
     if device.kind != "opencl":
         return {}
     packed = not device.is_gpu or cols % 4 != 0
-    return {"VOLATILE": "" if device.is_gpu else "volatile", "PACKED": "__attribute__((packed))" if packed else "",
-            "LOAD4(from)": "vload4(0, from)" if packed else "*(__global const float4 *)(from)"}
+    return {
+        "VOLATILE": "" if device.is_gpu else "volatile",
+        "PACKED": "__attribute__((packed))" if packed else "",
+        "LOAD4(from)": "vload4(0, from)" if packed else "*(__global const float4 *)(from)",
+    }
 
 
 def cases():
@@ -130,19 +154,40 @@ def cases():
         yield Case(f"{rows}x{cols}", {"rgb": rgb, "thresholds": srgb}, 0.0, why, metric="exact")
     grid = (np.arange(3 * 2**16) / (3 * 2**16 - 1)).astype(np.float32).reshape(3, 256, 256)
     yield Case("grid", {"rgb": grid, "thresholds": srgb}, 0.0, why, metric="exact")
-    curves = {"sRGB": srgb} | {f"exponent {power}": thresholds(lambda v, power=power: v**power)
-                               for power in (1.0, 1.8, 2.2, 2.6, 4.0)}
-    curves["powers of two"] = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)]).astype(np.float32)
+    curves = {"sRGB": srgb} | {
+        f"exponent {power}": thresholds(lambda v, power=power: v**power)
+        for power in (1.0, 1.8, 2.2, 2.6, 4.0)
+    }
+    curves["powers of two"] = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)]).astype(
+        np.float32
+    )
     for name, edges in curves.items():
-        near = np.stack([np.nextafter(edges, np.float32(0)), edges, np.nextafter(edges, np.float32(np.inf))])
-        yield Case(f"one step around every boundary, {name}", {"rgb": near[:, None], "thresholds": edges}, 0.0, why,
-                   metric="exact")
-    odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, np.nextafter(np.float32(1), 0)], np.float32)
-    yield Case("NaN, infinities, extremes", {"rgb": np.tile(odd, 5).reshape(3, 5, 3), "thresholds": srgb}, 0.0, why,
-               metric="exact")
+        near = np.stack(
+            [np.nextafter(edges, np.float32(0)), edges, np.nextafter(edges, np.float32(np.inf))]
+        )
+        yield Case(
+            f"one step around every boundary, {name}",
+            {"rgb": near[:, None], "thresholds": edges},
+            0.0,
+            why,
+            metric="exact",
+        )
+    odd = np.array(
+        [np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, np.nextafter(np.float32(1), 0)],
+        np.float32,
+    )
+    yield Case(
+        "NaN, infinities, extremes",
+        {"rgb": np.tile(odd, 5).reshape(3, 5, 3), "thresholds": srgb},
+        0.0,
+        why,
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """A full range of values, sRGB."""
-    return {"rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
-            "thresholds": thresholds(DISPLAYS["srgb"].decode)}
+    return {
+        "rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
+        "thresholds": thresholds(DISPLAYS["srgb"].decode),
+    }

@@ -37,24 +37,52 @@ def airy(device, q, aperture, rows, cols):
     height, width = np.broadcast_to(aperture, 2)
     sinc_y = np.sinc(height * (replicas + np.arange(shape[1]) / rows))
     sinc_x = np.sinc(width * (replicas + np.arange(runs * run) / cols))
-    device.launch("optics.airy", "airy", (*shape[:2], runs), device.array(q), device.array(sinc_y),
-                  device.array(sinc_x), tables, 1 / rows, 1 / cols, low, high, *shape, defines={"RUN": run},
-                  group=None if device.is_gpu or device.kind == "warp" else (1, 1, 1))
+    device.launch(
+        "optics.airy",
+        "airy",
+        (*shape[:2], runs),
+        device.array(q),
+        device.array(sinc_y),
+        device.array(sinc_x),
+        tables,
+        1 / rows,
+        1 / cols,
+        low,
+        high,
+        *shape,
+        defines={"RUN": run},
+        group=None if device.is_gpu or device.kind == "warp" else (1, 1, 1),
+    )
     return tables
 
 
 def cases():
     """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong apertures."""
-    why = ("a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
-           "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors")
-    for q, aperture, rows, cols in (((0.05,), 1.0, 6, 9), ((0.25, 0.4), 1.0, 65, 64),
-                                    ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), (0.9, 0.4), 5, 3), ((1.1,), 1.0, 1, 1),
-                                    (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400)):
-        yield Case(f"q {q[0]:.2f} .. {q[-1]:.2f}, {rows}x{cols}",
-                   {"q": np.array(q, np.float32), "aperture": aperture, "rows": rows, "cols": cols}, 1e-6, why)
+    why = (
+        "a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
+        "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors"
+    )
+    for q, aperture, rows, cols in (
+        ((0.05,), 1.0, 6, 9),
+        ((0.25, 0.4), 1.0, 65, 64),
+        ((0.71, 0.99, 1.1), 0.866, 63, 81),
+        ((9.0,), (0.9, 0.4), 5, 3),
+        ((1.1,), 1.0, 1, 1),
+        (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400),
+    ):
+        yield Case(
+            f"q {q[0]:.2f} .. {q[-1]:.2f}, {rows}x{cols}",
+            {"q": np.array(q, np.float32), "aperture": aperture, "rows": rows, "cols": cols},
+            1e-6,
+            why,
+        )
 
 
 def bench(rows, cols):
     """31 bands of a 1.4 um f/1.8 camera."""
-    return {"q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6, "aperture": 1.0,
-            "rows": rows, "cols": cols}
+    return {
+        "q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6,
+        "aperture": 1.0,
+        "rows": rows,
+        "cols": cols,
+    }

@@ -48,61 +48,125 @@ def blur(device, planes, tables, mix, border, period, margin=0):
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
         some = device.array(mix[:, first : first + size])
-        arguments = (int(first == 0), first, count, own_tables,
-                     *(() if device.kind == "opencl" else (size, channels)), period[0], half, pitch)
+        arguments = (
+            int(first == 0),
+            first,
+            count,
+            own_tables,
+            *(() if device.kind == "opencl" else (size, channels)),
+            period[0],
+            half,
+            pitch,
+        )
         defines = {"SIZE": size, "CHANNELS": channels}
         if tables.shape[3] == half:
-            device.launch("optics.blur", "accumulate", (period[0], half), spectra, tables, some, sums, *arguments,
-                          defines=defines)
+            device.launch(
+                "optics.blur",
+                "accumulate",
+                (period[0], half),
+                spectra,
+                tables,
+                some,
+                sums,
+                *arguments,
+                defines=defines,
+            )
         else:
-            device.launch("optics.blur", "accumulate_complex", (period[0], half), spectra, tables, some, sums,
-                          *arguments, defines=defines)
+            device.launch(
+                "optics.blur",
+                "accumulate_complex",
+                (period[0], half),
+                spectra,
+                tables,
+                some,
+                sums,
+                *arguments,
+                defines=defines,
+            )
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
-    device.launch("optics.blur", "crop", out.shape, blurred, out, *(n + margin for n in before), *out.shape, *period)
+    device.launch(
+        "optics.blur",
+        "crop",
+        out.shape,
+        blurred,
+        out,
+        *(n + margin for n in before),
+        *out.shape,
+        *period,
+    )
     return out
 
 
 def cases():
     """All borders, shared and own tables, one plane to more than a batch, odd periods, a highlight of 1e6."""
     random = np.random.default_rng(3)
-    why = ("a float32 transform errs by about 3e-7 of the field's root mean square (numerics: 2.5e-7), and the maximum "
-           "over 1e4 pixels is about 4 such sigmas: 1.2e-6 of the peak at most, twice that for two transforms")
+    why = (
+        "a float32 transform errs by about 3e-7 of the field's root mean square (numerics: 2.5e-7), and the maximum "
+        "over 1e4 pixels is about 4 such sigmas: 1.2e-6 of the peak at most, twice that for two transforms"
+    )
     for rows, cols, count, channels, own, border, period, margin in (
-            (1, 1, 1, 1, 0, "zero", (1, 1), 0), (3, 5, 3, 3, 1, "edge", (9, 15), 0),
-            (63, 65, 31, 3, 0, "reflect", (81, 90), 0), (63, 65, 10, 4, 1, "zero", (128, 135), 0),
-            (20, 30, 9, 1, 0, "edge", (64, 60), 7), (4, 4, 2, 3, 0, "reflect", (32, 30), 0),
-            (33, 30, 9, 3, 1, "edge", (45, 40), 0), (33, 30, 2, 1, 0, "zero", (40, 45), 3)):
-        fy, fx = np.arange(period[0] // 2 + 1)[:, None] / period[0], np.arange(period[1] // 2 + 1) / period[1]
+        (1, 1, 1, 1, 0, "zero", (1, 1), 0),
+        (3, 5, 3, 3, 1, "edge", (9, 15), 0),
+        (63, 65, 31, 3, 0, "reflect", (81, 90), 0),
+        (63, 65, 10, 4, 1, "zero", (128, 135), 0),
+        (20, 30, 9, 1, 0, "edge", (64, 60), 7),
+        (4, 4, 2, 3, 0, "reflect", (32, 30), 0),
+        (33, 30, 9, 3, 1, "edge", (45, 40), 0),
+        (33, 30, 2, 1, 0, "zero", (40, 45), 3),
+    ):
+        fy, fx = (
+            np.arange(period[0] // 2 + 1)[:, None] / period[0],
+            np.arange(period[1] // 2 + 1) / period[1],
+        )
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
         tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
         if rows == 33:  # kernels that are off their centres: complex tables
             fy = np.fft.fftfreq(period[0])[:, None]
             shifts = random.uniform(-2, 2, (2, *widths.shape))
             phases = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
-            tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(np.float64)
-            for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):  # what is its own opposite is real
+            tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(
+                np.float64
+            )
+            for i in (
+                (0, period[0] // 2) if period[0] % 2 == 0 else (0,)
+            ):  # what is its own opposite is real
                 for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
-        yield Case(f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
-                   {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32),
-                    "mix": random.random((channels, count)).astype(np.float32), "border": border, "period": period,
-                    "margin": margin}, 2.4e-6, why)
+        yield Case(
+            f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
+            {
+                "planes": planes.astype(np.float32),
+                "tables": tables.astype(np.float32),
+                "mix": random.random((channels, count)).astype(np.float32),
+                "border": border,
+                "period": period,
+                "margin": margin,
+            },
+            2.4e-6,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Four planes to three channels, 64 pixels of border."""
     random = np.random.default_rng(3)
     period = (fft_length(rows + 128), fft_length(cols + 128))
-    return {"planes": random.random((4, rows, cols), np.float32),
-            "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "mix": random.random((3, 4), np.float32), "border": "edge", "period": period}
+    return {
+        "planes": random.random((4, rows, cols), np.float32),
+        "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
+        "mix": random.random((3, 4), np.float32),
+        "border": "edge",
+        "period": period,
+    }
 
 
 def operations(planes, tables, mix, border, period):
     """Transforms there and back; per frequency each plane times its table, and that times the mix, added up."""
     frequencies = period[0] * (period[1] // 2 + 1)
     channels, count = mix.shape
-    return (count + channels) * fft.operations(period) + frequencies * count * (2 * len(tables) + 4 * channels)
+    return (count + channels) * fft.operations(period) + frequencies * count * (
+        2 * len(tables) + 4 * channels
+    )

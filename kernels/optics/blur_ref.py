@@ -29,4 +29,8 @@ def _unfolded(table, period):
         values = np.ascontiguousarray(table).view(complex)
         return np.concatenate([values, values[opposite[0]][:, opposite[1][half:]].conj()], axis=1)
     # the quarter table at |frequency|: index min(i, n - i)
-    return table[np.ix_(*(np.minimum(np.arange(n), other) for n, other in zip(period, opposite, strict=True)))]
+    return table[
+        np.ix_(
+            *(np.minimum(np.arange(n), other) for n, other in zip(period, opposite, strict=True))
+        )
+    ]

@@ -28,13 +28,26 @@ def composite(device, lights, alphas, layers):
     """
     count, channels, rows, cols = lights.shape
     layers = checked_layers(layers, count)
-    ends = np.append(layers[1:] != layers[:-1], False).astype(np.float32)  # the last layer is laid down after the loop
+    ends = np.append(layers[1:] != layers[:-1], False).astype(
+        np.float32
+    )  # the last layer is laid down after the loop
     lights, alphas = device.array(lights), device.array(alphas)
     own = int(alphas.shape[1] > 1)
     out = device.empty((channels, rows, cols))
-    device.launch("optics.composite", "composite", (channels, rows * cols), lights, alphas, device.array(ends), out,
-                  own, *(() if device.kind == "opencl" else (count, cols)), channels, rows * cols,
-                  defines={"ENTRIES": count})
+    device.launch(
+        "optics.composite",
+        "composite",
+        (channels, rows * cols),
+        lights,
+        alphas,
+        device.array(ends),
+        out,
+        own,
+        *(() if device.kind == "opencl" else (count, cols)),
+        channels,
+        rows * cols,
+        defines={"ENTRIES": count},
+    )
     return out
 
 
@@ -42,7 +55,9 @@ def checked_layers(layers, count) -> np.ndarray:
     """`layers` as an array of `count` integers that do not decrease. Raises BadData."""
     layers = np.asarray(layers)
     if layers.shape != (count,) or not count or (np.diff(layers) < 0).any():
-        raise BadData(f"layers {layers.tolist()}: wanted {count} that do not decrease, one for each entry")
+        raise BadData(
+            f"layers {layers.tolist()}: wanted {count} that do not decrease, one for each entry"
+        )
     return layers
 
 
@@ -50,22 +65,39 @@ def cases():
     """One layer, several of one and of more entries, shared and own coverage."""
     random = np.random.default_rng(12)
     for layers, channels, own, rows, cols in (
-            ((0,), 1, 0, 1, 1), ((0, 0, 0), 3, 0, 3, 5), ((0, 1), 3, 1, 63, 65), ((0, 0, 1, 1, 1, 2), 4, 1, 33, 7),
-            ((0, 1, 2, 3, 3, 3, 3, 4), 2, 0, 5, 200)):
+        ((0,), 1, 0, 1, 1),
+        ((0, 0, 0), 3, 0, 3, 5),
+        ((0, 1), 3, 1, 63, 65),
+        ((0, 0, 1, 1, 1, 2), 4, 1, 33, 7),
+        ((0, 1, 2, 3, 3, 3, 3, 4), 2, 0, 5, 200),
+    ):
         shares = np.bincount(layers)[list(layers)][:, None, None, None]
         alphas = random.random((len(layers), channels if own else 1, rows, cols)) / shares
         last = np.array(layers) == layers[-1]
-        alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[last]  # 0.5 .. 1.5 in all: it covers everything
+        alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[
+            last
+        ]  # 0.5 .. 1.5 in all: it covers everything
         lights = 10.0 ** random.uniform(-3, 4, (len(layers), channels, rows, cols))
         bound = 2 * 4 * len(layers) * 2.0**-24 * lights.sum(axis=0).max()
-        yield Case(f"{rows}x{cols}, layers {layers}, {channels} channels, {'own' if own else 'shared'} coverage",
-                   {"lights": lights.astype(np.float32), "alphas": alphas.astype(np.float32), "layers": layers}, bound,
-                   "at most 4 roundings of half an ulp an entry, of products below the sum of the lights; the division "
-                   "by a coverage of at least 0.5 doubles them", metric="exact")
+        yield Case(
+            f"{rows}x{cols}, layers {layers}, {channels} channels, {'own' if own else 'shared'} coverage",
+            {
+                "lights": lights.astype(np.float32),
+                "alphas": alphas.astype(np.float32),
+                "layers": layers,
+            },
+            bound,
+            "at most 4 roundings of half an ulp an entry, of products below the sum of the lights; the division "
+            "by a coverage of at least 0.5 doubles them",
+            metric="exact",
+        )
 
 
 def bench(rows, cols):
     """Three layers of three kernels each, three channels."""
     random = np.random.default_rng(12)
-    return {"lights": random.random((9, 3, rows, cols), np.float32),
-            "alphas": random.random((9, 3, rows, cols), np.float32) / 3, "layers": (0, 0, 0, 1, 1, 1, 2, 2, 2)}
+    return {
+        "lights": random.random((9, 3, rows, cols), np.float32),
+        "alphas": random.random((9, 3, rows, cols), np.float32) / 3,
+        "layers": (0, 0, 0, 1, 1, 1, 2, 2, 2),
+    }

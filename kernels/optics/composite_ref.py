@@ -5,7 +5,11 @@ import numpy as np
 
 def composite(lights, alphas, layers):
     """See the contract."""
-    lights, alphas, layers = np.asarray(lights, np.float64), np.asarray(alphas, np.float64), np.asarray(layers)
+    lights, alphas, layers = (
+        np.asarray(lights, np.float64),
+        np.asarray(alphas, np.float64),
+        np.asarray(layers),
+    )
     out, through = 0.0, 1.0
     for k in np.unique(layers):
         light, coverage = lights[layers == k].sum(axis=0), alphas[layers == k].sum(axis=0)

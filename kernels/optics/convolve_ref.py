@@ -10,9 +10,14 @@ def convolve(planes, kernels, border="edge", precision="single"):
     count, rows, cols = planes.shape
     kernels = np.broadcast_to(np.asarray(kernels, np.float64), (count, *np.shape(kernels)[1:]))
     _, kh, kw = kernels.shape
-    around = np.pad(np.asarray(planes, np.float64), ((0, 0), (kh // 2,) * 2, (kw // 2,) * 2), mode=MODES[border])
+    around = np.pad(
+        np.asarray(planes, np.float64), ((0, 0), (kh // 2,) * 2, (kw // 2,) * 2), mode=MODES[border]
+    )
     out = np.zeros((count, rows, cols))
     for i in range(kh):
         for j in range(kw):
-            out += kernels[:, i, j, None, None] * around[:, kh - 1 - i :, kw - 1 - j :][:, :rows, :cols]
+            out += (
+                kernels[:, i, j, None, None]
+                * around[:, kh - 1 - i :, kw - 1 - j :][:, :rows, :cols]
+            )
     return out

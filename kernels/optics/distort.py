@@ -48,18 +48,56 @@ def distort(device, planes, grids, shape, border, method="cubic", density=1.0, l
     per_map, sizes = count // maps, (source_rows, source_cols, nx, maps, *shape)
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
     defines = {"PLANES": per_map, "BORDER": BORDERS[border]}
-    device.launch("optics.distort", "along_columns", lines.shape, device.reshape(grids, (maps, ny, 3 * nx)), lines,
-                  maps, ny, 3 * nx, shape[0], defines=defines)
+    device.launch(
+        "optics.distort",
+        "along_columns",
+        lines.shape,
+        device.reshape(grids, (maps, ny, 3 * nx)),
+        lines,
+        maps,
+        ny,
+        3 * nx,
+        shape[0],
+        defines=defines,
+    )
     if method == "cubic" and light is not None:
-        device.launch("optics.distort", "limited", (maps, *shape), planes, lines, _shares(device, light, border), out,
-                      *(() if device.kind == "opencl" else (BORDERS[border], per_map)), *sizes, defines=defines)
+        device.launch(
+            "optics.distort",
+            "limited",
+            (maps, *shape),
+            planes,
+            lines,
+            _shares(device, light, border),
+            out,
+            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
+            *sizes,
+            defines=defines,
+        )
     elif method == "cubic":
-        device.launch("optics.distort", "cubic", (maps, *shape), planes, lines, out,
-                      *(() if device.kind == "opencl" else (BORDERS[border], per_map)), *sizes, defines=defines)
+        device.launch(
+            "optics.distort",
+            "cubic",
+            (maps, *shape),
+            planes,
+            lines,
+            out,
+            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
+            *sizes,
+            defines=defines,
+        )
     else:
-        device.launch("optics.distort", "area", (maps, *shape), planes, lines, out, float(density),
-                      *(() if device.kind == "opencl" else (span, BORDERS[border], per_map)), *sizes,
-                      defines={**defines, "SPAN": span})
+        device.launch(
+            "optics.distort",
+            "area",
+            (maps, *shape),
+            planes,
+            lines,
+            out,
+            float(density),
+            *(() if device.kind == "opencl" else (span, BORDERS[border], per_map)),
+            *sizes,
+            defines={**defines, "SPAN": span},
+        )
     return out
 
 
@@ -68,16 +106,26 @@ def _shares(device, light, border):
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
-    room, share, defines = device.empty((rows + 3, cols + 3)), device.empty((rows, cols)), {"PLANES": 1, "BORDER": 0}
-    device.launch("optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines)
+    room, share, defines = (
+        device.empty((rows + 3, cols + 3)),
+        device.empty((rows, cols)),
+        {"PLANES": 1, "BORDER": 0},
+    )
+    device.launch(
+        "optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines
+    )
     device.launch("optics.distort", "shares", share.shape, room, share, rows, cols, defines=defines)
     return share
 
 
 def _span(grids, shape):
     """Source samples that one pixel's quadrilateral can touch along an axis."""
-    slopes = [np.abs(np.diff(grids[..., :2], axis=1 + axis)).max(axis=(0, 1, 2)) * (grids.shape[1 + axis] - 1) / n
-              for axis, n in enumerate(shape)]
+    slopes = [
+        np.abs(np.diff(grids[..., :2], axis=1 + axis)).max(axis=(0, 1, 2))
+        * (grids.shape[1 + axis] - 1)
+        / n
+        for axis, n in enumerate(shape)
+    ]
     # a quadrilateral is at most 1 + |d/dy| + |d/dx| long; a quarter more than the mean slope between nodes
     return int(np.ceil(1 + 1.25 * float(max(slopes[0] + slopes[1])))) + 1
 
@@ -86,7 +134,9 @@ def grid_of(shape, step, place):
     """Grid (ny, nx, 3) of the analytic mapping place(rows, cols) -> (rows, cols, flux factor), for cases."""
     rows, cols = (np.linspace(0, n, max(4, n // step + 1)) - 0.5 for n in shape)
     y, x, flux = place(*np.meshgrid(rows, cols, indexing="ij"))
-    return np.stack([y - rows[:, None], x - cols, flux * np.ones_like(x)], axis=-1).astype(np.float32)
+    return np.stack([y - rows[:, None], x - cols, flux * np.ones_like(x)], axis=-1).astype(
+        np.float32
+    )
 
 
 def _barrel(shape, strength, turn=0.0):
@@ -97,8 +147,11 @@ def _barrel(shape, strength, turn=0.0):
         v, u = rows - middle[0], cols - middle[1]
         q = (u * u + v * v) * (strength / corner2)
         cos, sin = np.cos(turn), np.sin(turn)
-        return ((1 + q) * (cos * v + sin * u) + middle[0], (1 + q) * (cos * u - sin * v) + middle[1],
-                (1 + q) * (1 + 3 * q))
+        return (
+            (1 + q) * (cos * v + sin * u) + middle[0],
+            (1 + q) * (cos * u - sin * v) + middle[1],
+            (1 + q) * (1 + 3 * q),
+        )
 
     return place
 
@@ -107,38 +160,75 @@ def cases():
     """Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one pixel; stars."""
     random = np.random.default_rng(8)
     for rows, cols, maps, strength, turn, border in (
-            (1, 1, 1, 0.0, 0.0, "zero"), (3, 5, 1, 0.05, 0.0, "edge"), (63, 65, 3, 0.1, 0.0, "zero"),
-            (40, 200, 1, -0.1, 0.3, "reflect"), (63, 65, 1, 0.1, 0.8, "edge")):
-        grids = np.stack([grid_of((rows, cols), 16, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
-                          for m in range(maps)])
+        (1, 1, 1, 0.0, 0.0, "zero"),
+        (3, 5, 1, 0.05, 0.0, "edge"),
+        (63, 65, 3, 0.1, 0.0, "zero"),
+        (40, 200, 1, -0.1, 0.3, "reflect"),
+        (63, 65, 1, 0.1, 0.8, "edge"),
+    ):
+        grids = np.stack(
+            [
+                grid_of((rows, cols), 16, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
+                for m in range(maps)
+            ]
+        )
         planes = random.random((3, rows, cols)) ** 8  # 12 : 1 and more between neighbours
         planes[:, rows // 3 :, cols // 2 :] += 1
         planes[:, : rows // 3] *= random.random((rows // 3, cols)) > 0.9
         far = float(np.abs(grids[..., :2]).max())
-        yield Case(f"stars, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
-                   {"planes": planes.astype(np.float32), "grids": grids, "shape": (rows, cols), "border": border,
-                    "light": planes[:2].astype(np.float32)}, 4e-6 + 4e-7 * far * 4,
-                   "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more")
+        yield Case(
+            f"stars, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
+            {
+                "planes": planes.astype(np.float32),
+                "grids": grids,
+                "shape": (rows, cols),
+                "border": border,
+                "light": planes[:2].astype(np.float32),
+            },
+            4e-6 + 4e-7 * far * 4,
+            "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more",
+        )
     for rows, cols, planes, maps, strength, turn, step, border, method in (
-            (1, 1, 1, 1, 0.0, 0.0, 4, "edge", "cubic"), (3, 5, 2, 1, 0.05, 0.0, 4, "zero", "area"),
-            (63, 65, 3, 3, 0.1, 0.0, 16, "reflect", "cubic"), (63, 65, 3, 3, -0.1, 0.0, 16, "edge", "area"),
-            (40, 200, 4, 1, 0.2, 0.3, 8, "zero", "area"), (40, 200, 4, 1, 0.2, 0.3, 8, "reflect", "cubic"),
-            (33, 47, 1, 1, 0.7, 0.1, 8, "edge", "area")):
-        grids = np.stack([grid_of((rows, cols), step, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
-                          for m in range(maps)])
+        (1, 1, 1, 1, 0.0, 0.0, 4, "edge", "cubic"),
+        (3, 5, 2, 1, 0.05, 0.0, 4, "zero", "area"),
+        (63, 65, 3, 3, 0.1, 0.0, 16, "reflect", "cubic"),
+        (63, 65, 3, 3, -0.1, 0.0, 16, "edge", "area"),
+        (40, 200, 4, 1, 0.2, 0.3, 8, "zero", "area"),
+        (40, 200, 4, 1, 0.2, 0.3, 8, "reflect", "cubic"),
+        (33, 47, 1, 1, 0.7, 0.1, 8, "edge", "area"),
+    ):
+        grids = np.stack(
+            [
+                grid_of((rows, cols), step, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
+                for m in range(maps)
+            ]
+        )
         far = float(np.abs(grids[..., :2]).max())
-        yield Case(f"{method}, {rows}x{cols}, {planes} planes, {strength:+.2f}, {border}",
-                   {"planes": random.random((planes, rows, cols)).astype(np.float32), "grids": grids,
-                    "shape": (rows, cols), "border": border, "method": method},
-                   2e-6 + 4e-7 * far * 4,
-                   f"16 products of differences up to {far:.2g} samples, each rounded by 6e-8, sum to 4e-7 of that at "
-                   "most; the largest change per sample of a white plane is 2 in each of two directions; 2e-6 for the "
-                   "weights themselves")
+        yield Case(
+            f"{method}, {rows}x{cols}, {planes} planes, {strength:+.2f}, {border}",
+            {
+                "planes": random.random((planes, rows, cols)).astype(np.float32),
+                "grids": grids,
+                "shape": (rows, cols),
+                "border": border,
+                "method": method,
+            },
+            2e-6 + 4e-7 * far * 4,
+            f"16 products of differences up to {far:.2g} samples, each rounded by 6e-8, sum to 4e-7 of that at "
+            "most; the largest change per sample of a white plane is 2 in each of two directions; 2e-6 for the "
+            "weights themselves",
+        )
 
 
 def bench(rows, cols):
     """Three planes with lateral colour, 5 % barrel."""
     random = np.random.default_rng(8)
-    grids = [grid_of((rows, cols), 32, _barrel((rows, cols), 0.05 * (1 + 0.01 * m))) for m in range(3)]
-    return {"planes": random.random((3, rows, cols), np.float32), "grids": np.stack(grids),
-            "shape": (rows, cols), "border": "edge"}
+    grids = [
+        grid_of((rows, cols), 32, _barrel((rows, cols), 0.05 * (1 + 0.01 * m))) for m in range(3)
+    ]
+    return {
+        "planes": random.random((3, rows, cols), np.float32),
+        "grids": np.stack(grids),
+        "shape": (rows, cols),
+        "border": "edge",
+    }

@@ -7,6 +7,7 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 def _lagrange(grid, shape, rows, cols):
     """Grid values at the pixel indices rows x cols of a frame of `shape`."""
+
     def matrix(indices, length, count):
         t = (indices + 0.5) * (count - 1) / length
         first = np.clip(np.floor(t) - 1, 0, count - 4).astype(int)
@@ -14,18 +15,28 @@ def _lagrange(grid, shape, rows, cols):
         weights = np.zeros((len(indices), count))
         for a in range(4):
             others = np.delete(nodes, a)
-            weights[np.arange(len(indices)), first + a] = (
-                np.prod(t[:, None] - first[:, None] - others, axis=1) / np.prod(nodes[a] - others))
+            weights[np.arange(len(indices)), first + a] = np.prod(
+                t[:, None] - first[:, None] - others, axis=1
+            ) / np.prod(nodes[a] - others)
         return weights
 
-    return np.einsum("yi,xj,ijk->kyx", matrix(rows, shape[0], grid.shape[0]), matrix(cols, shape[1], grid.shape[1]),
-                     np.asarray(grid, np.float64), optimize=True)
+    return np.einsum(
+        "yi,xj,ijk->kyx",
+        matrix(rows, shape[0], grid.shape[0]),
+        matrix(cols, shape[1], grid.shape[1]),
+        np.asarray(grid, np.float64),
+        optimize=True,
+    )
 
 
 def _keys(t):
     """The interpolation kernel of Keys, a = -1/2."""
     t = np.abs(t)
-    return np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0))
+    return np.where(
+        t <= 1,
+        (1.5 * t - 2.5) * t * t + 1,
+        np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0),
+    )
 
 
 def _cubic(plane, grid, shape, border):
@@ -44,8 +55,10 @@ def _cubic(plane, grid, shape, border):
 
 def _pad(plane, border, first_y, first_x, size):
     """The plane with as much around it as the indices first .. first + size - 1 need, and the offsets to it."""
-    pads = [(max(0, -int(first.min())), max(0, int(first.max()) + size - n))
-            for first, n in ((first_y, plane.shape[0]), (first_x, plane.shape[1]))]
+    pads = [
+        (max(0, -int(first.min())), max(0, int(first.max()) + size - n))
+        for first, n in ((first_y, plane.shape[0]), (first_x, plane.shape[1]))
+    ]
     return np.pad(np.asarray(plane, np.float64), pads, mode=MODES[border]), pads[0][0], pads[1][0]
 
 
@@ -59,7 +72,9 @@ def _clip(polygons, axis, low):
     dp, dq = (sign * (side[..., axis] - low[..., None]) for side in (p, q))
     crosses = (dp < 0) != (dq < 0)
     t = np.divide(dp, dp - dq, out=np.zeros_like(dp), where=crosses)[..., None]
-    points = np.stack([p, p + t * (q - p)], axis=-2).reshape(*p.shape[:-2], -1, 2)  # t = 0 repeats p
+    points = np.stack([p, p + t * (q - p)], axis=-2).reshape(
+        *p.shape[:-2], -1, 2
+    )  # t = 0 repeats p
     limit = sign * low[..., None]
     points[..., axis] = sign * np.maximum(sign * points[..., axis], limit)
     return points
@@ -70,7 +85,9 @@ def _quads(grid, shape):
     rows, cols = np.arange(shape[0] + 1) - 0.5, np.arange(shape[1] + 1) - 0.5
     v, u, _ = _lagrange(grid, shape, rows, cols)
     corners = np.stack([v + rows[:, None], u + cols], axis=-1) + 0.5  # sample i covers i .. i + 1
-    return np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-2)
+    return np.stack(
+        [corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-2
+    )
 
 
 def _area(plane, grid, shape, border, density):
@@ -86,21 +103,43 @@ def _area(plane, grid, shape, border, density):
             x = first[..., 1] + b
             part = _clip(_clip(strip, 1, x), ~1, x + 1) - np.stack([y, x], axis=-1)[..., None, :]
             after = np.roll(part, -1, axis=-2)
-            overlap = np.abs(np.sum(part[..., 0] * after[..., 1] - part[..., 1] * after[..., 0], axis=-1)) / 2
+            overlap = (
+                np.abs(np.sum(part[..., 0] * after[..., 1] - part[..., 1] * after[..., 0], axis=-1))
+                / 2
+            )
             total += overlap * padded[y + top, x + left]
     return density * total
 
 
 def _share(light, border):
     """Part of every sample that cubics may interpolate, (rows, cols): the least over the channels."""
-    (rows, cols), room, weights = light.shape[1:], 1.0, _keys(np.subtract.outer([0.3, 0.5, 0.7], [-1, 0, 1, 2]))
-    for plane in np.pad(np.asarray(light, np.float64), [(0, 0), (3, 3), (3, 3)], mode=MODES[border]):
-        near = np.lib.stride_tricks.sliding_window_view(np.maximum(plane, 0), (4, 4))  # of every cell
+    (rows, cols), room, weights = (
+        light.shape[1:],
+        1.0,
+        _keys(np.subtract.outer([0.3, 0.5, 0.7], [-1, 0, 1, 2])),
+    )
+    for plane in np.pad(
+        np.asarray(light, np.float64), [(0, 0), (3, 3), (3, 3)], mode=MODES[border]
+    ):
+        near = np.lib.stride_tricks.sliding_window_view(
+            np.maximum(plane, 0), (4, 4)
+        )  # of every cell
         parts = np.einsum("vi,uj,yxij->yxvuij", weights, weights, near)
         above, below = (np.clip(sign * parts, 0, None).sum(axis=(4, 5)) for sign in (1, -1))
-        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(axis=(2, 3))
+        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(
+            axis=(2, 3)
+        )
         room = np.minimum(room, np.clip(2 * ratio - 1, 0, 1))
-    around = ((0, 1), (0, 2), (3, 1), (3, 2), (1, 0), (2, 0), (1, 3), (2, 3))  # cells where weights are negative
+    around = (
+        (0, 1),
+        (0, 2),
+        (3, 1),
+        (3, 2),
+        (1, 0),
+        (2, 0),
+        (1, 3),
+        (2, 3),
+    )  # cells where weights are negative
     return np.min([room[y : y + rows, x : x + cols] for y, x in around], axis=0)
 
 
@@ -111,15 +150,22 @@ def distort(planes, grids, shape, border, method="cubic", density=1.0, light=Non
         share = _share(np.asarray(light), border)
         means = distort(planes * (1 - share), grids, shape, border, "area")
         for k in range(len(planes)):  # of what the areas hold, as bright as J says
-            quads, flux = _quads(grids[k // per_map], shape), _lagrange(grids[k // per_map], shape,
-                                                                       *map(np.arange, shape))[2]
+            quads, flux = (
+                _quads(grids[k // per_map], shape),
+                _lagrange(grids[k // per_map], shape, *map(np.arange, shape))[2],
+            )
             after = np.roll(quads, -1, axis=-2)
-            area = np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1) / 2
+            area = (
+                np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1) / 2
+            )
             means[k] *= flux / np.abs(area)
         return distort(planes * share, grids, shape, border) + means
     out = np.empty((len(planes), *shape))
     for k, plane in enumerate(planes):
         grid = grids[k // per_map]
-        out[k] = (_cubic(plane, grid, shape, border) if method == "cubic"
-                  else _area(plane, grid, shape, border, density))
+        out[k] = (
+            _cubic(plane, grid, shape, border)
+            if method == "cubic"
+            else _area(plane, grid, shape, border, density)
+        )
     return out

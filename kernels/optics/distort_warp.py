@@ -27,7 +27,9 @@ def lagrange(half_steps: int, n: int, count: int, first: int):
 @wp.func
 def keys(s: float):  # weights of the samples -1, 0, 1, 2 at s in 0 .. 1
     r = 1.0 - s
-    return 0.5 * wp.vec4(-s * r * r, 2.0 - s * s * (5.0 - 3.0 * s), 2.0 - r * r * (5.0 - 3.0 * r), -r * s * s)
+    return 0.5 * wp.vec4(
+        -s * r * r, 2.0 - s * s * (5.0 - 3.0 * s), 2.0 - r * r * (5.0 - 3.0 * r), -r * s * s
+    )
 
 
 @wp.kernel
@@ -59,7 +61,9 @@ def place(lines: wp.array3d[float], m: int, half_y: int, half_x: int, nx: int, c
     total = wp.vec3(0.0, 0.0, 0.0)
     for b in range(4):
         at = 3 * (j + b)
-        total += w[b] * wp.vec3(lines[m, half_y, at], lines[m, half_y, at + 1], lines[m, half_y, at + 2])
+        total += w[b] * wp.vec3(
+            lines[m, half_y, at], lines[m, half_y, at + 1], lines[m, half_y, at + 2]
+        )
     return total
 
 
@@ -227,8 +231,12 @@ def shares(
 ):
     # as much of each sample as the cells allow where its weight is negative
     y, x = wp.tid()
-    down = wp.min(wp.min(room[y, x + 1], room[y, x + 2]), wp.min(room[y + 3, x + 1], room[y + 3, x + 2]))
-    across = wp.min(wp.min(room[y + 1, x], room[y + 2, x]), wp.min(room[y + 1, x + 3], room[y + 2, x + 3]))
+    down = wp.min(
+        wp.min(room[y, x + 1], room[y, x + 2]), wp.min(room[y + 3, x + 1], room[y + 3, x + 2])
+    )
+    across = wp.min(
+        wp.min(room[y + 1, x], room[y + 2, x]), wp.min(room[y + 1, x + 3], room[y + 2, x + 3])
+    )
     share[y, x] = wp.min(down, across)
 
 

@@ -28,16 +28,25 @@ def cases():
     """One map for all planes and one for each, over nine decades."""
     random = np.random.default_rng(9)
     for planes, maps, rows, cols in ((1, 1, 1, 1), (3, 1, 3, 5), (4, 4, 63, 65), (2, 1, 5, 200)):
-        yield Case(f"{rows}x{cols}, {planes} planes, {maps} maps",
-                   {"planes": (10.0 ** random.uniform(-3, 6, (planes, rows, cols))).astype(np.float32),
-                    "gains": random.random((maps, rows, cols)).astype(np.float32)},
-                   2.0**-24, "one float32 product rounds once: half an ulp", metric="local")
+        yield Case(
+            f"{rows}x{cols}, {planes} planes, {maps} maps",
+            {
+                "planes": (10.0 ** random.uniform(-3, 6, (planes, rows, cols))).astype(np.float32),
+                "gains": random.random((maps, rows, cols)).astype(np.float32),
+            },
+            2.0**-24,
+            "one float32 product rounds once: half an ulp",
+            metric="local",
+        )
 
 
 def bench(rows, cols):
     """Three planes, one map."""
     random = np.random.default_rng(9)
-    return {"planes": random.random((3, rows, cols), np.float32), "gains": random.random((1, rows, cols), np.float32)}
+    return {
+        "planes": random.random((3, rows, cols), np.float32),
+        "gains": random.random((1, rows, cols), np.float32),
+    }
 
 
 def operations(planes, gains):

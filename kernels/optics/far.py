@@ -24,7 +24,10 @@ LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 
 BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly of the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
-GROUP = 4, 16  # its work-items at a time, whose results fill whole lines of the cache when they are turned
+GROUP = (
+    4,
+    16,
+)  # its work-items at a time, whose results fill whole lines of the cache when they are turned
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
 WIDE, LINES = 32, 8  # columns of a work-group's result there, and its lines of so many work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
@@ -49,7 +52,9 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=S
     shape = tuple(planes.shape[1:])
     weights, sigmas = (np.asarray(device.numpy(values), np.float64) for values in (weights, sigmas))
     if min(shape) < LEAST_SIDE:
-        raise OutOfRange("planes", f"{shape[1]} x {shape[0]} samples", f"at least {LEAST_SIDE} along each axis")
+        raise OutOfRange(
+            "planes", f"{shape[1]} x {shape[0]} samples", f"at least {LEAST_SIDE} along each axis"
+        )
     if not (sigmas[0] >= LEAST_SIGMA and np.all(sigmas[1:] > sigmas[:-1])):
         raise OutOfRange("sigmas", sigmas, f"growing ones from {LEAST_SIGMA:g} samples on")
     down, across = axes(shape, sigmas, border, spacings)
@@ -73,7 +78,9 @@ class _Chain:
     def coefficients(self, planes, weights):
         """Splines of the first level, (channels, rows, cols), that are the far field."""
         own = self._product(planes, self._matrices(self.down, "analysis"), turned=True)
-        own = self._product(own, self._matrices(self.across, "analysis"))  # (planes, cols, rows) of splines
+        own = self._product(
+            own, self._matrices(self.across, "analysis")
+        )  # (planes, cols, rows) of splines
         return self._of_level(own, weights, 0)
 
     def _of_level(self, own, weights, level):
@@ -86,7 +93,9 @@ class _Chain:
         wide = self._product(wide, self._matrices(self.down, "restriction", level), turned=True)
         wide = self._of_level(wide, weights, level + 1)
         wide = self._product(wide, self._matrices(self.down, "prolongation", level), turned=True)
-        return self._product(wide, self._matrices(self.across, "prolongation", level), turned=True, onto=light)
+        return self._product(
+            wide, self._matrices(self.across, "prolongation", level), turned=True, onto=light
+        )
 
     def _filtered(self, own, weights, level):
         """Coefficients (channels, rows, cols) of a level's Gaussians."""
@@ -94,8 +103,20 @@ class _Chain:
         _, cols, rows = own.shape
         places, size = channels * sigmas, cols * rows
         mixed, each = device.empty((places, cols, rows)), places if self.width > 1 else 1
-        device.launch("optics.far", "combine", (-(-places // each), -(-size // self.width)), own, _constant(
-            device, weights.tobytes(), weights.shape), mixed, each, places, size, count, sigmas, defines=self.defines)
+        device.launch(
+            "optics.far",
+            "combine",
+            (-(-places // each), -(-size // self.width)),
+            own,
+            _constant(device, weights.tobytes(), weights.shape),
+            mixed,
+            each,
+            places,
+            size,
+            count,
+            sigmas,
+            defines=self.defines,
+        )
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
@@ -104,12 +125,28 @@ class _Chain:
         device, (rows, cols) = self.device, onto.shape[-2:]
         lines = self._product(light, self._matrices(self.down, "synthesis", margin))
         (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
-        pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        values, start = _along_rows(device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape)
+        pattern = (
+            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+        )
+        values, start = _along_rows(
+            device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape
+        )
         out = device.empty((planes, rows, cols))
-        device.launch("optics.far", "refine", out.shape, device.reshape(onto, out.shape), device.reshape(
-            lines, (channels * rows * splines,)), values, start, out, rows, cols, splines, len(pattern),
-            defines=self.defines)
+        device.launch(
+            "optics.far",
+            "refine",
+            out.shape,
+            device.reshape(onto, out.shape),
+            device.reshape(lines, (channels * rows * splines,)),
+            values,
+            start,
+            out,
+            rows,
+            cols,
+            splines,
+            len(pattern),
+            defines=self.defines,
+        )
         return device.reshape(out, onto.shape)
 
     def _product(self, given, bands, turned=False, sums=1, onto=None):
@@ -119,11 +156,35 @@ class _Chain:
         """
         start, count, values, rows = bands
         (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
-        out = onto if onto is not None else self.device.empty(
-            (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes))
-        self.device.launch("optics.far", "product", (batch // sums * blocks, -(-lanes // self.lanes)), given, values,
-                           start, count, out, int(onto is not None), int(turned), batch // sums * blocks, lanes, size,
-                           rows, blocks, most, matrices, sums, defines=self.defines, group=self.group)
+        out = (
+            onto
+            if onto is not None
+            else self.device.empty(
+                (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes)
+            )
+        )
+        self.device.launch(
+            "optics.far",
+            "product",
+            (batch // sums * blocks, -(-lanes // self.lanes)),
+            given,
+            values,
+            start,
+            count,
+            out,
+            int(onto is not None),
+            int(turned),
+            batch // sums * blocks,
+            lanes,
+            size,
+            rows,
+            blocks,
+            most,
+            matrices,
+            sums,
+            defines=self.defines,
+            group=self.group,
+        )
         return out
 
     def _matrices(self, axis, name, of=None):
@@ -140,9 +201,11 @@ class _Grids:
     def fit(self) -> bool:
         """Whether local memory holds it."""
         last = self.down.levels - 1
-        made = [("analysis", None),
-                *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
-                *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)])]
+        made = [
+            ("analysis", None),
+            *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
+            *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)]),
+        ]
         return all(self._shared(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made)
 
     def coefficients(self, planes, weights):
@@ -152,8 +215,13 @@ class _Grids:
 
     def _of_level(self, own, weights, level):
         """What a level and those beyond it make of what it has, in parts whose sum it is: (channels, parts, ...)."""
-        some, is_last = np.ascontiguousarray(weights[:, :, self.down.of_level(level)]), level == self.down.levels - 1
-        light = self._both(own, "filters", level, weights=some, in_parts=is_last) if some.size else None
+        some, is_last = (
+            np.ascontiguousarray(weights[:, :, self.down.of_level(level)]),
+            level == self.down.levels - 1,
+        )
+        light = (
+            self._both(own, "filters", level, weights=some, in_parts=is_last) if some.size else None
+        )
         if is_last:
             return light
         wide = self._of_level(self._both(own, "restriction", level), weights, level + 1)
@@ -161,9 +229,15 @@ class _Grids:
 
     def _shared(self, name, of, high):
         """Matrices of both axes, and bytes in local memory."""
-        down, across = (_tiled(self.device, axis, name, of, *by) for axis, by in (
-            (self.down, (4, high)), (self.across, (1, WIDE))))
-        return down, across, -(-4 * (4 * LINES * max(across.span, WIDE) + WIDE * down.span) // STEP) * STEP
+        down, across = (
+            _tiled(self.device, axis, name, of, *by)
+            for axis, by in ((self.down, (4, high)), (self.across, (1, WIDE)))
+        )
+        return (
+            down,
+            across,
+            -(-4 * (4 * LINES * max(across.span, WIDE) + WIDE * down.span) // STEP) * STEP,
+        )
 
     def _both(self, given, name, of=None, weights=None, onto=None, in_parts=False):
         """Both axes' products of (batch, parts, rows, cols), of which the parts are added up, and to `onto` if given.
@@ -177,27 +251,69 @@ class _Grids:
             (batch, planes, sums), stride = weights.shape, 0
         high, parts, (down, across, room) = HIGH, 1, self._shared(name, of, HIGH)
         if batch * down.tiles * across.tiles < MANY:
-            high, parts, (down, across, room) = LOW, sums if in_parts else 1, self._shared(name, of, LOW)
+            high, parts, (down, across, room) = (
+                LOW,
+                sums if in_parts else 1,
+                self._shared(name, of, LOW),
+            )
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
-        device.launch(GROUPS_STAGE, "both", (groups * WIDE * LINES,), given,
-                      given if weights is None else _constant(device, weights.tobytes(), weights.shape),
-                      *down.arrays, *across.arrays, out, int(onto is not None), int(weights is not None),
-                      max(across.span, WIDE), stride, parts, planes, *size, down.rows, across.rows, down.blocks,
-                      down.most, across.most, sums, down.tiles, across.tiles, group=(WIDE * LINES,),
-                      defines={"HIGH": high, "LOCAL_BYTES": room})
+        device.launch(
+            GROUPS_STAGE,
+            "both",
+            (groups * WIDE * LINES,),
+            given,
+            given if weights is None else _constant(device, weights.tobytes(), weights.shape),
+            *down.arrays,
+            *across.arrays,
+            out,
+            int(onto is not None),
+            int(weights is not None),
+            max(across.span, WIDE),
+            stride,
+            parts,
+            planes,
+            *size,
+            down.rows,
+            across.rows,
+            down.blocks,
+            down.most,
+            across.most,
+            sums,
+            down.tiles,
+            across.tiles,
+            group=(WIDE * LINES,),
+            defines={"HIGH": high, "LOCAL_BYTES": room},
+        )
         return out
 
     def added(self, onto, light, cfa, margin):
         """The mosaic, or every channel, with the splines' values."""
         device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
-        pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+        pattern = (
+            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+        )
         out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
         groups = prod(onto.shape) // (rows * cols) * prod(tiles)
-        device.launch(GROUPS_STAGE, "evaluate", (groups * WIDE * LINES,), onto, light,
-                      *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin),
-                      _constant(device, pattern.tobytes(), pattern.shape, np.int32), out, rows, cols, high, wide,
-                      *pattern.shape, *tiles, group=(WIDE * LINES,), defines={"HIGH": HIGH, "LOCAL_BYTES": STEP})
+        device.launch(
+            GROUPS_STAGE,
+            "evaluate",
+            (groups * WIDE * LINES,),
+            onto,
+            light,
+            *_at_samples(device, self.down, margin),
+            *_at_samples(device, self.across, margin),
+            _constant(device, pattern.tobytes(), pattern.shape, np.int32),
+            out,
+            rows,
+            cols,
+            high,
+            wide,
+            *pattern.shape,
+            *tiles,
+            group=(WIDE * LINES,),
+            defines={"HIGH": HIGH, "LOCAL_BYTES": STEP},
+        )
         return out
 
 
@@ -226,12 +342,18 @@ def _tiled(device, axis, name, of, block, high):
     number, blocks, most, _ = made.values.shape
     tiles = -(-blocks // high)
     more = [(0, 0), (0, tiles * high - blocks)]
-    start, end = (np.pad(array, more, mode="edge").reshape(number, tiles, high)
-                  for array in (made.start, made.start + made.count))
+    start, end = (
+        np.pad(array, more, mode="edge").reshape(number, tiles, high)
+        for array in (made.start, made.start + made.count)
+    )
     first, wide = start.min(axis=2), end.max(axis=2) - start.min(axis=2)
     values = made.values if block > 1 else made.values[..., 0].swapaxes(1, 2)
-    arrays = (device.array(np.ascontiguousarray(values)), device.array(made.start, np.int32),
-              device.array(made.count, np.int32), device.array(np.stack([first, wide], axis=2), np.int32))
+    arrays = (
+        device.array(np.ascontiguousarray(values)),
+        device.array(made.start, np.int32),
+        device.array(made.count, np.int32),
+        device.array(np.stack([first, wide], axis=2), np.int32),
+    )
     return _Tiled(arrays, made.rows, blocks, most, tiles, int(wide.max()))
 
 
@@ -251,8 +373,12 @@ def _bands(device, axis, name, of, block):
     """
     made = getattr(axis, name)
     bands = (made if of is None else made(of)).in_blocks(block)
-    return (device.array(bands.start, np.int32), device.array(bands.count, np.int32), device.array(bands.values),
-            bands.rows)
+    return (
+        device.array(bands.start, np.int32),
+        device.array(bands.count, np.int32),
+        device.array(bands.values),
+        bands.rows,
+    )
 
 
 @functools.lru_cache(maxsize=32)
@@ -277,33 +403,56 @@ def _constant(device, values, shape, dtype=np.float32):
 def cases():
     """All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin, highlights."""
     random = np.random.default_rng(11)
-    why = ("a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each axis, "
-           "by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are "
-           "below 1e-6")
+    why = (
+        "a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each axis, "
+        "by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are "
+        "below 1e-6"
+    )
     bayer = np.array([[0, 1], [1, 2]], np.int32)
     for rows, cols, count, channels, cfa, border, margin, first in (
-            (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8), (40, 97, 3, 3, bayer, "edge", 0, 5.8),
-            (97, 40, 2, 3, bayer, "reflect", 0, 11.6), (150, 130, 2, 2, None, "edge", 9, 23.3),
-            (64, 65, 31, 3, bayer, "zero", 0, 8.0), (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
-            (300, 20, 1, 1, None, "edge", 0, 4.0), (70, 51, 2, 2, None, "edge", -3, 11.6),
-            (51, 70, 1, 2, None, "reflect", -2, 8.0), (31, 31, 1, 1, None, "zero", -1, 5.0),
-            (90, 131, 4, 3, bayer, "edge", 0, 4.0), (120, 88, 2, 3, bayer, "reflect", 5, 4.0),
-            (101, 99, 3, 2, None, "zero", -1, 5.0)):
+        (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8),
+        (40, 97, 3, 3, bayer, "edge", 0, 5.8),
+        (97, 40, 2, 3, bayer, "reflect", 0, 11.6),
+        (150, 130, 2, 2, None, "edge", 9, 23.3),
+        (64, 65, 31, 3, bayer, "zero", 0, 8.0),
+        (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
+        (300, 20, 1, 1, None, "edge", 0, 4.0),
+        (70, 51, 2, 2, None, "edge", -3, 11.6),
+        (51, 70, 1, 2, None, "reflect", -2, 8.0),
+        (31, 31, 1, 1, None, "zero", -1, 5.0),
+        (90, 131, 4, 3, bayer, "edge", 0, 4.0),
+        (120, 88, 2, 3, bayer, "reflect", 5, 4.0),
+        (101, 99, 3, 2, None, "zero", -1, 5.0),
+    ):
         sigmas = np.append(first * 1.6 ** np.arange(9), np.inf)
         planes = np.cumsum(random.standard_normal((count, rows, cols)), axis=2)
         planes[0, rows // 2, cols // 3 :] += 30
         shape = (rows - 2 * margin, cols - 2 * margin)
-        yield Case(f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else np.shape(cfa)}, {border}",
-                   {"onto": np.zeros(shape if cfa is not None else (channels, *shape), np.float32),
-                    "planes": planes.astype(np.float32), "weights": random.random((channels, count, len(sigmas))),
-                    "sigmas": sigmas, "cfa": cfa, "border": border, "margin": margin},
-                   1.5e-5 + 1e-6 + 2 * (np.pi * first / 2.8) ** -4, why)
+        yield Case(
+            f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else np.shape(cfa)}, {border}",
+            {
+                "onto": np.zeros(shape if cfa is not None else (channels, *shape), np.float32),
+                "planes": planes.astype(np.float32),
+                "weights": random.random((channels, count, len(sigmas))),
+                "sigmas": sigmas,
+                "cfa": cfa,
+                "border": border,
+                "margin": margin,
+            },
+            1.5e-5 + 1e-6 + 2 * (np.pi * first / 2.8) ** -4,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(11)
     sigmas = np.append(23.3 * 1.6 ** np.arange(13), np.inf)
-    return {"onto": random.random((rows, cols), np.float32), "planes": random.random((4, rows, cols), np.float32),
-            "weights": random.random((3, 4, len(sigmas))), "sigmas": sigmas,
-            "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge"}
+    return {
+        "onto": random.random((rows, cols), np.float32),
+        "planes": random.random((4, rows, cols), np.float32),
+        "weights": random.random((3, 4, len(sigmas))),
+        "sigmas": sigmas,
+        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "border": "edge",
+    }

@@ -7,24 +7,33 @@ def far(onto, planes, weights, sigmas, cfa, border, margin=0, spacings=2.8):
     """See the contract."""
     onto, planes = np.array(onto, np.float64), np.asarray(planes, np.float64)
     light = 0.0
-    for sigma, gains in zip(np.asarray(sigmas, np.float64), np.moveaxis(np.asarray(weights, np.float64), 2, 0),
-                            strict=True):
+    for sigma, gains in zip(
+        np.asarray(sigmas, np.float64),
+        np.moveaxis(np.asarray(weights, np.float64), 2, 0),
+        strict=True,
+    ):
         down, across = (_spread(n, sigma, border, margin) for n in planes.shape[1:])
         light = light + down @ np.tensordot(gains, planes, 1) @ across.T
     if cfa is None:
         return onto + light
     y, x = np.indices(onto.shape)
-    return onto + np.take_along_axis(light, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0)[0]
+    return (
+        onto + np.take_along_axis(light, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0)[0]
+    )
 
 
 def _spread(n, sigma, border, margin):
     """What the samples margin .. n - margin - 1 of an axis get from each of n and the world beyond."""
     at, own = np.arange(margin, n - margin)[:, None], np.arange(n)
     if np.isinf(sigma):
-        row = {"zero": np.zeros(n), "edge": np.bincount([0, n - 1], minlength=n) / 2, "reflect": np.full(n, 1 / n)}
+        row = {
+            "zero": np.zeros(n),
+            "edge": np.bincount([0, n - 1], minlength=n) / 2,
+            "reflect": np.full(n, 1 / n),
+        }
         return np.tile(row[border], (len(at), 1))
     beyond = int(np.ceil(10 * sigma)) + 2 * n
-    gauss = np.exp(-np.arange(-beyond, beyond + 1) ** 2 / (2 * sigma**2))
+    gauss = np.exp(-(np.arange(-beyond, beyond + 1) ** 2) / (2 * sigma**2))
     gauss /= gauss.sum()  # value i is at the distance i - beyond
     matrix = gauss[beyond + own - at]
     if border == "edge":
@@ -33,7 +42,9 @@ def _spread(n, sigma, border, margin):
         matrix[:, -1:] += below[beyond + at - n]
     if border == "reflect":
         for world in range(-beyond // (2 * n) - 1, beyond // (2 * n) + 2):
-            matrix += (world != 0) * _at(gauss, own + 2 * n * world - at) + _at(gauss, 2 * n * world - 1 - own - at)
+            matrix += (world != 0) * _at(gauss, own + 2 * n * world - at) + _at(
+                gauss, 2 * n * world - 1 - own - at
+            )
     return matrix
 
 

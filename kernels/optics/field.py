@@ -23,15 +23,29 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
 from gpusim.optics.lengths import fft_length
 
-BATCH_BYTES = 2**22  # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
+BATCH_BYTES = (
+    2**22
+)  # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 HOST_TILES = 16  # from here on, a CPU has a thread to each tile
 BIN = 32  # [pixel] highlights are listed per square of this side
 NEVER = float(np.finfo(np.float32).max)
 
 
 @stage
-def field(device, planes, coefficients, kernels, index, edges, mix, border, margin=0, base=None, threshold=None,
-          tables=None):
+def field(
+    device,
+    planes,
+    coefficients,
+    kernels,
+    index,
+    edges,
+    mix,
+    border,
+    margin=0,
+    base=None,
+    threshold=None,
+    tables=None,
+):
     """Spread each pixel's light with the kernel of its place.
 
     planes: shape (planes, rows, cols). coefficients: shape (terms, rows, cols); outside the frame the outermost value
@@ -56,18 +70,58 @@ def field(device, planes, coefficients, kernels, index, edges, mix, border, marg
     if border == "zero":  # there is no light outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    padded = blur(device, planes, coefficients, tables, kernels.shape[1], index, edges, mix, border, limit, period)
+    padded = blur(
+        device,
+        planes,
+        coefficients,
+        tables,
+        kernels.shape[1],
+        index,
+        edges,
+        mix,
+        border,
+        limit,
+        period,
+    )
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
-    covers = [device.array(_covering(edge, np.arange(margin, length - margin), reach // 2), np.int32)
-              for edge, length, reach in zip(edges, (rows, cols), (m, n), strict=True)]
-    device.launch("optics.field", "assemble", out.shape, padded, edges_y, edges_x, *covers,
-                  out if base is None else device.array(base), out, m // 2, n // 2, int(base is not None),
-                  *out.shape, tiles_y, tiles_x, *period)
+    covers = [
+        device.array(_covering(edge, np.arange(margin, length - margin), reach // 2), np.int32)
+        for edge, length, reach in zip(edges, (rows, cols), (m, n), strict=True)
+    ]
+    device.launch(
+        "optics.field",
+        "assemble",
+        out.shape,
+        padded,
+        edges_y,
+        edges_x,
+        *covers,
+        out if base is None else device.array(base),
+        out,
+        m // 2,
+        n // 2,
+        int(base is not None),
+        *out.shape,
+        tiles_y,
+        tiles_x,
+        *period,
+    )
     if threshold is not None:
-        _add_highlights(device, out, planes, coefficients, np.asarray(device.numpy(kernels)), index, edges, mix,
-                        border, limit, margin)
+        _add_highlights(
+            device,
+            out,
+            planes,
+            coefficients,
+            np.asarray(device.numpy(kernels)),
+            index,
+            edges,
+            mix,
+            border,
+            limit,
+            margin,
+        )
     return out
 
 
@@ -79,24 +133,70 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
     on_device_index = device.array(index, np.int32)
     sizes = () if device.kind == "opencl" else (terms, channels)
     padded = device.empty((channels, tiles, *period))
-    batch = max(1, BATCH_BYTES * (64 if device.is_gpu else 1) // (4 * terms * period[0] * period[1]))
+    batch = max(
+        1, BATCH_BYTES * (64 if device.is_gpu else 1) // (4 * terms * period[0] * period[1])
+    )
     for first in range(0, tiles, batch):
         size = min(batch, tiles - first)
         sums = None
         for p in range(count):
             weighted = device.empty((size * terms, *period))
-            device.launch("optics.field", "weigh", weighted.shape, planes, coefficients, edges_y, edges_x, weighted,
-                          limit, p, first, BORDERS[border], rows, cols, len(edges[1]) - 1, terms, *weighted.shape)
+            device.launch(
+                "optics.field",
+                "weigh",
+                weighted.shape,
+                planes,
+                coefficients,
+                edges_y,
+                edges_x,
+                weighted,
+                limit,
+                p,
+                first,
+                BORDERS[border],
+                rows,
+                cols,
+                len(edges[1]) - 1,
+                terms,
+                *weighted.shape,
+            )
             spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
-            device.launch("optics.field", "accumulate", (size, period[0], half), spectra, tables, on_device_index,
-                          device.array(mix[:, p]), sums, int(p == 0), first, min(p, own - 1), *sizes, size,
-                          period[0], half, pitch, own, defines={"TERMS": terms, "CHANNELS": channels})
+            device.launch(
+                "optics.field",
+                "accumulate",
+                (size, period[0], half),
+                spectra,
+                tables,
+                on_device_index,
+                device.array(mix[:, p]),
+                sums,
+                int(p == 0),
+                first,
+                min(p, own - 1),
+                *sizes,
+                size,
+                period[0],
+                half,
+                pitch,
+                own,
+                defines={"TERMS": terms, "CHANNELS": channels},
+            )
         blurred = fft.inverse(device, sums, period[1])
-        device.launch("optics.field", "keep", (channels * size, *period), blurred, padded, first, channels, size, tiles,
-                      *period)
+        device.launch(
+            "optics.field",
+            "keep",
+            (channels * size, *period),
+            blurred,
+            padded,
+            first,
+            channels,
+            size,
+            tiles,
+            *period,
+        )
     return padded
 
 
@@ -120,8 +220,14 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, mix, borde
         if y[0] >= 0 and y[-1] < rows and x[0] >= 0 and x[-1] < cols:
             place = weight_place = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
         else:
-            from_y, from_x = (source[places + one] for source, places, one in zip(sources, (y, x), reach, strict=True))
-            place, weight_place = np.ix_(from_y, from_x), np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
+            from_y, from_x = (
+                source[places + one]
+                for source, places, one in zip(sources, (y, x), reach, strict=True)
+            )
+            place, weight_place = (
+                np.ix_(from_y, from_x),
+                np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1)),
+            )
         weights = coefficients[:, *weight_place]
         weighted = np.empty((index.shape[1], *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
@@ -159,8 +265,10 @@ def transfer(device, kernels, edges):
 
 
 def _period(shape, edges):
-    return tuple(fft_length(int(np.diff(edge).max()) + reach - 1)
-                 for edge, reach in zip(edges, shape[2:], strict=True))
+    return tuple(
+        fft_length(int(np.diff(edge).max()) + reach - 1)
+        for edge, reach in zip(edges, shape[2:], strict=True)
+    )
 
 
 def _covering(edges, pixels, reach):
@@ -182,7 +290,9 @@ def _sources(length, reach, border):
     return np.minimum(places, 2 * length - 1 - places)
 
 
-def _add_highlights(device, out, planes, coefficients, kernels, index, edges, mix, border, threshold, margin):
+def _add_highlights(
+    device, out, planes, coefficients, kernels, index, edges, mix, border, threshold, margin
+):
     """Add what `weigh` left out: one kernel per bright place, mixed on the host in float64, summed on the device."""
     values = np.asarray(device.numpy(planes))
     bright = np.unique(np.concatenate([np.flatnonzero(value > threshold) for value in values]))
@@ -192,17 +302,27 @@ def _add_highlights(device, out, planes, coefficients, kernels, index, edges, mi
     m, n = kernels.shape[2:]
     row_of, col_of = _sources(rows, m // 2, border), _sources(cols, n // 2, border)
     # a pixel near the border is seen in the surroundings too
-    places = np.array([(y, x) for row, col in zip(*np.unravel_index(bright, (rows, cols)), strict=True)
-                       for y in np.flatnonzero(row_of == row) for x in np.flatnonzero(col_of == col)])
+    places = np.array(
+        [
+            (y, x)
+            for row, col in zip(*np.unravel_index(bright, (rows, cols)), strict=True)
+            for y in np.flatnonzero(row_of == row)
+            for x in np.flatnonzero(col_of == col)
+        ]
+    )
     places -= m // 2, n // 2
     weights = np.asarray(device.numpy(coefficients))
     mixed = np.empty((len(places), channels, m, n), np.float32)
-    tiles = [np.searchsorted(edge, places[:, axis], side="right") - 1 for axis, edge in enumerate(edges)]
+    tiles = [
+        np.searchsorted(edge, places[:, axis], side="right") - 1 for axis, edge in enumerate(edges)
+    ]
     for k, (y, x) in enumerate(places):
         at = row_of[y + m // 2], col_of[x + n // 2]
         light = np.where(values[:, *at] > threshold, values[:, *at], 0).astype(np.float64)
         weight = weights[:, min(max(y, 0), rows - 1), min(max(x, 0), cols - 1)].astype(np.float64)
-        own = np.tensordot(weight, kernels[index[tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]]], 1)
+        own = np.tensordot(
+            weight, kernels[index[tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]]], 1
+        )
         mixed[k] = np.einsum("cp,pij->cij", mix * light, np.broadcast_to(own, (len(light), m, n)))
     places -= margin
     bins_y, bins_x = (-(-length // BIN) for length in out.shape[1:])
@@ -215,54 +335,98 @@ def _add_highlights(device, out, planes, coefficients, kernels, index, edges, mi
     starts = np.cumsum([0, *(len(lists[k]) for k in squares)])
     listed = np.concatenate([np.array(lists[k], np.int32) for k in squares])
     corners = BIN * np.stack(np.divmod(squares, bins_x), axis=1)
-    device.launch("optics.field", "spread", (channels, len(squares) * BIN, BIN), device.array(places, np.int32),
-                  device.array(mixed), device.array(corners, np.int32), device.array(starts, np.int32),
-                  device.array(listed, np.int32), out, *out.shape, m, n, len(squares))
+    device.launch(
+        "optics.field",
+        "spread",
+        (channels, len(squares) * BIN, BIN),
+        device.array(places, np.int32),
+        device.array(mixed),
+        device.array(corners, np.int32),
+        device.array(starts, np.int32),
+        device.array(listed, np.int32),
+        out,
+        *out.shape,
+        m,
+        n,
+        len(squares),
+    )
 
 
 def cases():
     """One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6 spread directly."""
     random = np.random.default_rng(11)
     for rows, cols, count, channels, terms, tiles, own, border, m, threshold in (
-            (1, 1, 1, 1, 1, (1, 1), 0, "edge", 1, None), (7, 9, 2, 1, 3, (1, 1), 1, "zero", 5, None),
-            (40, 61, 3, 2, 4, (3, 5), 0, "reflect", 9, None), (40, 61, 2, 3, 4, (4, 3), 1, "edge", 15, 100.0),
-            (40, 61, 2, 3, 4, (4, 5), 1, "zero", 15, 100.0), (40, 61, 3, 2, 9, (5, 7), 0, "edge", 9, None),
-            (5, 200, 1, 1, 4, (2, 9), 0, "reflect", 7, 100.0), (64, 48, 2, 2, 12, (1, 1), 0, "reflect", 21, None)):
+        (1, 1, 1, 1, 1, (1, 1), 0, "edge", 1, None),
+        (7, 9, 2, 1, 3, (1, 1), 1, "zero", 5, None),
+        (40, 61, 3, 2, 4, (3, 5), 0, "reflect", 9, None),
+        (40, 61, 2, 3, 4, (4, 3), 1, "edge", 15, 100.0),
+        (40, 61, 2, 3, 4, (4, 5), 1, "zero", 15, 100.0),
+        (40, 61, 3, 2, 9, (5, 7), 0, "edge", 9, None),
+        (5, 200, 1, 1, 4, (2, 9), 0, "reflect", 7, 100.0),
+        (64, 48, 2, 2, 12, (1, 1), 0, "reflect", 21, None),
+    ):
         planes = random.random((count, rows, cols))
         if threshold:
             planes[0, 0, -1] = planes[-1, rows // 2, cols // 2] = 1e6
         kernels = random.random((7, count if own else 1, m, m))
-        edges = [np.unique(np.round(np.linspace(-(m // 2), size + m // 2, parts + 1)).astype(int))
-                 for size, parts in zip((rows, cols), tiles, strict=True)]
+        edges = [
+            np.unique(np.round(np.linspace(-(m // 2), size + m // 2, parts + 1)).astype(int))
+            for size, parts in zip((rows, cols), tiles, strict=True)
+        ]
         number = (len(edges[0]) - 1) * (len(edges[1]) - 1)
-        why = ("a float32 transform errs by 2.5e-7 of the root mean square of its input, at most 5 such sigmas over "
-               "1e4 pixels; a kernel of noise with mean 1/2 raises the sum and that error alike; three transforms")
+        why = (
+            "a float32 transform errs by 2.5e-7 of the root mean square of its input, at most 5 such sigmas over "
+            "1e4 pixels; a kernel of noise with mean 1/2 raises the sum and that error alike; three transforms"
+        )
         if threshold:
             why += "; what is above the threshold is summed directly, relative to the local value"
-        yield Case(f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
-                   {"planes": planes.astype(np.float32),
-                    "coefficients": random.random((terms, rows, cols)).astype(np.float32),
-                    "kernels": (kernels / m**2).astype(np.float32),
-                    "index": random.integers(0, 7, (number, terms)).astype(np.int32), "edges": edges,
-                    "mix": random.random((channels, count)).astype(np.float32), "border": border,
-                    "margin": {15: 3, 21: -2}.get(m, 0), "threshold": threshold,
-                    "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32) if m == 15 else None,
-                    }, 4e-6, why, metric="local" if threshold else "peak", floor=0.05)
+        yield Case(
+            f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
+            {
+                "planes": planes.astype(np.float32),
+                "coefficients": random.random((terms, rows, cols)).astype(np.float32),
+                "kernels": (kernels / m**2).astype(np.float32),
+                "index": random.integers(0, 7, (number, terms)).astype(np.int32),
+                "edges": edges,
+                "mix": random.random((channels, count)).astype(np.float32),
+                "border": border,
+                "margin": {15: 3, 21: -2}.get(m, 0),
+                "threshold": threshold,
+                "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32)
+                if m == 15
+                else None,
+            },
+            4e-6,
+            why,
+            metric="local" if threshold else "peak",
+            floor=0.05,
+        )
 
 
 def bench(rows, cols):
     """One plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
     random = np.random.default_rng(11)
     y, x = (np.round(np.linspace(0, size - 1, 8)).astype(int) for size in (rows, cols))
-    fractions = [np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1) for size, at, cell in (
-        (rows, y, np.repeat(np.arange(7), np.diff([0, *y[1:-1], rows]))),
-        (cols, x, np.repeat(np.arange(7), np.diff([0, *x[1:-1], cols]))))]
+    fractions = [
+        np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1)
+        for size, at, cell in (
+            (rows, y, np.repeat(np.arange(7), np.diff([0, *y[1:-1], rows]))),
+            (cols, x, np.repeat(np.arange(7), np.diff([0, *x[1:-1], cols]))),
+        )
+    ]
     v, u = fractions[0][:, None], fractions[1]
     corner = np.arange(7)[:, None] * 8 + np.arange(7)
     kernels = random.random((64, 1, 31, 31))
-    return {"planes": random.random((1, rows, cols), np.float32),
-            "coefficients": np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]).astype(np.float32),
-            "kernels": (kernels / kernels.sum(axis=(2, 3), keepdims=True)).astype(np.float32),
-            "index": np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1).reshape(49, 4).astype(np.int32),
-            "edges": [np.array([-15, *at[1:-1], size + 15]) for at, size in ((y, rows), (x, cols))],
-            "mix": np.ones((1, 1), np.float32), "border": "edge"}
+    return {
+        "planes": random.random((1, rows, cols), np.float32),
+        "coefficients": np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]).astype(
+            np.float32
+        ),
+        "kernels": (kernels / kernels.sum(axis=(2, 3), keepdims=True)).astype(np.float32),
+        "index": np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1)
+        .reshape(49, 4)
+        .astype(np.int32),
+        "edges": [np.array([-15, *at[1:-1], size + 15]) for at, size in ((y, rows), (x, cols))],
+        "mix": np.ones((1, 1), np.float32),
+        "border": "edge",
+    }

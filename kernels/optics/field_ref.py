@@ -5,7 +5,19 @@ import numpy as np
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def field(planes, coefficients, kernels, index, edges, mix, border, margin=0, base=None, threshold=None, tables=None):
+def field(
+    planes,
+    coefficients,
+    kernels,
+    index,
+    edges,
+    mix,
+    border,
+    margin=0,
+    base=None,
+    threshold=None,
+    tables=None,
+):
     """See the contract; `threshold` and `tables` only matter to how it is computed."""
     _, rows, cols = planes.shape
     kernels = np.asarray(kernels, np.float64)
@@ -25,8 +37,11 @@ def field(planes, coefficients, kernels, index, edges, mix, border, margin=0, ba
             for a in range(m):
                 for b in range(n):
                     spread[y.start + a : y.stop + a, x.start + b : x.stop + b] += np.tensordot(
-                        own[chosen, a, b], weighted, 1)
+                        own[chosen, a, b], weighted, 1
+                    )
         # the source began m // 2 before the frame, and a kernel's first entry m // 2 before its pixel
-        place = np.s_[m - 1 + margin : m - 1 + rows - margin, n - 1 + margin : n - 1 + cols - margin]
+        place = np.s_[
+            m - 1 + margin : m - 1 + rows - margin, n - 1 + margin : n - 1 + cols - margin
+        ]
         out += np.asarray(mix, np.float64)[:, p, None, None] * spread[place]
     return out if base is None else out + base

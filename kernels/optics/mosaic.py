@@ -37,7 +37,9 @@ def mosaic(device, planes, tables, mix, cfa, border, period, margin=0):
     planes, tables = device.array(planes), device.array(tables)
     mix = np.asarray(device.numpy(mix), np.float32)  # cut into batches on the host
     cfa = np.asarray(device.numpy(cfa), np.int32)
-    start = tuple((length - size) // 2 + margin for length, size in zip(period, (rows, cols), strict=True))
+    start = tuple(
+        (length - size) // 2 + margin for length, size in zip(period, (rows, cols), strict=True)
+    )
     cfa = np.roll(cfa, start, axis=(0, 1))  # the mosaic counted from the corner of the period
     out = device.empty((rows - 2 * margin, cols - 2 * margin))
     lines = None if device.on_host else _lines(device.local_bytes, period, cfa.shape)
@@ -58,60 +60,161 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
-        device.launch("optics.mosaic", "fold", (small[0], half), spectra, tables,
-                      device.array(mix[:, first : first + size]), *turns,
-                      *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)), folded,
-                      int(first == 0), first, count, own_tables,
-                      *(() if device.kind == "opencl" else (size, channels, *cfa.shape)), *small, half,
-                      spectra.shape[2], pitch,
-                      defines={"SIZE": size, "CHANNELS": channels, "PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1],
-                               "CFA": ",".join(map(str, cfa.ravel()))})
+        device.launch(
+            "optics.mosaic",
+            "fold",
+            (small[0], half),
+            spectra,
+            tables,
+            device.array(mix[:, first : first + size]),
+            *turns,
+            *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)),
+            folded,
+            int(first == 0),
+            first,
+            count,
+            own_tables,
+            *(() if device.kind == "opencl" else (size, channels, *cfa.shape)),
+            *small,
+            half,
+            spectra.shape[2],
+            pitch,
+            defines={
+                "SIZE": size,
+                "CHANNELS": channels,
+                "PERIOD_Y": cfa.shape[0],
+                "PERIOD_X": cfa.shape[1],
+                "CFA": ",".join(map(str, cfa.ravel())),
+            },
+        )
     pixels = fft.inverse(device, folded, small[1])
-    device.launch("optics.mosaic", "interleave", out.shape, pixels, out, *start, *out.shape,
-                  *(() if device.kind == "opencl" else cfa.shape), *small,
-                  defines={"SIZE": 1, "CHANNELS": 1, "PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1], "CFA": "0"})
+    device.launch(
+        "optics.mosaic",
+        "interleave",
+        out.shape,
+        pixels,
+        out,
+        *start,
+        *out.shape,
+        *(() if device.kind == "opencl" else cfa.shape),
+        *small,
+        defines={
+            "SIZE": 1,
+            "CHANNELS": 1,
+            "PERIOD_Y": cfa.shape[0],
+            "PERIOD_X": cfa.shape[1],
+            "CFA": "0",
+        },
+    )
 
 
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
     """On a GPU: transforms of columns, of rows with the fold between forward and inverse, of columns."""
     count, rows, cols = planes.shape
-    (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = lines, cfa.shape
-    small, stored = tuple(length // n for length, n in zip(period, cfa.shape, strict=True)), period[0] // 2 + 1
+    (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = (
+        lines,
+        cfa.shape,
+    )
+    small, stored = (
+        tuple(length // n for length, n in zip(period, cfa.shape, strict=True)),
+        period[0] // 2 + 1,
+    )
     roots_y, roots_x = (fft.roots(device, length) for length in period)
     before = [(length - n) // 2 for length, n in zip(period, (rows, cols), strict=True)]
-    shape = {"PERIOD_Y": phases_y, "PERIOD_X": phases_x, "LENGTH_Y": period[0], "LENGTH_X": period[1],
-             "BORDER": BORDERS[border], "REGISTERS": fft.REGISTERS}
+    shape = {
+        "PERIOD_Y": phases_y,
+        "PERIOD_X": phases_x,
+        "LENGTH_Y": period[0],
+        "LENGTH_X": period[1],
+        "BORDER": BORDERS[border],
+        "REGISTERS": fft.REGISTERS,
+    }
     pitch, groups = cols + cols % 2, -(-cols // (2 * columns_forward))
     folded = device.empty((cfa.size, small[0] // 2 + 1, small[1], 2))
     halves = device.empty((min(BATCH, count), stored, pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         group = fft.threads(device, period[0], columns_forward)
-        device.launch(LINES, "columns_forward", (size * groups * group,), planes, roots_y, halves,
-                      first, before[0], rows, cols, pitch, groups, group=(group,),
-                      defines=shape | {"THREADS": group, "COLUMNS_FORWARD": columns_forward,
-                                       "LOCAL_BYTES": fft.room(period[0], columns_forward),
-                                       "FORWARD": fft.passes(period[0], columns_forward, -1)})
+        device.launch(
+            LINES,
+            "columns_forward",
+            (size * groups * group,),
+            planes,
+            roots_y,
+            halves,
+            first,
+            before[0],
+            rows,
+            cols,
+            pitch,
+            groups,
+            group=(group,),
+            defines=shape
+            | {
+                "THREADS": group,
+                "COLUMNS_FORWARD": columns_forward,
+                "LOCAL_BYTES": fft.room(period[0], columns_forward),
+                "FORWARD": fft.passes(period[0], columns_forward, -1),
+            },
+        )
         group = fft.threads(device, period[1], rows_forward)
-        device.launch(LINES, "fold", ((small[0] // 2 + 1) * group,), halves, tables,
-                      fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)), roots_y, roots_x,
-                      folded, int(first == 0), first, count, int(tables.shape[0] > 1), before[1], size, cols,
-                      pitch, group=(group,),
-                      defines=shape | {"THREADS": group, "ROWS_FORWARD": rows_forward, "ROWS_INVERSE": rows_inverse,
-                                       "FORWARD": fft.passes(period[1], rows_forward, -1),
-                                       "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
-                                       "LOCAL_BYTES": max(fft.room(period[1], rows_forward),
-                                                          fft.room(small[1], rows_inverse)),
-                                       "OWN": -(-small[1] // group), "CHANNELS": len(mix),
-                                       "CFA": ", ".join(map(str, cfa.ravel())),
-                                       "TURNS_Y": fft.roots_text(phases_y), "TURNS_X": fft.roots_text(phases_x)})
+        device.launch(
+            LINES,
+            "fold",
+            ((small[0] // 2 + 1) * group,),
+            halves,
+            tables,
+            fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)),
+            roots_y,
+            roots_x,
+            folded,
+            int(first == 0),
+            first,
+            count,
+            int(tables.shape[0] > 1),
+            before[1],
+            size,
+            cols,
+            pitch,
+            group=(group,),
+            defines=shape
+            | {
+                "THREADS": group,
+                "ROWS_FORWARD": rows_forward,
+                "ROWS_INVERSE": rows_inverse,
+                "FORWARD": fft.passes(period[1], rows_forward, -1),
+                "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
+                "LOCAL_BYTES": max(
+                    fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)
+                ),
+                "OWN": -(-small[1] // group),
+                "CHANNELS": len(mix),
+                "CFA": ", ".join(map(str, cfa.ravel())),
+                "TURNS_Y": fft.roots_text(phases_y),
+                "TURNS_X": fft.roots_text(phases_x),
+            },
+        )
     side_by_side = columns_inverse * cfa.size // 2
     group = fft.threads(device, small[0], side_by_side)
-    device.launch(LINES, "columns_inverse", (-(-small[1] // columns_inverse) * group,), folded,
-                  roots_y, out, 1 / (period[0] * period[1]), *start, *out.shape, group=(group,),
-                  defines=shape | {"THREADS": group, "COLUMNS_INVERSE": columns_inverse,
-                                   "LOCAL_BYTES": fft.room(small[0], side_by_side),
-                                   "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y)})
+    device.launch(
+        LINES,
+        "columns_inverse",
+        (-(-small[1] // columns_inverse) * group,),
+        folded,
+        roots_y,
+        out,
+        1 / (period[0] * period[1]),
+        *start,
+        *out.shape,
+        group=(group,),
+        defines=shape
+        | {
+            "THREADS": group,
+            "COLUMNS_INVERSE": columns_inverse,
+            "LOCAL_BYTES": fft.room(small[0], side_by_side),
+            "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
+        },
+    )
 
 
 def _lines(local_bytes, period, cfa_shape):
@@ -119,14 +222,20 @@ def _lines(local_bytes, period, cfa_shape):
 
     Columns forward (two real columns to a line), rows forward and inverse of the fold, columns of all phases inverse.
     """
+
     def most(choices, length):
         return next((n for n, lines in choices if fft.room(length, lines) <= local_bytes), None)
 
-    small, phases = tuple(length // n for length, n in zip(period, cfa_shape, strict=True)), cfa_shape[0] * cfa_shape[1]
-    found = (most([(n, n) for n in (4, 2, 1)], period[0]),
-             most([(n, n) for n in range(cfa_shape[0], 0, -1) if cfa_shape[0] % n == 0], period[1]),
-             most([(n, n) for n in range(phases, 0, -1) if phases % n == 0], small[1]),
-             most([(n, n * phases // 2) for n in (8, 4, 2, 1) if n * phases % 2 == 0], small[0]))
+    small, phases = (
+        tuple(length // n for length, n in zip(period, cfa_shape, strict=True)),
+        cfa_shape[0] * cfa_shape[1],
+    )
+    found = (
+        most([(n, n) for n in (4, 2, 1)], period[0]),
+        most([(n, n) for n in range(cfa_shape[0], 0, -1) if cfa_shape[0] % n == 0], period[1]),
+        most([(n, n) for n in range(phases, 0, -1) if phases % n == 0], small[1]),
+        most([(n, n * phases // 2) for n in (8, 4, 2, 1) if n * phases % 2 == 0], small[0]),
+    )
     return None if None in found else found
 
 
@@ -139,40 +248,64 @@ def _turns(length, count):
 def cases():
     """All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a highlight of 1e6."""
     random = np.random.default_rng(5)
-    why = ("as optics.blur, 1.2e-6 of the peak for each of the two transforms; the folded sum adds one rounding of a "
-           "term per alias, which its own size bounds")
+    why = (
+        "as optics.blur, 1.2e-6 of the peak for each of the two transforms; the folded sum adds one rounding of a "
+        "term per alias, which its own size bounds"
+    )
     bayer = [[0, 1], [1, 2]]
     for rows, cols, count, cfa, own, border, period, margin in (
-            (1, 1, 1, [[0]], 0, "zero", (1, 1), 0), (3, 5, 3, bayer, 1, "edge", (10, 16), 0),
-            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", (80, 90), 0), (63, 65, 4, [[1, 2], [0, 1]], 1, "zero",
-                                                                       (64, 72), 0),
-            (20, 30, 9, [[2, 1], [1, 0]], 1, "edge", (64, 60), 7), (40, 31, 2, [[0, 1, 2]], 1, "edge", (45, 45), 0),
-            (31, 40, 2, np.arange(32).reshape(8, 4) % 3, 0, "zero", (40, 48), 3),
-            (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0)):
+        (1, 1, 1, [[0]], 0, "zero", (1, 1), 0),
+        (3, 5, 3, bayer, 1, "edge", (10, 16), 0),
+        (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", (80, 90), 0),
+        (63, 65, 4, [[1, 2], [0, 1]], 1, "zero", (64, 72), 0),
+        (20, 30, 9, [[2, 1], [1, 0]], 1, "edge", (64, 60), 7),
+        (40, 31, 2, [[0, 1, 2]], 1, "edge", (45, 45), 0),
+        (31, 40, 2, np.arange(32).reshape(8, 4) % 3, 0, "zero", (40, 48), 3),
+        (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0),
+    ):
         channels = int(np.max(cfa)) + 1
-        fy, fx = np.arange(period[0] // 2 + 1)[:, None] / period[0], np.arange(period[1] // 2 + 1) / period[1]
+        fy, fx = (
+            np.arange(period[0] // 2 + 1)[:, None] / period[0],
+            np.arange(period[1] // 2 + 1) / period[1],
+        )
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
-        yield Case(f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
-                   {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32),
-                    "mix": random.random((channels, count)).astype(np.float32), "cfa": np.array(cfa, np.int32),
-                    "border": border, "period": period, "margin": margin}, 2.4e-6, why)
+        yield Case(
+            f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
+            {
+                "planes": planes.astype(np.float32),
+                "tables": tables.astype(np.float32),
+                "mix": random.random((channels, count)).astype(np.float32),
+                "cfa": np.array(cfa, np.int32),
+                "border": border,
+                "period": period,
+                "margin": margin,
+            },
+            2.4e-6,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(5)
     period, _ = transform_lengths((rows + 128, cols + 128), (2, 2))
-    return {"planes": random.random((4, rows, cols), np.float32),
-            "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "mix": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
-            "period": period}
+    return {
+        "planes": random.random((4, rows, cols), np.float32),
+        "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
+        "mix": np.ones((3, 4), np.float32),
+        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "border": "edge",
+        "period": period,
+    }
 
 
 def operations(planes, tables, mix, cfa, border, period):
     """Transforms there; per frequency and channel each plane times its table, added up; back one for each phase."""
     frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
-    back = cfa.size * fft.operations([length // n for length, n in zip(period, phases, strict=True)])
+    back = cfa.size * fft.operations(
+        [length // n for length, n in zip(period, phases, strict=True)]
+    )
     return len(planes) * fft.operations(period) + 4 * frequencies * mix.size + back

@@ -8,11 +8,16 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 def mosaic(planes, tables, mix, cfa, border, period, margin=0):
     """See the contract; nothing is folded: every channel is transformed back whole, and then sampled."""
     count, rows, cols = planes.shape
-    pad = [((length - n) // 2, length - n - (length - n) // 2)
-           for length, n in zip(period, (rows, cols), strict=True)]
+    pad = [
+        ((length - n) // 2, length - n - (length - n) // 2)
+        for length, n in zip(period, (rows, cols), strict=True)
+    ]
     # the quarter table at |frequency|: index min(i, n - i)
     fold = np.ix_(*(np.minimum(np.arange(n), n - np.arange(n)) for n in period))
-    spectra = [np.fft.fft2(np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border])) for plane in planes]
+    spectra = [
+        np.fft.fft2(np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border]))
+        for plane in planes
+    ]
     y, x = np.indices((rows - 2 * margin, cols - 2 * margin))
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
     y, x = y + pad[0][0] + margin, x + pad[1][0] + margin

@@ -63,15 +63,23 @@ def fold(
                 total = wp.vec2(0.0, 0.0)
                 for k in range(size):
                     weight = mix[c, k] * tables[own_tables * c, first + k, entry, column]
-                    total += weight * wp.vec2(spectra[k, row, column, 0], sign * spectra[k, row, column, 1])
+                    total += weight * wp.vec2(
+                        spectra[k, row, column, 0], sign * spectra[k, row, column, 1]
+                    )
                 for dy in range(phases_y):
                     for dx in range(phases_x):
                         if cfa[dy, dx] == c:
-                            turn = times(wp.vec2(turns_y[fy, dy, 0], turns_y[fy, dy, 1]),
-                                         wp.vec2(turns_x[fx, dx, 0], turns_x[fx, dx, 1]))
+                            turn = times(
+                                wp.vec2(turns_y[fy, dy, 0], turns_y[fy, dy, 1]),
+                                wp.vec2(turns_x[fx, dx, 0], turns_x[fx, dx, 1]),
+                            )
                             value = times(total, turn)
-                            folded[dy * phases_x + dx, y, x, 0] = folded[dy * phases_x + dx, y, x, 0] + value[0]
-                            folded[dy * phases_x + dx, y, x, 1] = folded[dy * phases_x + dx, y, x, 1] + value[1]
+                            folded[dy * phases_x + dx, y, x, 0] = (
+                                folded[dy * phases_x + dx, y, x, 0] + value[0]
+                            )
+                            folded[dy * phases_x + dx, y, x, 1] = (
+                                folded[dy * phases_x + dx, y, x, 1] + value[1]
+                            )
 
 
 @wp.kernel

@@ -22,11 +22,23 @@ def near(device, tables, energies, sigmas, period):
     """
     groups, planes, rows, cols = tables.shape
     energies = np.asarray(device.numpy(energies), np.float32)
-    down, across = (_passed(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True))
+    down, across = (
+        _passed(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
+    )
     out = device.empty(tables.shape)
-    device.launch("optics.near", "near", (groups * planes, rows, cols), device.array(tables), device.array(
-        energies.reshape(groups * planes, -1)), device.array(down), device.array(across), out, rows, cols,
-        energies.shape[-1])
+    device.launch(
+        "optics.near",
+        "near",
+        (groups * planes, rows, cols),
+        device.array(tables),
+        device.array(energies.reshape(groups * planes, -1)),
+        device.array(down),
+        device.array(across),
+        out,
+        rows,
+        cols,
+        energies.shape[-1],
+    )
     return out
 
 
@@ -34,24 +46,41 @@ def _passed(count, length, sigmas):
     """Of each Gaussian at the frequencies of an axis, shape (G, count)."""
     f = np.arange(count) / length
     sigmas = np.asarray(sigmas, np.float64)[:, None]
-    return np.where(np.isinf(sigmas), f == 0, np.exp(-2 * (np.pi * np.minimum(sigmas, 1e9) * f) ** 2))
+    return np.where(
+        np.isinf(sigmas), f == 0, np.exp(-2 * (np.pi * np.minimum(sigmas, 1e9) * f) ** 2)
+    )
 
 
 def cases():
     """One and several groups, odd and even periods, one Gaussian and many, an infinite one."""
     random = np.random.default_rng(12)
     why = "a float32 sum of up to 15 terms, each below the largest value, and the rounding of each of its factors"
-    for groups, planes, period, count in ((1, 1, (1, 2), 1), (3, 4, (45, 64), 9), (1, 31, (160, 81), 15)):
+    for groups, planes, period, count in (
+        (1, 1, (1, 2), 1),
+        (3, 4, (45, 64), 9),
+        (1, 31, (160, 81), 15),
+    ):
         shape = groups, planes, period[0] // 2 + 1, period[1] // 2 + 1
-        yield Case(f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians",
-                   {"tables": random.random(shape, np.float32), "energies": random.random((groups, planes, count)),
-                    "sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf), "period": period}, 3e-6, why)
+        yield Case(
+            f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians",
+            {
+                "tables": random.random(shape, np.float32),
+                "energies": random.random((groups, planes, count)),
+                "sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf),
+                "period": period,
+            },
+            3e-6,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Tables of twelve, 64 pixels of border."""
     random = np.random.default_rng(12)
     period = rows + 128, cols + 128
-    return {"tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "energies": random.random((3, 4, 14)), "sigmas": np.append(23.3 * 1.6 ** np.arange(13), np.inf),
-            "period": period}
+    return {
+        "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
+        "energies": random.random((3, 4, 14)),
+        "sigmas": np.append(23.3 * 1.6 ** np.arange(13), np.inf),
+        "period": period,
+    }

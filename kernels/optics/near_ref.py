@@ -7,7 +7,9 @@ def near(tables, energies, sigmas, period):
     """See the contract."""
     out = np.array(tables, np.float64)
     fy, fx = np.arange(out.shape[2])[:, None] / period[0], np.arange(out.shape[3]) / period[1]
-    for energy, sigma in zip(np.moveaxis(np.asarray(energies, np.float64), 2, 0), sigmas, strict=True):
+    for energy, sigma in zip(
+        np.moveaxis(np.asarray(energies, np.float64), 2, 0), sigmas, strict=True
+    ):
         square = fy**2 + fx**2
         passed = square == 0 if np.isinf(sigma) else np.exp(-2 * np.pi**2 * sigma**2 * square)
         out -= energy[..., None, None] * passed

@@ -31,8 +31,18 @@ BLOCK = 32  # bands of a CPU's work-item
 
 
 @stage
-def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0,
-          displacement=(0.0, 0.0)):
+def pupil(
+    device,
+    outline,
+    waves,
+    q,
+    aperture,
+    rows,
+    cols,
+    spots=(0.0, 0.0),
+    diffuser=0.0,
+    displacement=(0.0, 0.0),
+):
     """Tables of the pixel-integrated transfer function: quarter (real) or half (complex), see above.
 
     outline: Pupil. waves: shape (bands, n, n). q: shape (bands,), each > 0. aperture: height and width of the
@@ -49,9 +59,17 @@ def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), dif
     low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
     replicas = np.arange(low, high + 1)[:, None]
     weights = [
-        np.sinc(width * f) * np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
-        for f, width, spot, move in zip((replicas + fy, replicas + fx), np.broadcast_to(aperture, 2), spots,
-                                        displacement, strict=True)]
+        np.sinc(width * f)
+        * np.cos(np.pi * spot * f)
+        * np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
+        for f, width, spot, move in zip(
+            (replicas + fy, replicas + fx),
+            np.broadcast_to(aperture, 2),
+            spots,
+            displacement,
+            strict=True,
+        )
+    ]
     weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
     common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
     # a CPU's work-item makes a frequency of many bands: they share its direction and its replicas
@@ -61,45 +79,121 @@ def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), dif
     if real:
         table = device.array(radial_table(outline, waves))
         tables = device.empty((len(q), fy.size, fx.size))
-        device.launch("optics.pupil", "radial", grid, table, *common, tables, low, high, table.shape[1],
-                      *tables.shape, **launching)
+        device.launch(
+            "optics.pupil",
+            "radial",
+            grid,
+            table,
+            *common,
+            tables,
+            low,
+            high,
+            table.shape[1],
+            *tables.shape,
+            **launching,
+        )
         return tables
     table, angle, sectors = polar_table(outline, waves)
     sides, inner = cutoff_polygon(outline)
     table = device.array(np.stack([table.real, table.imag], axis=-1))
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))
-    device.launch("optics.pupil", "polar", grid, table, *common, tables, low, high, angle, sides, inner,
-                  sectors, (table.shape[1] - 1) // sectors, table.shape[2], *shape, **launching)
+    device.launch(
+        "optics.pupil",
+        "polar",
+        grid,
+        table,
+        *common,
+        tables,
+        low,
+        high,
+        angle,
+        sides,
+        inner,
+        sectors,
+        (table.shape[1] - 1) // sectors,
+        table.shape[2],
+        *shape,
+        **launching,
+    )
     return tables
 
 
 def cases():
     """Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd periods, low-pass."""
-    why = ("cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
-           "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
-           "float32 adds 1e-6")
+    why = (
+        "cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
+        "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
+        "float32 adds 1e-6"
+    )
     blur = np.pad(disc_power(1), (0, 2))
-    defocus, spherical = np.array([0.8, 1.5])[:, None, None] * blur, 0.5 * disc_power(2)[None] - 0.4 * blur
+    defocus, spherical = (
+        np.array([0.8, 1.5])[:, None, None] * blur,
+        0.5 * disc_power(2)[None] - 0.4 * blur,
+    )
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
     flat = np.zeros((1, 3, 3))
     for name, outline, waves, q, aperture, rows, cols, spots, diffuser, *displacement in (
-            ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
-            ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
-            ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
-            ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
-            ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
-            ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0),
-            ("oblong, displaced", Pupil(), flat, (0.4,), (1.0, 0.5), 8, 9, (0, 0), 0, 0.5, -0.25),
-            ("defocus, displaced", Pupil(), defocus, (0.6, 1.1), (0.4, 0.8), 9, 10, (0, 0), 0.2, 0.1, 1.0),
-            ("six blades, displaced", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 0.8, 7, 10, (0, 1.0), 0, -3.0, 0.3)):
-        yield Case(name, {"outline": outline, "waves": waves, "q": np.array(q, np.float32), "aperture": aperture,
-                          "rows": rows, "cols": cols, "spots": spots, "diffuser": diffuser,
-                          "displacement": tuple(displacement) or (0, 0)}, 3e-5, why)
+        ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
+        ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
+        ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
+        ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
+        ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
+        ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0),
+        ("oblong, displaced", Pupil(), flat, (0.4,), (1.0, 0.5), 8, 9, (0, 0), 0, 0.5, -0.25),
+        (
+            "defocus, displaced",
+            Pupil(),
+            defocus,
+            (0.6, 1.1),
+            (0.4, 0.8),
+            9,
+            10,
+            (0, 0),
+            0.2,
+            0.1,
+            1.0,
+        ),
+        (
+            "six blades, displaced",
+            Pupil(6, 0.2, 0.3),
+            defocus[:1],
+            (0.9,),
+            0.8,
+            7,
+            10,
+            (0, 1.0),
+            0,
+            -3.0,
+            0.3,
+        ),
+    ):
+        yield Case(
+            name,
+            {
+                "outline": outline,
+                "waves": waves,
+                "q": np.array(q, np.float32),
+                "aperture": aperture,
+                "rows": rows,
+                "cols": cols,
+                "spots": spots,
+                "diffuser": diffuser,
+                "displacement": tuple(displacement) or (0, 0),
+            },
+            3e-5,
+            why,
+        )
 
 
 def bench(rows, cols):
     """31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
     wavelengths = np.linspace(400, 700, 31, dtype=np.float32)
-    return {"outline": Pupil(), "waves": (550 / wavelengths)[:, None, None] * disc_power(1),
-            "q": wavelengths * 1e-9 * 1.8 / 1.4e-6, "aperture": 1.0, "rows": rows, "cols": cols}
+    return {
+        "outline": Pupil(),
+        "waves": (550 / wavelengths)[:, None, None] * disc_power(1),
+        "q": wavelengths * 1e-9 * 1.8 / 1.4e-6,
+        "aperture": 1.0,
+        "rows": rows,
+        "cols": cols,
+    }

@@ -8,8 +8,12 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def cubic(t: float):  # weights of the cubic through the nodes -1, 0, 1, 2 at t
-    return wp.vec4(-t * (t - 1.0) * (t - 2.0) / 6.0, (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
-                   -(t + 1.0) * t * (t - 2.0) / 2.0, (t + 1.0) * t * (t - 1.0) / 6.0)
+    return wp.vec4(
+        -t * (t - 1.0) * (t - 2.0) / 6.0,
+        (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
+        -(t + 1.0) * t * (t - 2.0) / 2.0,
+        (t + 1.0) * t * (t - 1.0) / 6.0,
+    )
 
 
 @wp.func
@@ -53,7 +57,9 @@ def radial(
                 at = place(s, length)
                 i = wp.clamp(int(at), 1, length - 3)
                 c = cubic(at - float(i))
-                value = c[0] * table[band, i - 1] + c[1] * table[band, i] + c[2] * table[band, i + 1]
+                value = (
+                    c[0] * table[band, i - 1] + c[1] * table[band, i] + c[2] * table[band, i + 1]
+                )
                 value += c[3] * table[band, i + 2]
                 total += value * weight_y[a - low, y] * weight_x[b - low, x]
     tables[band, y, x] = total
@@ -114,10 +120,14 @@ def polar(
                 for k in range(4):
                     for m in range(4):
                         weight = across[k] * along[m]
-                        value += weight * wp.vec2(table[band, j + k - 1, i + m - 1, 0],
-                                                  table[band, j + k - 1, i + m - 1, 1])
-                weights = product(wp.vec2(weight_y[a - low, y, 0], weight_y[a - low, y, 1]),
-                                  wp.vec2(weight_x[b - low, x, 0], weight_x[b - low, x, 1]))
+                        value += weight * wp.vec2(
+                            table[band, j + k - 1, i + m - 1, 0],
+                            table[band, j + k - 1, i + m - 1, 1],
+                        )
+                weights = product(
+                    wp.vec2(weight_y[a - low, y, 0], weight_y[a - low, y, 1]),
+                    wp.vec2(weight_x[b - low, x, 0], weight_x[b - low, x, 1]),
+                )
                 total += product(weights, wp.vec2(value[0], sign * value[1]))
     tables[band, y, 2 * x] = total[0]
     tables[band, y, 2 * x + 1] = total[1]

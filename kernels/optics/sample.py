@@ -28,22 +28,41 @@ def sample(device, planes, start_y, weights_y, start_x, weights_x):
     # Columns first: neighbours in a row are neighbours in memory, and what is left for the gather is 1/ratio as much.
     # Weights with the pixels along rows of memory, for the same reason.
     for name, source, target, start, weights, taps in (
-            ("columns", planes, middle, start_y, weights_y, taps_y), ("rows", middle, out, start_x, weights_x, taps_x)):
+        ("columns", planes, middle, start_y, weights_y, taps_y),
+        ("rows", middle, out, start_x, weights_x, taps_x),
+    ):
         weights = np.ascontiguousarray(np.transpose(device.numpy(weights)))
         size = (fine_rows, rows, fine_cols) if name == "columns" else (rows, fine_cols, cols)
-        device.launch("optics.sample", name, target.shape, source, device.array(start, np.int32),
-                      device.array(weights), target, *(() if device.kind == "opencl" else (taps,)), count, *size,
-                      defines={"TAPS": taps})
+        device.launch(
+            "optics.sample",
+            name,
+            target.shape,
+            source,
+            device.array(start, np.int32),
+            device.array(weights),
+            target,
+            *(() if device.kind == "opencl" else (taps,)),
+            count,
+            *size,
+            defines={"TAPS": taps},
+        )
     return out
 
 
 def cases():
     """One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one end."""
     random = np.random.default_rng(12)
-    why = ("every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
-           "that add up to 1.5 per axis of samples up to 1; the largest pixel is at least 1.25 x 0.375 - 0.25 x 1.125")
-    for count, rows, cols, ratio, taps in ((1, 1, 1, 1.0, 1), (3, 5, 7, 3.0, 3), (2, 21, 40, 1.25, 7),
-                                           (4, 20, 65, np.pi, 9), (1, 33, 130, 2.0, 2)):
+    why = (
+        "every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
+        "that add up to 1.5 per axis of samples up to 1; the largest pixel is at least 1.25 x 0.375 - 0.25 x 1.125"
+    )
+    for count, rows, cols, ratio, taps in (
+        (1, 1, 1, 1.0, 1),
+        (3, 5, 7, 3.0, 3),
+        (2, 21, 40, 1.25, 7),
+        (4, 20, 65, np.pi, 9),
+        (1, 33, 130, 2.0, 2),
+    ):
         fine = [int(np.ceil(n * ratio)) + taps for n in (rows, cols)]
         starts = [np.floor(ratio * np.arange(n)).astype(np.int32) for n in (rows, cols)]
         weights = [random.uniform(0.5, 1, (n, taps)) for n in (rows, cols)]
@@ -54,15 +73,31 @@ def cases():
             if ratio % 1:
                 one *= 1.25
                 one[:, -1] = -0.25
-        yield Case(f"{rows}x{cols} from {fine[0]}x{fine[1]}, {count} planes, {taps} taps",
-                   {"planes": random.uniform(0.5, 1, (count, *fine)).astype(np.float32), "start_y": starts[0],
-                    "weights_y": weights[0].astype(np.float32), "start_x": starts[1],
-                    "weights_x": weights[1].astype(np.float32)}, (2 * taps + 2) * 6e-8 * 1.5**2 / 0.1875, why)
+        yield Case(
+            f"{rows}x{cols} from {fine[0]}x{fine[1]}, {count} planes, {taps} taps",
+            {
+                "planes": random.uniform(0.5, 1, (count, *fine)).astype(np.float32),
+                "start_y": starts[0],
+                "weights_y": weights[0].astype(np.float32),
+                "start_x": starts[1],
+                "weights_x": weights[1].astype(np.float32),
+            },
+            (2 * taps + 2) * 6e-8 * 1.5**2 / 0.1875,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Three channels of a frame from three samples a pixel at full fill."""
     random = np.random.default_rng(12)
-    return {"planes": random.random((3, 3 * rows, 3 * cols), np.float32),
-            **{f"start_{axis}": 3 * np.arange(n, dtype=np.int32) for axis, n in (("y", rows), ("x", cols))},
-            **{f"weights_{axis}": np.full((n, 3), 1 / 3, np.float32) for axis, n in (("y", rows), ("x", cols))}}
+    return {
+        "planes": random.random((3, 3 * rows, 3 * cols), np.float32),
+        **{
+            f"start_{axis}": 3 * np.arange(n, dtype=np.int32)
+            for axis, n in (("y", rows), ("x", cols))
+        },
+        **{
+            f"weights_{axis}": np.full((n, 3), 1 / 3, np.float32)
+            for axis, n in (("y", rows), ("x", cols))
+        },
+    }

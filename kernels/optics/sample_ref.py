@@ -6,7 +6,9 @@ import numpy as np
 def sample(planes, start_y, weights_y, start_x, weights_x):
     """See the contract."""
     planes = np.asarray(planes, np.float64)
-    return (_matrix(start_y, weights_y, planes.shape[1]) @ planes) @ _matrix(start_x, weights_x, planes.shape[2]).T
+    return (_matrix(start_y, weights_y, planes.shape[1]) @ planes) @ _matrix(
+        start_x, weights_x, planes.shape[2]
+    ).T
 
 
 def _matrix(start, weights, size):

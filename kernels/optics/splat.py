@@ -24,41 +24,102 @@ def splat(device, mosaic, cfa, places, strength, cores, profiles, step, parts, s
     parts, spread: points per side of a pixel and their distance [pixel]. Returns shape (rows, cols).
     """
     rows, cols = mosaic.shape
-    mosaic, cfa, places = device.array(mosaic), device.array(cfa, np.int32), device.array(places, np.int32)
+    mosaic, cfa, places = (
+        device.array(mosaic),
+        device.array(cfa, np.int32),
+        device.array(places, np.int32),
+    )
     strength, cores, profiles = (device.array(values) for values in (strength, cores, profiles))
     out = device.empty((rows, cols))
-    device.launch("optics.splat", "splat", (rows, cols), mosaic, cfa, places, strength, cores, profiles, out,
-                  1 / step, float(spread), int(parts), rows, cols, *cfa.shape, places.shape[0], cores.shape[1],
-                  cores.shape[2], profiles.shape[2])
+    device.launch(
+        "optics.splat",
+        "splat",
+        (rows, cols),
+        mosaic,
+        cfa,
+        places,
+        strength,
+        cores,
+        profiles,
+        out,
+        1 / step,
+        float(spread),
+        int(parts),
+        rows,
+        cols,
+        *cfa.shape,
+        places.shape[0],
+        cores.shape[1],
+        cores.shape[2],
+        profiles.shape[2],
+    )
     return out
 
 
 def cases():
     """Lights inside, at the corner and outside, one to many parts, short and whole reach, 1e9 over 1e-3."""
     random = np.random.default_rng(6)
-    why = ("a kernel value errs by a few ulp, its radius by an ulp of 40 pixels, 4e-6, on a profile whose slope is "
-           "below its value over 1 pixel; the sum of ten positive terms by ten half ulps")
+    why = (
+        "a kernel value errs by a few ulp, its radius by an ulp of 40 pixels, 4e-6, on a profile whose slope is "
+        "below its value over 1 pixel; the sum of ten positive terms by ten half ulps"
+    )
     for rows, cols, parts, reach in ((1, 1, 1, 5), (33, 41, 2, 64), (20, 65, 4, 9)):
         radius = np.hypot(*np.mgrid[:6, :6])
-        cores = np.stack([[width / (1 + radius**2) ** 1.5 for width in (1, 2, 3)] for _ in range(2)])
-        profiles = np.stack([[width / (1 + (0.05 * np.arange(2200)) ** 2) ** 1.5 for width in (1, 2, 3)]] * 2)
-        places = np.stack([random.integers(-3, rows + 3, 10), random.integers(-3, cols + 3, 10),
-                           random.integers(0, 2, 10), np.full(10, reach)], axis=1)
+        cores = np.stack(
+            [[width / (1 + radius**2) ** 1.5 for width in (1, 2, 3)] for _ in range(2)]
+        )
+        profiles = np.stack(
+            [[width / (1 + (0.05 * np.arange(2200)) ** 2) ** 1.5 for width in (1, 2, 3)]] * 2
+        )
+        places = np.stack(
+            [
+                random.integers(-3, rows + 3, 10),
+                random.integers(-3, cols + 3, 10),
+                random.integers(0, 2, 10),
+                np.full(10, reach),
+            ],
+            axis=1,
+        )
         places[0, :2] = 0
-        yield Case(f"{rows}x{cols}, {parts} parts, reach {reach}",
-                   {"mosaic": np.full((rows, cols), 1e-3, np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32),
-                    "places": places.astype(np.int32),
-                    "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
-                    "cores": cores.astype(np.float32), "profiles": profiles.astype(np.float32), "step": 0.05,
-                    "parts": parts, "spread": 1 / parts}, 1e-5, why, metric="local")
+        yield Case(
+            f"{rows}x{cols}, {parts} parts, reach {reach}",
+            {
+                "mosaic": np.full((rows, cols), 1e-3, np.float32),
+                "cfa": np.array([[0, 1], [1, 2]], np.int32),
+                "places": places.astype(np.int32),
+                "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
+                "cores": cores.astype(np.float32),
+                "profiles": profiles.astype(np.float32),
+                "step": 0.05,
+                "parts": parts,
+                "spread": 1 / parts,
+            },
+            1e-5,
+            why,
+            metric="local",
+        )
 
 
 def bench(rows, cols):
     """Sixteen lights over the whole frame."""
     random = np.random.default_rng(6)
     length = int(64 * 1.5 * max(rows, cols))
-    return {"mosaic": random.random((rows, cols), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32),
-            "places": np.stack([random.integers(0, rows, 16), random.integers(0, cols, 16), np.arange(16),
-                                np.full(16, max(rows, cols))], axis=1).astype(np.int32),
-            "strength": np.ones(16, np.float32), "cores": random.random((16, 3, 33, 33), np.float32),
-            "profiles": random.random((16, 3, length), np.float32), "step": 1 / 64, "parts": 2, "spread": 0.5}
+    return {
+        "mosaic": random.random((rows, cols), np.float32),
+        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "places": np.stack(
+            [
+                random.integers(0, rows, 16),
+                random.integers(0, cols, 16),
+                np.arange(16),
+                np.full(16, max(rows, cols)),
+            ],
+            axis=1,
+        ).astype(np.int32),
+        "strength": np.ones(16, np.float32),
+        "cores": random.random((16, 3, 33, 33), np.float32),
+        "profiles": random.random((16, 3, length), np.float32),
+        "step": 1 / 64,
+        "parts": 2,
+        "spread": 0.5,
+    }

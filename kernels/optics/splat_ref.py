@@ -10,7 +10,9 @@ def splat(mosaic, cfa, places, strength, cores, profiles, step, parts, spread):
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
     points = spread * (np.arange(parts) - (parts - 1) / 2)
     size = np.shape(cores)[-1]
-    for (row, col, kernel, reach), scale in zip(np.asarray(places), np.asarray(strength, np.float64), strict=True):
+    for (row, col, kernel, reach), scale in zip(
+        np.asarray(places), np.asarray(strength, np.float64), strict=True
+    ):
         dy, dx = y - row, x - col
         near = (abs(dy) < size) & (abs(dx) < size)
         far = ~near & (abs(dy) <= reach) & (abs(dx) <= reach)

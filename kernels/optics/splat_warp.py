@@ -52,6 +52,8 @@ def splat(
                         radius = wp.sqrt(v * v + u * u) * per_pixel
                         at = wp.min(int(radius), length - 2)
                         left = profiles[kernel, channel, at]
-                        far += left + wp.min(radius - float(at), 1.0) * (profiles[kernel, channel, at + 1] - left)
+                        far += left + wp.min(radius - float(at), 1.0) * (
+                            profiles[kernel, channel, at + 1] - left
+                        )
                 total += strength[h] * share * far
     out[y, x] = mosaic[y, x] + total

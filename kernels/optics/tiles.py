@@ -22,11 +22,17 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
 from gpusim.optics.tiling import LANES, LONGEST, Tiling
 
-LANES_STAGE, GROUPS_STAGE = "optics.tiles_lanes", "optics.tiles_groups"  # the kernels of CPUs and of GPUs
+LANES_STAGE, GROUPS_STAGE = (
+    "optics.tiles_lanes",
+    "optics.tiles_groups",
+)  # the kernels of CPUs and of GPUs
 MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
-REGISTERS = 80, 128  # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
+REGISTERS = (
+    80,
+    128,
+)  # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
 FEW = 32
 PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
 RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
@@ -51,22 +57,42 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
     pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
     made = Tiling(side, overlap)
     if not made.suits(pattern.shape):
-        raise BadData(f"tiles of {side} samples, {overlap} of them shared on each side, for a mosaic of "
-                      f"{pattern.shape[1]} x {pattern.shape[0]}; wanted up to {LONGEST}, a multiple of 8 times the "
-                      "period, of factors 2 and 3, and a part that is not shared of whole periods")
+        raise BadData(
+            f"tiles of {side} samples, {overlap} of them shared on each side, for a mosaic of "
+            f"{pattern.shape[1]} x {pattern.shape[0]}; wanted up to {LONGEST}, a multiple of 8 times the "
+            "period, of factors 2 and 3, and a part that is not shared of whole periods"
+        )
     if cfa is None and len(mix) > MOST:
         return _one_by_one(device, planes, tables, mix, border, side, overlap, margin)
     shape = rows - 2 * margin, cols - 2 * margin
     images = len(mix) if cfa is None else 1
     out = device.empty((images, *shape))
-    outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()  # from a tile's corner
+    outputs = (
+        np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
+    )  # from a tile's corner
     count = tuple(-(-n // made.valid) for n in shape)
     if device.on_host:
         make = _by_lanes if device.kind == "opencl" else _by_batches
     else:
-        make = _by_groups if _room(side, pattern.shape, len(outputs)) <= device.local_bytes else _by_batches
-    make(device, planes, tables, mix, outputs, pattern.shape, border, side, overlap, margin,
-         count, out)
+        make = (
+            _by_groups
+            if _room(side, pattern.shape, len(outputs)) <= device.local_bytes
+            else _by_batches
+        )
+    make(
+        device,
+        planes,
+        tables,
+        mix,
+        outputs,
+        pattern.shape,
+        border,
+        side,
+        overlap,
+        margin,
+        count,
+        out,
+    )
     return device.reshape(out, shape) if cfa is not None else out
 
 
@@ -76,32 +102,80 @@ def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
     for c, weights in enumerate(mix):
         used = np.flatnonzero(weights)
         own = device.part(tables, c if tables.shape[0] > 1 else 0)
-        parts, theirs = (device.stack([device.part(array, int(k)) for k in used]) for array in (planes, own))
-        channel = tiles(parts, device.reshape(theirs, (1, *theirs.shape)), weights[None, used], None, border, side,
-                        overlap, margin, device=device)
+        parts, theirs = (
+            device.stack([device.part(array, int(k)) for k in used]) for array in (planes, own)
+        )
+        channel = tiles(
+            parts,
+            device.reshape(theirs, (1, *theirs.shape)),
+            weights[None, used],
+            None,
+            border,
+            side,
+            overlap,
+            margin,
+            device=device,
+        )
         channels.append(device.part(channel, 0))
     return device.stack(channels)
 
 
-def _by_lanes(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+def _by_lanes(
+    device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
+):
     """On a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     even = number + number % 2
-    defines = {"SIDE": side, "OVERLAP": overlap, "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
-               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "PAIRS": min(even // 2, PAIRS),
-               "BORDER": BORDERS[border], "COLUMNS": _passes(side, 1, -1, "LOAD", "TO_B"),
-               "ROWS": _passes(side, 1, -1, "LOAD", "SAVE"),
-               "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
-               "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B")}
+    defines = {
+        "SIDE": side,
+        "OVERLAP": overlap,
+        "PERIOD_Y": period[0],
+        "PERIOD_X": period[1],
+        "OUTPUTS": len(outputs),
+        "OF": ", ".join(map(str, outputs)),
+        "CHANNELS": channels,
+        "PAIRS": min(even // 2, PAIRS),
+        "BORDER": BORDERS[border],
+        "COLUMNS": _passes(side, 1, -1, "LOAD", "TO_B"),
+        "ROWS": _passes(side, 1, -1, "LOAD", "SAVE"),
+        "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
+        "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B"),
+    }
     weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
-    device.launch(LANES_STAGE, "weights", (side, side // 2 + 1), tables, device.array(mix), weights,
-                  int(tables.shape[0] > 1), number, defines=defines)
-    device.launch(LANES_STAGE, "tiles", (count[0] * count[1],), planes, weights, fft.roots(device, side),
-                  _turns(device, side, period[0]), out, margin, number, rows, cols, *out.shape[1:], count[1],
-                  group=(1,), defines=defines)
+    device.launch(
+        LANES_STAGE,
+        "weights",
+        (side, side // 2 + 1),
+        tables,
+        device.array(mix),
+        weights,
+        int(tables.shape[0] > 1),
+        number,
+        defines=defines,
+    )
+    device.launch(
+        LANES_STAGE,
+        "tiles",
+        (count[0] * count[1],),
+        planes,
+        weights,
+        fft.roots(device, side),
+        _turns(device, side, period[0]),
+        out,
+        margin,
+        number,
+        rows,
+        cols,
+        *out.shape[1:],
+        count[1],
+        group=(1,),
+        defines=defines,
+    )
 
 
-def _by_batches(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+def _by_batches(
+    device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
+):
     """By transforms of many tiles at a time: on the host by SciPy, or where local memory holds no tile."""
     (channels, number), (_, rows, cols), (images, *shape) = mix.shape, planes.shape, out.shape
     small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
@@ -110,19 +184,69 @@ def _by_batches(device, planes, tables, mix, outputs, period, border, side, over
     for first in range(0, all_tiles, TILES):
         some = min(TILES, all_tiles - first)
         parts = device.empty((some * number, side, side))
-        device.launch("optics.tiles", "cut", parts.shape, planes, parts, BORDERS[border], first, valid,
-                      overlap - margin, some * number, number, rows, cols, side, count[1])
+        device.launch(
+            "optics.tiles",
+            "cut",
+            parts.shape,
+            planes,
+            parts,
+            BORDERS[border],
+            first,
+            valid,
+            overlap - margin,
+            some * number,
+            number,
+            rows,
+            cols,
+            side,
+            count[1],
+        )
         spectra = fft.forward(device, parts)
         folded = device.empty((some * len(outputs), small[0], pitch, 2))
-        device.launch("optics.tiles", "fold", (some, small[0], small[1] // 2 + 1), spectra, tables, mix,
-                      fft.roots(device, side), of, folded, int(tables.shape[0] > 1), some, number, channels,
-                      len(outputs), *period, side, spectra.shape[2], pitch)
+        device.launch(
+            "optics.tiles",
+            "fold",
+            (some, small[0], small[1] // 2 + 1),
+            spectra,
+            tables,
+            mix,
+            fft.roots(device, side),
+            of,
+            folded,
+            int(tables.shape[0] > 1),
+            some,
+            number,
+            channels,
+            len(outputs),
+            *period,
+            side,
+            spectra.shape[2],
+            pitch,
+        )
         pixels = fft.inverse(device, folded, small[1])
-        device.launch("optics.tiles", "place", (some * images, valid, valid), pixels, out, first, valid, overlap,
-                      1 / prod(period), some * images, images, len(outputs), *shape, *period, side, count[1])
+        device.launch(
+            "optics.tiles",
+            "place",
+            (some * images, valid, valid),
+            pixels,
+            out,
+            first,
+            valid,
+            overlap,
+            1 / prod(period),
+            some * images,
+            images,
+            len(outputs),
+            *shape,
+            *period,
+            side,
+            count[1],
+        )
 
 
-def _by_groups(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+def _by_groups(
+    device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
+):
     """On a GPU: a tile in the local memory of each work-group."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     small, images = tuple(side // n for n in period), (len(outputs) + 1) // 2
@@ -132,18 +256,50 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
     sums = 2 * len(outputs) * -(-(small[0] // 2 + 1) * small[1] // group)
     first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
     *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
-    defines = {"THREADS": group, "REGISTERS": REGISTERS[sums > FEW], "LOCAL_BYTES": room, "SIDE": side,
-               "OVERLAP": overlap, "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
-               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "OWN_TABLES": int(tables.shape[0] > 1),
-               "BORDER": BORDERS[border], "FIRST": first, "COLUMNS": " ".join(columns),
-               "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),
-               "BACK_X": " ".join(_in_place(small[1], together * small[0], 1, "BACK_ROWS")),
-               "BACK_Y": " ".join(back), "LAST": last, "PLACE_SIDE(f)": _place(side), "PLACE_Y(f)": _place(small[0]),
-               "PLACE_X(f)": _place(small[1]), "TURNS_Y": fft.roots_text(period[0]),
-               "TURNS_X": fft.roots_text(period[1])}
-    device.launch(GROUPS_STAGE, "tiles", (count[0] * count[1] * group,), planes, tables,
-                  fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side), out, margin, 0, number,
-                  rows, cols, *out.shape[1:], count[1], group=(group,), defines=defines)
+    defines = {
+        "THREADS": group,
+        "REGISTERS": REGISTERS[sums > FEW],
+        "LOCAL_BYTES": room,
+        "SIDE": side,
+        "OVERLAP": overlap,
+        "PERIOD_Y": period[0],
+        "PERIOD_X": period[1],
+        "OUTPUTS": len(outputs),
+        "OF": ", ".join(map(str, outputs)),
+        "CHANNELS": channels,
+        "OWN_TABLES": int(tables.shape[0] > 1),
+        "BORDER": BORDERS[border],
+        "FIRST": first,
+        "COLUMNS": " ".join(columns),
+        "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),
+        "BACK_X": " ".join(_in_place(small[1], together * small[0], 1, "BACK_ROWS")),
+        "BACK_Y": " ".join(back),
+        "LAST": last,
+        "PLACE_SIDE(f)": _place(side),
+        "PLACE_Y(f)": _place(small[0]),
+        "PLACE_X(f)": _place(small[1]),
+        "TURNS_Y": fft.roots_text(period[0]),
+        "TURNS_X": fft.roots_text(period[1]),
+    }
+    device.launch(
+        GROUPS_STAGE,
+        "tiles",
+        (count[0] * count[1] * group,),
+        planes,
+        tables,
+        fft.constant(device, mix.tobytes(), mix.shape),
+        fft.roots(device, side),
+        out,
+        margin,
+        0,
+        number,
+        rows,
+        cols,
+        *out.shape[1:],
+        count[1],
+        group=(group,),
+        defines=defines,
+    )
 
 
 def _room(side, period, outputs):
@@ -168,8 +324,10 @@ def _in_place(length, lines, sign, where, first=None, last=None):
     passes = [(radix, length // prod(radices[:n])) for n, radix in enumerate(radices)][::-sign]
     reads, writes = [f"IN_{where}"] * len(passes), [f"TO_{where}"] * len(passes)
     reads[0], writes[-1] = first or reads[0], last or writes[-1]
-    return [f"PASS_IN_PLACE({radix}, {block}, {length}, {lines}, {sign}.0f, {read}, {write})"
-            for (radix, block), read, write in zip(passes, reads, writes, strict=True)]
+    return [
+        f"PASS_IN_PLACE({radix}, {block}, {length}, {lines}, {sign}.0f, {read}, {write})"
+        for (radix, block), read, write in zip(passes, reads, writes, strict=True)
+    ]
 
 
 def _place(length):
@@ -186,9 +344,14 @@ def _passes(length, step, sign, source, target):
     radices = _radices(length)
     between = ["B", "A"] if target == "SAVE" else ["A", "B"]
     places = [between[n % 2] for n in range(len(radices) - 1)][::-1]
-    reads, writes = [source, *(f"FROM_{place}" for place in places)], [*(f"TO_{place}" for place in places), target]
-    return " ".join(f"LANES_PASS({radix}, {prod(radices[:n])}, {length}, {step}, {sign}.0f, {reads[n]}, {writes[n]})"
-                    for n, radix in enumerate(radices))
+    reads, writes = (
+        [source, *(f"FROM_{place}" for place in places)],
+        [*(f"TO_{place}" for place in places), target],
+    )
+    return " ".join(
+        f"LANES_PASS({radix}, {prod(radices[:n])}, {length}, {step}, {sign}.0f, {reads[n]}, {writes[n]})"
+        for n, radix in enumerate(radices)
+    )
 
 
 @functools.cache
@@ -201,41 +364,69 @@ def _turns(device, side, period):
 def cases():
     """All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables, margins, highlights."""
     random = np.random.default_rng(15)
-    why = ("as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
-           "each of two, and what is folded by a rounding of each of its terms")
+    why = (
+        "as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
+        "each of two, and what is folded by a rounding of each of its terms"
+    )
     bayer, xtrans = np.array([[0, 1], [1, 2]]), np.arange(36).reshape(6, 6) % 3
     for rows, cols, count, cfa, own, border, side, overlap, margin in (
-            (1, 1, 1, [[0]], 0, "zero", 64, 8, 0), (70, 101, 4, bayer, 1, "edge", 64, 8, 0),
-            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0), (50, 90, 2, xtrans, 1, "edge", 48, 9, 0),
-            (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5), (60, 75, 5, None, 1, "reflect", 64, 16, -2),
-            (40, 61, 11, None, 1, "zero", 64, 12, 1),
-            (90, 130, 2, None, 0, "edge", 48, 12, 0), (70, 66, 9, np.arange(32).reshape(8, 4) % 3, 0, "zero", 64, 8, 3),
-            (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0)):
+        (1, 1, 1, [[0]], 0, "zero", 64, 8, 0),
+        (70, 101, 4, bayer, 1, "edge", 64, 8, 0),
+        (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0),
+        (50, 90, 2, xtrans, 1, "edge", 48, 9, 0),
+        (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5),
+        (60, 75, 5, None, 1, "reflect", 64, 16, -2),
+        (40, 61, 11, None, 1, "zero", 64, 12, 1),
+        (90, 130, 2, None, 0, "edge", 48, 12, 0),
+        (70, 66, 9, np.arange(32).reshape(8, 4) % 3, 0, "zero", 64, 8, 3),
+        (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0),
+    ):
         channels = (11 if count == 11 else 3) if cfa is None else int(np.max(cfa)) + 1
         f = np.arange(side // 2 + 1) / side
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         planes = random.random((count, rows, cols))
         if own:
             planes[0, rows // 2, cols // 2] = 1e6
-        yield Case(f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
-                   f"{border}, tiles of {side} - 2 x {overlap}",
-                   {"planes": planes.astype(np.float32),
-                    "tables": np.exp(-2 * (np.pi * widths) ** 2 * (f[:, None] ** 2 + f**2)).astype(np.float32),
-                    "mix": random.random((channels, count)).astype(np.float32),
-                    "cfa": None if cfa is None else np.array(cfa, np.int32), "border": border, "side": side,
-                    "overlap": overlap, "margin": margin}, 2.4e-6, why)
+        yield Case(
+            f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
+            f"{border}, tiles of {side} - 2 x {overlap}",
+            {
+                "planes": planes.astype(np.float32),
+                "tables": np.exp(-2 * (np.pi * widths) ** 2 * (f[:, None] ** 2 + f**2)).astype(
+                    np.float32
+                ),
+                "mix": random.random((channels, count)).astype(np.float32),
+                "cfa": None if cfa is None else np.array(cfa, np.int32),
+                "border": border,
+                "side": side,
+                "overlap": overlap,
+                "margin": margin,
+            },
+            2.4e-6,
+            why,
+        )
 
 
 def bench(rows, cols):
     """Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side."""
     random = np.random.default_rng(15)
-    return {"planes": random.random((4, rows, cols), np.float32), "tables": random.random((3, 4, 33, 33), np.float32),
-            "mix": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
-            "side": 64, "overlap": 8}
+    return {
+        "planes": random.random((4, rows, cols), np.float32),
+        "tables": random.random((3, 4, 33, 33), np.float32),
+        "mix": np.ones((3, 4), np.float32),
+        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "border": "edge",
+        "side": 64,
+        "overlap": 8,
+    }
 
 
 def operations(planes, tables, mix, cfa, border, side, overlap):
     """Of each tile: transforms there; per frequency and channel each plane times its table; back one for each phase."""
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
-    return number * (len(planes) * fft.operations((side, side)) + 4 * side * (side // 2 + 1) * np.size(mix) + back)
+    return number * (
+        len(planes) * fft.operations((side, side))
+        + 4 * side * (side // 2 + 1) * np.size(mix)
+        + back
+    )

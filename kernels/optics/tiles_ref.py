@@ -11,7 +11,9 @@ def tiles(planes, tables, mix, cfa, border, side, overlap, margin=0):
     mix, valid = np.asarray(mix, np.float64), side - 2 * overlap
     shape = [n - 2 * margin for n in (rows, cols)]
     more = side + abs(margin)
-    world = np.pad(np.asarray(planes, np.float64), [(0, 0), (more, more), (more, more)], mode=MODES[border])
+    world = np.pad(
+        np.asarray(planes, np.float64), [(0, 0), (more, more), (more, more)], mode=MODES[border]
+    )
     at = np.minimum(np.arange(side), side - np.arange(side))  # the quarter table at |frequency|
     transfer = mix[..., None, None] * np.asarray(tables, np.float64)[:, :, at[:, None], at]
     channels = np.empty((len(mix), *shape))
@@ -20,7 +22,9 @@ def tiles(planes, tables, mix, cfa, border, side, overlap, margin=0):
             top, left = y + margin - overlap + more, x + margin - overlap + more
             tile = world[:, top : top + side, left : left + side]
             spectrum = (transfer * np.fft.fft2(tile)).sum(axis=1)
-            blurred = np.fft.ifft2(spectrum).real[:, overlap : overlap + valid, overlap : overlap + valid]
+            blurred = np.fft.ifft2(spectrum).real[
+                :, overlap : overlap + valid, overlap : overlap + valid
+            ]
             channels[:, y : y + valid, x : x + valid] = blurred[:, : shape[0] - y, : shape[1] - x]
     if cfa is None:
         return channels

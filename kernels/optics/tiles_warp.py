@@ -84,8 +84,10 @@ def fold(
                 total = wp.vec2(0.0, 0.0)
                 for k in range(count):
                     weight = mix[c, k] * tables[own_tables * c, k, wp.min(fy, side - fy), column]
-                    total += weight * wp.vec2(spectra[tile * count + k, row, column, 0],
-                                              sign * spectra[tile * count + k, row, column, 1])
+                    total += weight * wp.vec2(
+                        spectra[tile * count + k, row, column, 0],
+                        sign * spectra[tile * count + k, row, column, 1],
+                    )
                 for o in range(outputs):
                     if of[o] == c:
                         dy = int(0)
@@ -95,10 +97,16 @@ def fold(
                             dx = o % phases_x
                         v = fy * dy % side
                         u = fx * dx % side
-                        turn = times(wp.vec2(roots[v, 0], roots[v, 1]), wp.vec2(roots[u, 0], roots[u, 1]))
+                        turn = times(
+                            wp.vec2(roots[v, 0], roots[v, 1]), wp.vec2(roots[u, 0], roots[u, 1])
+                        )
                         value = times(total, turn)
-                        folded[tile * outputs + o, y, x, 0] = folded[tile * outputs + o, y, x, 0] + value[0]
-                        folded[tile * outputs + o, y, x, 1] = folded[tile * outputs + o, y, x, 1] + value[1]
+                        folded[tile * outputs + o, y, x, 0] = (
+                            folded[tile * outputs + o, y, x, 0] + value[0]
+                        )
+                        folded[tile * outputs + o, y, x, 1] = (
+                            folded[tile * outputs + o, y, x, 1] + value[1]
+                        )
 
 
 @wp.kernel
@@ -134,4 +142,6 @@ def place(
         o = image
         if images == 1 and phases_y * phases_x > 1:
             o = fy % phases_y * phases_x + fx % phases_x
-        out[image, y, x] = scale * pixels[part // images * outputs + o, fy // phases_y, fx // phases_x]
+        out[image, y, x] = (
+            scale * pixels[part // images * outputs + o, fy // phases_y, fx // phases_x]
+        )

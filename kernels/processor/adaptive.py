@@ -16,7 +16,9 @@ DOMAINS = ("root", "linear")
 
 
 @stage
-def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)):
+def adaptive(
+    device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)
+):
     """Hamilton-Adams interpolation with soft weights for the directions; measured samples are kept.
 
     raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
@@ -48,12 +50,23 @@ def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
     factors = np.sqrt(factors) if root else factors
-    mosaic = (float(black_level), float(limit), *map(float, factors), red_row, red_col, run, rows, cols)
+    mosaic = (
+        float(black_level),
+        float(limit),
+        *map(float, factors),
+        red_row,
+        red_col,
+        run,
+        rows,
+        cols,
+    )
     if device.kind != "opencl":
         mosaic += (int(root),)
     options = {"defines": {"ROOT": int(root)}, "group": None if device.is_gpu else (1, 1)}
     device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
-    device.launch("processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options)
+    device.launch(
+        "processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options
+    )
     return out
 
 
@@ -71,14 +84,25 @@ def cases():
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain)
-        for phase, balance in zip(RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.6), (2.5, 2.5)), strict=True):
+        for phase, balance in zip(
+            RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.6), (2.5, 2.5)), strict=True
+        ):
             raw = np.random.default_rng(6).integers(0, 4096, (21, 30), np.uint16)
             yield _case(f"{domain} {phase} balanced {balance}", raw, phase, domain, balance=balance)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
-        yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",
-                                      "black_level": 64.0, "scale": 1 / 4096, "domain": domain}, 4 * 2.0**-24,
-                   "all samples and so all weights are equal and small powers of two: only the quotients round")
+        yield Case(
+            f"{domain} flat",
+            {
+                "raw": np.full((9, 9), 4096 + 64, np.uint16),
+                "phase": "RGGB",
+                "black_level": 64.0,
+                "scale": 1 / 4096,
+                "domain": domain,
+            },
+            4 * 2.0**-24,
+            "all samples and so all weights are equal and small powers of two: only the quotients round",
+        )
 
 
 def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
@@ -94,14 +118,20 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
     step, worst = 1e-7, 0.0
     for _ in range(4):
         nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
-        worst = max(worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max())
+        worst = max(
+            worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max()
+        )
     condition = max(worst / step / np.abs(exact).max(), 1.0)
     if condition > WORST_CONDITION:
         raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
-    return Case(name, {"raw": raw, **options}, 2 * 16 * 2.0**-24 * condition,
-                "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
-                "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
-                "reference tells; 2 because four random changes need not hit the worst one")
+    return Case(
+        name,
+        {"raw": raw, **options},
+        2 * 16 * 2.0**-24 * condition,
+        "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
+        "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
+        "reference tells; 2 because four random changes need not hit the worst one",
+    )
 
 
 def bench(rows, cols):

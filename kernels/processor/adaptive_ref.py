@@ -14,7 +14,9 @@ import numpy as np
 from gpusim.kernels.processor.bilinear_ref import bilinear
 
 
-def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)):
+def adaptive(
+    raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)
+):
     """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
@@ -22,7 +24,9 @@ def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175,
     t = threshold * encode(1 / scale)
     rows, cols = raw.shape
     signal = np.asarray(raw, np.float64) - black_level
-    letters = np.array(list(phase))[np.add.outer(2 * (np.arange(-2, rows + 2) % 2), np.arange(-2, cols + 2) % 2)]
+    letters = np.array(list(phase))[
+        np.add.outer(2 * (np.arange(-2, rows + 2) % 2), np.arange(-2, cols + 2) % 2)
+    ]
     factors = dict(zip("RGB", encode(np.array((balance[0], 1.0, balance[1]))), strict=True))
     c = np.pad(encode(signal), 2, mode="reflect") * np.vectorize(factors.get)(letters)
 
@@ -39,17 +43,30 @@ def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175,
     difference = c - np.pad(green, 2, mode="reflect")
     planes = {"G": green}
     for color in "RB":
-        near = _shifted(difference, 1)  # on the frame and a rim of one pixel, which the second step needs
+        near = _shifted(
+            difference, 1
+        )  # on the frame and a rim of one pixel, which the second step needs
         diagonal = _blend(near(-1, -1), near(1, 1), near(-1, 1), near(1, -1), t)
         near = _shifted(np.where(letters[1:-1, 1:-1] == color, near(0, 0), diagonal), 1)
         axial = _blend(near(0, -1), near(0, 1), near(-1, 0), near(1, 0), t)
         planes[color] = green + np.where(letters[2:-2, 2:-2] == "G", axial, near(0, 0))
-    return np.stack([np.where(letters[2:-2, 2:-2] == color, signal, decode(planes[color] / factors[color]))
-                     for color in "RGB"]) * scale
+    return (
+        np.stack(
+            [
+                np.where(
+                    letters[2:-2, 2:-2] == color, signal, decode(planes[color] / factors[color])
+                )
+                for color in "RGB"
+            ]
+        )
+        * scale
+    )
 
 
-CODES = {"root": (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)),
-         "linear": (lambda x: x, lambda y: y)}
+CODES = {
+    "root": (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)),
+    "linear": (lambda x: x, lambda y: y),
+}
 
 
 def _shifted(plane, rim):
@@ -60,4 +77,8 @@ def _shifted(plane, rim):
 
 def _blend(p, q, r, s, t):
     """The mean of two pairs; the pair that agrees better weighs more."""
-    return np.average([(p + q) / 2, (r + s) / 2], axis=0, weights=[1 / (np.abs(p - q) + t), 1 / (np.abs(r - s) + t)])
+    return np.average(
+        [(p + q) / 2, (r + s) / 2],
+        axis=0,
+        weights=[1 / (np.abs(p - q) + t), 1 / (np.abs(r - s) + t)],
+    )

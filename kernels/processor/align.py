@@ -35,7 +35,9 @@ from gpusim.kernels.stage import Case, stage
 
 TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
-PAD = 2 * TILE + COARSE + 4  # blocks that planes are continued by: a window reaches 2 TILE + COARSE + 1 outside
+PAD = (
+    2 * TILE + COARSE + 4
+)  # blocks that planes are continued by: a window reaches 2 TILE + COARSE + 1 outside
 MOST_LEVELS = 8
 LIKELY, SAVED = 2, 4  # of a sum over the square root of the number of its differences, see above
 SURE = 8.0  # depth of a paraboloid's minimum, over what noise gives it
@@ -57,30 +59,88 @@ def align(device, raw, *, reference=0, period=(2, 2), levels=None):
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
     lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    common = {"defines": {"WIDTH": lanes, "TILE": TILE, "PAD": PAD, "LIKELY": LIKELY, "SAVED": SAVED,
-                          "SURE": f"{SURE}f", "PERIOD_Y": int(period[0]), "PERIOD_X": int(period[1])}}
+    common = {
+        "defines": {
+            "WIDTH": lanes,
+            "TILE": TILE,
+            "PAD": PAD,
+            "LIKELY": LIKELY,
+            "SAVED": SAVED,
+            "SURE": f"{SURE}f",
+            "PERIOD_Y": int(period[0]),
+            "PERIOD_X": int(period[1]),
+        }
+    }
     extra = () if device.kind == "opencl" else (*map(int, period),)
     sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
-    device.launch("processor.align", "blocks", planes[0].shape, raw, planes[0], count, rows, cols, *size, *extra,
-                  **common)
+    device.launch(
+        "processor.align",
+        "blocks",
+        planes[0].shape,
+        raw,
+        planes[0],
+        count,
+        rows,
+        cols,
+        *size,
+        *extra,
+        **common,
+    )
     while min(sizes[-1]) // 2 >= TILE and len(sizes) < (levels or MOST_LEVELS):
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
-        planes.append(device.empty((count, sizes[-1][0] + 2 * PAD, sizes[-1][1] + 2 * PAD), np.int32))
-        device.launch("processor.align", "halve", planes[-1].shape, planes[-2], planes[-1], count, *sizes[-2],
-                      *sizes[-1], **common)
+        planes.append(
+            device.empty((count, sizes[-1][0] + 2 * PAD, sizes[-1][1] + 2 * PAD), np.int32)
+        )
+        device.launch(
+            "processor.align",
+            "halve",
+            planes[-1].shape,
+            planes[-2],
+            planes[-1],
+            count,
+            *sizes[-2],
+            *sizes[-1],
+            **common,
+        )
     group = (1, 1, 1) if lanes == 8 else None
     parents, parent_tiles = planes[-1], (0, 0)  # none yet: any array stands for them
     for (h, w), plane in zip(reversed(sizes), reversed(planes), strict=True):
         tiles = -(-h // TILE), -(-w // TILE)
         found = device.empty((count, *tiles, 3), np.int32)
         parents = device.reshape(parents, (int(np.prod(parents.shape)),))
-        device.launch("processor.align", "search", (count, *tiles), plane, parents, found, int(reference),
-                      COARSE if parent_tiles == (0, 0) else FINE, *parent_tiles, h, w, *tiles, count, group=group,
-                      **common)
+        device.launch(
+            "processor.align",
+            "search",
+            (count, *tiles),
+            plane,
+            parents,
+            found,
+            int(reference),
+            COARSE if parent_tiles == (0, 0) else FINE,
+            *parent_tiles,
+            h,
+            w,
+            *tiles,
+            count,
+            group=group,
+            **common,
+        )
         parents, parent_tiles = found, tiles
     out = device.empty((count, *parent_tiles, 2))
-    device.launch("processor.align", "fraction", (count, *parent_tiles), planes[0], parents, out, int(reference), *size,
-                  *parent_tiles, count, group=group, **common)
+    device.launch(
+        "processor.align",
+        "fraction",
+        (count, *parent_tiles),
+        planes[0],
+        parents,
+        out,
+        int(reference),
+        *size,
+        *parent_tiles,
+        count,
+        group=group,
+        **common,
+    )
     return out
 
 
@@ -91,8 +151,10 @@ def checked(raw, reference, period, levels):
         raise OutOfRange("levels", levels, f"a whole number, 1 <= levels <= {MOST_LEVELS}")
     size = raw.shape[1] // int(period[0]), raw.shape[2] // int(period[1])
     if min(size) < TILE:
-        raise BadData(f"raw: {raw.shape[1]}x{raw.shape[2]} pixels; wanted at least {TILE * period[0]}x"
-                      f"{TILE * period[1]}, one tile of {TILE}x{TILE} periods")
+        raise BadData(
+            f"raw: {raw.shape[1]}x{raw.shape[2]} pixels; wanted at least {TILE * period[0]}x"
+            f"{TILE * period[1]}, one tile of {TILE}x{TILE} periods"
+        )
     return size
 
 
@@ -100,8 +162,14 @@ def checked_stack(raw, reference, period):
     """Refuse what is no stack of frames with a reference among them. Raises BadData, OutOfRange."""
     dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape:
-        raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16")
-    if not (isinstance(reference, Real) and 0 <= reference < raw.shape[0] and reference == int(reference)):
+        raise BadData(
+            f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16"
+        )
+    if not (
+        isinstance(reference, Real)
+        and 0 <= reference < raw.shape[0]
+        and reference == int(reference)
+    ):
         raise OutOfRange("reference", reference, f"the number of a frame, 0 .. {raw.shape[0] - 1}")
     if len(period) != 2 or not all(1 <= n <= 8 and n == int(n) for n in period):
         raise OutOfRange("period", period, "whole numbers of rows and columns, 1 .. 8")
@@ -115,24 +183,43 @@ def _moved(random, shifts, rows, cols, smooth):
         picture = (picture + np.roll(picture, 1, 0)) / 2
         picture = (picture + np.roll(picture, 1, 1)) / 2
     picture = 200 + 3000 * (picture - picture.min()) / np.ptp(picture)
-    seen = [picture[margin + dy : margin + dy + rows, margin + dx : margin + dx + cols] for dy, dx in shifts]
+    seen = [
+        picture[margin + dy : margin + dy + rows, margin + dx : margin + dx + cols]
+        for dy, dx in shifts
+    ]
     return np.rint(seen + random.normal(0, 20, (len(shifts), rows, cols))).astype(np.uint16)
 
 
 def cases():
     """Whole and broken displacements, odd sizes, other mosaics, flat fields, the largest numbers."""
     random = np.random.default_rng(8)
-    why = ("whole displacements are equal; of 256 squares and their sum at most 24 roundings per lane, 2.4e-6 of sums "
-           "up to 5 times the least bend, cancelled twice and over a determinant of at least a quarter: 4 x 3 x 5 x "
-           "2.4e-6 < 2e-4")
-    for period, rows, cols, shifts in (((2, 2), 64, 97, [(0, 0), (4, -6), (1, 3)]), ((1, 1), 50, 49, [(3, -2), (0, 0)]),
-                                       ((6, 6), 130, 101, [(0, 0), (6, 0)]), ((2, 2), 150, 140, [(0, 0), (21, -33)]),
-                                       ((4, 1), 64, 16, [(0, 0), (2, 1)])):
+    why = (
+        "whole displacements are equal; of 256 squares and their sum at most 24 roundings per lane, 2.4e-6 of sums "
+        "up to 5 times the least bend, cancelled twice and over a determinant of at least a quarter: 4 x 3 x 5 x "
+        "2.4e-6 < 2e-4"
+    )
+    for period, rows, cols, shifts in (
+        ((2, 2), 64, 97, [(0, 0), (4, -6), (1, 3)]),
+        ((1, 1), 50, 49, [(3, -2), (0, 0)]),
+        ((6, 6), 130, 101, [(0, 0), (6, 0)]),
+        ((2, 2), 150, 140, [(0, 0), (21, -33)]),
+        ((4, 1), 64, 16, [(0, 0), (2, 1)]),
+    ):
         raw = _moved(random, np.array(shifts), rows, cols, 4 * max(period))
-        yield Case(f"{len(shifts)} frames {rows}x{cols}, period {period}",
-                   {"raw": raw, "period": period, "reference": shifts.index((0, 0))}, 2e-4, why, metric="exact")
-    yield Case("one level", {"raw": _moved(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1}, 2e-4, why,
-               metric="exact")
+        yield Case(
+            f"{len(shifts)} frames {rows}x{cols}, period {period}",
+            {"raw": raw, "period": period, "reference": shifts.index((0, 0))},
+            2e-4,
+            why,
+            metric="exact",
+        )
+    yield Case(
+        "one level",
+        {"raw": _moved(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1},
+        2e-4,
+        why,
+        metric="exact",
+    )
     raw = np.full((2, 40, 40), 65535, np.uint16)
     raw[1, 20:] = 0
     yield Case("nothing to go by", {"raw": raw}, 2e-4, why, metric="exact")

@@ -29,9 +29,14 @@ def align(raw, *, reference=0, period=(2, 2), levels=None):
             radius = COARSE if found is None else FINE
             finer = np.zeros((*tiles, 3), int)
             for ty, tx in np.ndindex(*tiles):
-                *start, sure = (0, 0, 0) if found is None else found[
-                    min(ty // 2, len(found) - 1), min(tx // 2, len(found[0]) - 1)]
-                moved, now = search(planes[reference], planes[i], ty, tx, (2 * start[0], 2 * start[1]), radius)
+                *start, sure = (
+                    (0, 0, 0)
+                    if found is None
+                    else found[min(ty // 2, len(found) - 1), min(tx // 2, len(found[0]) - 1)]
+                )
+                moved, now = search(
+                    planes[reference], planes[i], ty, tx, (2 * start[0], 2 * start[1]), radius
+                )
                 finer[ty, tx] = *moved, sure or now
                 if level == 0:
                     taken = finer[ty, tx, :2] * finer[ty, tx, 2]
@@ -49,8 +54,10 @@ def window(plane, ty, tx, dy=0, dx=0):
 
 def search(wanted, plane, ty, tx, start, radius):
     """The displacement of the least sum that noise hardly explains, and whether it is too much better than rest."""
-    start = tuple(np.clip(d, -2 * TILE - t * TILE, n + TILE - t * TILE)
-                  for d, t, n in zip(start, (ty, tx), plane.shape, strict=True))
+    start = tuple(
+        np.clip(d, -2 * TILE - t * TILE, n + TILE - t * TILE)
+        for d, t, n in zip(start, (ty, tx), plane.shape, strict=True)
+    )
     tile = window(wanted, ty, tx)
 
     def cost(dy, dx):
@@ -79,9 +86,21 @@ def inside(plane, ty, tx, dy=0, dx=0):
 def fraction(wanted, plane, ty, tx, best):
     """Where a paraboloid has its minimum, fitted to the sums of squares around the best whole displacement."""
     # moving one tile forth instead of the other back, equal tiles give equal sums on both sides
-    f = np.array([[((window(wanted, ty, tx, max(-dy, 0), max(-dx, 0)).astype(float)
-                     - window(plane, ty, tx, best[0] + max(dy, 0), best[1] + max(dx, 0))) ** 2).sum()
-                   for dx in (-1, 0, 1)] for dy in (-1, 0, 1)])
+    f = np.array(
+        [
+            [
+                (
+                    (
+                        window(wanted, ty, tx, max(-dy, 0), max(-dx, 0)).astype(float)
+                        - window(plane, ty, tx, best[0] + max(dy, 0), best[1] + max(dx, 0))
+                    )
+                    ** 2
+                ).sum()
+                for dx in (-1, 0, 1)
+            ]
+            for dy in (-1, 0, 1)
+        ]
+    )
     slope_y, slope_x = (f[2] - f[0]).sum() / 6, (f[:, 2] - f[:, 0]).sum() / 6
     bend_y, bend_x = (f[2] - 2 * f[1] + f[0]).sum() / 3, (f[:, 2] - 2 * f[:, 1] + f[:, 0]).sum() / 3
     twist = (f[2, 2] - f[2, 0] - f[0, 2] + f[0, 0]) / 4
@@ -94,10 +113,15 @@ def fraction(wanted, plane, ty, tx, best):
 
     determinant = bend_y * bend_x - twist**2
     if sure_y and sure_x and determinant > 0.25 * bend_y * bend_x:
-        move = np.array(((twist * slope_x - bend_x * slope_y), (twist * slope_y - bend_y * slope_x))) / determinant
+        move = (
+            np.array(((twist * slope_x - bend_x * slope_y), (twist * slope_y - bend_y * slope_x)))
+            / determinant
+        )
         if -(move @ (slope_y, slope_x)) / 2 < limit(min(bend_y, bend_x)):
             move = np.zeros(2)
     else:
-        move = [-slope / bend if sure and slope**2 / (2 * bend) >= limit(bend) else 0
-                for slope, bend, sure in ((slope_y, bend_y, sure_y), (slope_x, bend_x, sure_x))]
+        move = [
+            -slope / bend if sure and slope**2 / (2 * bend) >= limit(bend) else 0
+            for slope, bend, sure in ((slope_y, bend_y, sure_y), (slope_x, bend_x, sure_x))
+        ]
     return np.clip(move, -0.5, 0.5)

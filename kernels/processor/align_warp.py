@@ -10,7 +10,9 @@ from gpusim.kernels.processor.align import SURE as HOST_SURE
 from gpusim.kernels.processor.align import TILE as HOST_TILE
 
 # GPUs want the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
-wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1})
+wp.set_module_options(
+    {"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1}
+)
 
 PAD = wp.constant(HOST_PAD)
 TILE = wp.constant(HOST_TILE)
@@ -26,7 +28,13 @@ def blocks(
     # out:
     out: wp.array3d[int],
     # sizes:
-    frames: int, rows: int, cols: int, h: int, w: int, period_y: int, period_x: int,
+    frames: int,
+    rows: int,
+    cols: int,
+    h: int,
+    w: int,
+    period_y: int,
+    period_x: int,
 ):
     i, y, x = wp.tid()
     by = wp.clamp(y - PAD, 0, h - 1) * period_y
@@ -45,16 +53,24 @@ def halve(
     # out:
     out: wp.array3d[int],
     # sizes:
-    frames: int, fine_h: int, fine_w: int, h: int, w: int,
+    frames: int,
+    fine_h: int,
+    fine_w: int,
+    h: int,
+    w: int,
 ):
     i, y, x = wp.tid()
     by = 2 * wp.clamp(y - PAD, 0, h - 1) + PAD
     bx = 2 * wp.clamp(x - PAD, 0, w - 1) + PAD
-    out[i, y, x] = (fine[i, by, bx] + fine[i, by, bx + 1] + fine[i, by + 1, bx] + fine[i, by + 1, bx + 1] + 2) >> 2
+    out[i, y, x] = (
+        fine[i, by, bx] + fine[i, by, bx + 1] + fine[i, by + 1, bx] + fine[i, by + 1, bx + 1] + 2
+    ) >> 2
 
 
 @wp.func
-def difference_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int):
+def difference_sum(
+    plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int
+):
     """Sum of absolute differences of the tile at (y0, x0) of the plane with its PAD."""
     sum = int(0)
     for j in range(TILE):
@@ -99,9 +115,16 @@ def search(
     # out:
     out: wp.array4d[int],
     # params:
-    reference: int, radius: int,
+    reference: int,
+    radius: int,
     # sizes:
-    parent_y: int, parent_x: int, h: int, w: int, tiles_y: int, tiles_x: int, frames: int,
+    parent_y: int,
+    parent_x: int,
+    h: int,
+    w: int,
+    tiles_y: int,
+    tiles_x: int,
+    frames: int,
 ):
     i, ty, tx = wp.tid()
     y = int(0)
@@ -111,7 +134,10 @@ def search(
         y0 = ty * TILE + PAD
         x0 = tx * TILE + PAD
         if parent_y > 0:
-            at = 3 * ((i * parent_y + wp.min(ty / 2, parent_y - 1)) * parent_x + wp.min(tx / 2, parent_x - 1))
+            at = 3 * (
+                (i * parent_y + wp.min(ty / 2, parent_y - 1)) * parent_x
+                + wp.min(tx / 2, parent_x - 1)
+            )
             y = wp.clamp(2 * parents[at], -(2 + ty) * TILE, h + TILE - ty * TILE)
             x = wp.clamp(2 * parents[at + 1], -(2 + tx) * TILE, w + TILE - tx * TILE)
             sure = parents[at + 2]
@@ -150,7 +176,11 @@ def fraction(
     # params:
     reference: int,
     # sizes:
-    h: int, w: int, tiles_y: int, tiles_x: int, frames: int,
+    h: int,
+    w: int,
+    tiles_y: int,
+    tiles_x: int,
+    frames: int,
 ):
     i, ty, tx = wp.tid()
     y = float(0.0)
@@ -163,14 +193,31 @@ def fraction(
         f = wp.mat33()
         for dy in range(3):
             for dx in range(3):
-                f[dy, dx] = square_sum(plane, reference, i, y0 + wp.max(1 - dy, 0), x0 + wp.max(1 - dx, 0),
-                                       at_y + dy - 1, at_x + dx - 1)
+                f[dy, dx] = square_sum(
+                    plane,
+                    reference,
+                    i,
+                    y0 + wp.max(1 - dy, 0),
+                    x0 + wp.max(1 - dx, 0),
+                    at_y + dy - 1,
+                    at_x + dx - 1,
+                )
         slope_y = (f[2, 0] + f[2, 1] + f[2, 2] - (f[0, 0] + f[0, 1] + f[0, 2])) / 6.0
         slope_x = (f[0, 2] + f[1, 2] + f[2, 2] - (f[0, 0] + f[1, 0] + f[2, 0])) / 6.0
-        bend_y = (f[2, 0] + f[2, 1] + f[2, 2] + (f[0, 0] + f[0, 1] + f[0, 2])
-                  - 2.0 * (f[1, 0] + f[1, 1] + f[1, 2])) / 3.0
-        bend_x = (f[0, 2] + f[1, 2] + f[2, 2] + (f[0, 0] + f[1, 0] + f[2, 0])
-                  - 2.0 * (f[0, 1] + f[1, 1] + f[2, 1])) / 3.0
+        bend_y = (
+            f[2, 0]
+            + f[2, 1]
+            + f[2, 2]
+            + (f[0, 0] + f[0, 1] + f[0, 2])
+            - 2.0 * (f[1, 0] + f[1, 1] + f[1, 2])
+        ) / 3.0
+        bend_x = (
+            f[0, 2]
+            + f[1, 2]
+            + f[2, 2]
+            + (f[0, 0] + f[1, 0] + f[2, 0])
+            - 2.0 * (f[0, 1] + f[1, 1] + f[2, 1])
+        ) / 3.0
         twist = (f[2, 2] - f[2, 0] - (f[0, 2] - f[0, 0])) / 4.0
         sure_y = bend_y > 0.25 * f[1, 1]
         sure_x = bend_x > 0.25 * f[1, 1]
@@ -179,7 +226,9 @@ def fraction(
         if sure_y and sure_x and determinant > 0.25 * (bend_y * bend_x):
             y = (twist * slope_x - bend_x * slope_y) / determinant
             x = (twist * slope_y - bend_y * slope_x) / determinant
-            if -0.5 * (y * slope_y + x * slope_x) < noise * (1.0 + f[1, 1] / (4.0 * wp.min(bend_y, bend_x))):
+            if -0.5 * (y * slope_y + x * slope_x) < noise * (
+                1.0 + f[1, 1] / (4.0 * wp.min(bend_y, bend_x))
+            ):
                 y = 0.0
                 x = 0.0
         else:

@@ -46,20 +46,75 @@ def average(device, raw, displacement, *, reference=0, period=(2, 2), black_leve
     tiles = displacement.shape[1:3]
     raw, displacement = device.array(raw, np.uint16), device.array(displacement)
     gain, read = map(float, noise)
-    moved, misfit, weights = (device.empty((count, *size)) for size in ((rows, cols), (h, w), (h, w)))
+    moved, misfit, weights = (
+        device.empty((count, *size)) for size in ((rows, cols), (h, w), (h, w))
+    )
     out = device.empty((rows, cols))
     cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item
     extra = () if device.kind == "opencl" else (py, px)
-    common = {"defines": {"FRAMES": count, "TILE": TILE, "PERIOD_Y": py, "PERIOD_X": px, "CPU": int(cpu),
-                          "WIDTH": 8 if cpu else 1, "OUTSIDE": f"{OUTSIDE}f"}}
+    common = {
+        "defines": {
+            "FRAMES": count,
+            "TILE": TILE,
+            "PERIOD_Y": py,
+            "PERIOD_X": px,
+            "CPU": int(cpu),
+            "WIDTH": 8 if cpu else 1,
+            "OUTSIDE": f"{OUTSIDE}f",
+        }
+    }
     group = (1, 1, 1) if cpu else None
-    device.launch("processor.average", "move", (count, h, 1 if cpu else w), raw, displacement, moved, misfit,
-                  int(reference), float(black_level), gain, read * read, *tiles, count, rows, cols, h, w, *extra,
-                  group=group, **common)
-    device.launch("processor.average", "weigh", (count, h, 1 if cpu else w), misfit, weights, int(reference),
-                  *bounds(period), count, h, w, group=group, **common)
-    device.launch("processor.average", "average", (rows, 1 if cpu else cols), moved, weights, out, rows, cols, h, w,
-                  *(() if device.kind == "opencl" else (count, py, px)), group=(1, 1) if cpu else None, **common)
+    device.launch(
+        "processor.average",
+        "move",
+        (count, h, 1 if cpu else w),
+        raw,
+        displacement,
+        moved,
+        misfit,
+        int(reference),
+        float(black_level),
+        gain,
+        read * read,
+        *tiles,
+        count,
+        rows,
+        cols,
+        h,
+        w,
+        *extra,
+        group=group,
+        **common,
+    )
+    device.launch(
+        "processor.average",
+        "weigh",
+        (count, h, 1 if cpu else w),
+        misfit,
+        weights,
+        int(reference),
+        *bounds(period),
+        count,
+        h,
+        w,
+        group=group,
+        **common,
+    )
+    device.launch(
+        "processor.average",
+        "average",
+        (rows, 1 if cpu else cols),
+        moved,
+        weights,
+        out,
+        rows,
+        cols,
+        h,
+        w,
+        *(() if device.kind == "opencl" else (count, py, px)),
+        group=(1, 1) if cpu else None,
+        **common,
+    )
     return out
 
 
@@ -80,20 +135,33 @@ def checked(raw, displacement, reference, period, noise):
     blocks = raw.shape[1] // int(period[0]), raw.shape[2] // int(period[1])
     wanted = (raw.shape[0], *(max(1, -(-n // TILE)) for n in blocks), 2)
     if tuple(displacement.shape) != wanted:
-        raise BadData(f"displacement: shape {tuple(displacement.shape)}, wanted {wanted}, as processor.align gives it")
+        raise BadData(
+            f"displacement: shape {tuple(displacement.shape)}, wanted {wanted}, as processor.align gives it"
+        )
     if not (noise[0] >= 0 and 0 < noise[1] < np.inf and noise[0] < np.inf):
-        raise OutOfRange("noise", tuple(noise), "(gain, read), gain >= 0 and read > 0: rounding alone gives 0.29")
+        raise OutOfRange(
+            "noise", tuple(noise), "(gain, read), gain >= 0 and read > 0: rounding alone gives 0.29"
+        )
 
 
 def cases():
     """Whole and broken displacements, out of the frame, other mosaics, odd sizes, a moving thing, one frame."""
     random = np.random.default_rng(9)
-    why = ("in 2^-24: 16 taps of up to 4095 DN, absolute weights adding up to 1.27 at most, err by 2 (4 + 4) 1.27 4095 "
-           "< 2^17 DN; a difference of D DN errs by that, q <= 2.5 by 2^17 2 sqrt(2.5) / sigma + 48 roundings, the "
-           "weight as much, times a difference of at most sqrt(36 9 2.5) sigma: with sigma >= 5 DN of 3000 2^-24 2^17 "
-           "(2 + 2 x 2.5 x 12 x 1.6) / 3000 < 3e-4")
-    for period, rows, cols, count in (((2, 2), 40, 70, 3), ((2, 2), 33, 35, 2), ((1, 1), 20, 37, 4),
-                                      ((6, 6), 97, 110, 2), ((3, 1), 50, 17, 2), ((2, 2), 3, 3, 2), ((2, 2), 9, 12, 1)):
+    why = (
+        "in 2^-24: 16 taps of up to 4095 DN, absolute weights adding up to 1.27 at most, err by 2 (4 + 4) 1.27 4095 "
+        "< 2^17 DN; a difference of D DN errs by that, q <= 2.5 by 2^17 2 sqrt(2.5) / sigma + 48 roundings, the "
+        "weight as much, times a difference of at most sqrt(36 9 2.5) sigma: with sigma >= 5 DN of 3000 2^-24 2^17 "
+        "(2 + 2 x 2.5 x 12 x 1.6) / 3000 < 3e-4"
+    )
+    for period, rows, cols, count in (
+        ((2, 2), 40, 70, 3),
+        ((2, 2), 33, 35, 2),
+        ((1, 1), 20, 37, 4),
+        ((6, 6), 97, 110, 2),
+        ((3, 1), 50, 17, 2),
+        ((2, 2), 3, 3, 2),
+        ((2, 2), 9, 12, 1),
+    ):
         still = 500 + 2000 * random.random((rows, cols))
         still = (still + np.roll(still, period[0], 0) + np.roll(still, period[1], 1)) / 3
         raw = still + random.normal(0, 20, (count, rows, cols))
@@ -101,19 +169,44 @@ def cases():
         tiles = (max(1, -(-(n // p) // TILE)) for n, p in zip((rows, cols), period, strict=True))
         displacement = random.normal(0, 0.2, (count, *tiles, 2)).astype(np.float32)
         displacement[-1] = np.rint(5 * displacement[-1])
-        yield Case(f"{count} frames {rows}x{cols}, period {period}",
-                   {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement, "period": period,
-                    "reference": count // 2, "black_level": 100.0, "noise": (0.15, 5.0)}, 3e-4, why)
+        yield Case(
+            f"{count} frames {rows}x{cols}, period {period}",
+            {
+                "raw": np.rint(raw).astype(np.uint16),
+                "displacement": displacement,
+                "period": period,
+                "reference": count // 2,
+                "black_level": 100.0,
+                "noise": (0.15, 5.0),
+            },
+            3e-4,
+            why,
+        )
     raw = np.full((4, 20, 20), 65535, np.uint16)
-    yield Case("full", {"raw": raw, "displacement": np.zeros((4, 1, 1, 2), np.float32), "black_level": 0.0,
-                        "noise": (1.0, 1.0)}, 0.0, "equal whole numbers, their sum and its quarter are exact",
-               metric="exact")
+    yield Case(
+        "full",
+        {
+            "raw": raw,
+            "displacement": np.zeros((4, 1, 1, 2), np.float32),
+            "black_level": 0.0,
+            "noise": (1.0, 1.0),
+        },
+        0.0,
+        "equal whole numbers, their sum and its quarter are exact",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """Eight frames of a Bayer mosaic, displaced by fractions."""
     random = np.random.default_rng(9)
-    raw = np.rint(300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))).astype(np.uint16)
+    raw = np.rint(
+        300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
+    ).astype(np.uint16)
     tiles = (max(1, -(-(n // 2) // TILE)) for n in (rows, cols))
-    return {"raw": raw, "displacement": random.normal(0, 3, (8, *tiles, 2)).astype(np.float32), "black_level": 64.0,
-            "noise": (0.16, 100.0)}
+    return {
+        "raw": raw,
+        "displacement": random.normal(0, 3, (8, *tiles, 2)).astype(np.float32),
+        "black_level": 64.0,
+        "noise": (0.16, 100.0),
+    }

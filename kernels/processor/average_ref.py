@@ -26,8 +26,10 @@ def move(frame, displacement, period):
     """The frame moved, the part of the noise's variance that is left, and whether all samples were inside."""
     rows, cols = frame.shape
     y, x = np.mgrid[:rows, :cols]
-    tile = [np.minimum(place // step // TILE, last - 1)
-            for place, step, last in zip((y, x), period, displacement.shape, strict=False)]
+    tile = [
+        np.minimum(place // step // TILE, last - 1)
+        for place, step, last in zip((y, x), period, displacement.shape, strict=False)
+    ]
     d = displacement[tile[0], tile[1]]
     whole = np.floor(d)
     weights_y, weights_x = keys(d[..., 0] - whole[..., 0]), keys(d[..., 1] - whole[..., 1])
@@ -46,6 +48,7 @@ def move(frame, displacement, period):
 
 def keys(s):
     """Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1."""
+
     def inner(t):
         return 1 - 2.5 * t**2 + 1.5 * t**3
 
@@ -53,7 +56,12 @@ def keys(s):
         return 2 - 4 * t + 2.5 * t**2 - 0.5 * t**3
 
     # t in 1 .. 2 of the outer piece; exactly 0 at whole displacements
-    return [np.where(s == 0, 0, outer(1 + s)), inner(s), inner(1 - s), np.where(s == 0, 0, outer(2 - s))]
+    return [
+        np.where(s == 0, 0, outer(1 + s)),
+        inner(s),
+        inner(1 - s),
+        np.where(s == 0, 0, outer(2 - s)),
+    ]
 
 
 def trust(q, period):

@@ -16,7 +16,12 @@ OUTSIDE = wp.constant(HOST_OUTSIDE)
 def keys(s: float):
     """Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1, after Keys."""
     r = 1.0 - s
-    return wp.vec4(-0.5 * s * r * r, 1.0 - s * s * (2.5 - 1.5 * s), 1.0 - r * r * (2.5 - 1.5 * r), -0.5 * s * s * r)
+    return wp.vec4(
+        -0.5 * s * r * r,
+        1.0 - s * s * (2.5 - 1.5 * s),
+        1.0 - r * r * (2.5 - 1.5 * r),
+        -0.5 * s * s * r,
+    )
 
 
 @wp.kernel
@@ -28,9 +33,20 @@ def move(
     moved: wp.array3d[float],
     misfit: wp.array3d[float],
     # params:
-    reference: int, black_level: float, gain: float, read2: float,
+    reference: int,
+    black_level: float,
+    gain: float,
+    read2: float,
     # sizes:
-    tiles_y: int, tiles_x: int, frames: int, rows: int, cols: int, h: int, w: int, period_y: int, period_x: int,
+    tiles_y: int,
+    tiles_x: int,
+    frames: int,
+    rows: int,
+    cols: int,
+    h: int,
+    w: int,
+    period_y: int,
+    period_x: int,
 ):
     i, by, bx = wp.tid()
     ty = wp.min(by / TILE, tiles_y - 1)
@@ -82,9 +98,13 @@ def weigh(
     # out:
     weights: wp.array3d[float],
     # params:
-    reference: int, low: float, high: float,
+    reference: int,
+    low: float,
+    high: float,
     # sizes:
-    frames: int, h: int, w: int,
+    frames: int,
+    h: int,
+    w: int,
 ):
     i, y, x = wp.tid()
     left = wp.max(x - 1, 0)
@@ -106,7 +126,13 @@ def average(
     # out:
     out: wp.array2d[float],
     # sizes:
-    rows: int, cols: int, h: int, w: int, frames: int, period_y: int, period_x: int,
+    rows: int,
+    cols: int,
+    h: int,
+    w: int,
+    frames: int,
+    period_y: int,
+    period_x: int,
 ):
     y, x = wp.tid()
     total = float(0.0)

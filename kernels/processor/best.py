@@ -25,7 +25,18 @@ MOST_READ = 20.0  # [e-] of read noise that the root makes even; more is taken f
 
 
 @stage
-def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)):
+def best(
+    device,
+    raw,
+    *,
+    phase,
+    black_level,
+    scale,
+    domain="root",
+    noise=(0.0, 0.0),
+    blur=0.0,
+    balance=(1.0, 1.0),
+):
     """Directional interpolation with regressed gains and taps that follow the colours, the blur and the noise.
 
     raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
@@ -65,13 +76,27 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
     red, blue = np.sqrt(balance) if root else balance
     noise = (gain * scale, read * scale)
     loss = root_loss(root_gain(*noise), noise[1]) if root and noisy else np.zeros(7, np.float32)
-    mosaic = (device.array(loss), float(black_level), float(scale), float(offset), float(variance), float(shot),
-              float(red), float(blue), *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
+    mosaic = (
+        device.array(loss),
+        float(black_level),
+        float(scale),
+        float(offset),
+        float(variance),
+        float(shot),
+        float(red),
+        float(blue),
+        *map(float, tap_shares(blur)),
+        float(gain_prior(blur)),
+        red_row,
+        red_col,
+    )
     columns = (cols + 1) // 2
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
     if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
-        half = -(-(columns + MARGIN + 7) // 8) * 8  # and room for a vector that starts at the last pixel
+        half = (
+            -(-(columns + MARGIN + 7) // 8) * 8
+        )  # and room for a vector that starts at the last pixel
         height = max(-(-rows // (STRIPS * device.cl_device.max_compute_units)), LOWEST)
         ring = 32 if noisy else 16
         strips = -(-rows // height)
@@ -82,30 +107,47 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
         half = -(-(columns + ROOM) // 32) * 32
         code, across, down, green = (device.empty((rows + ROOM, 2 * half)) for _ in range(4))
         runs = -(-(rows + 12) // (2 * TILE["RUN"])) * 2
-        steps = [("differences", *_tiles(rows + 20, columns + 13), (raw, code, across, down)),
-                 ("greens", (runs, columns + 11), (2, 32), (code, across, down, green)),
-                 ("colors", *_tiles(rows, columns), (raw, code, green, out))]
+        steps = [
+            ("differences", *_tiles(rows + 20, columns + 13), (raw, code, across, down)),
+            ("greens", (runs, columns + 11), (2, 32), (code, across, down, green)),
+            ("colors", *_tiles(rows, columns), (raw, code, green, out)),
+        ]
         defines |= {"WIDTH": 1, **TILE}
     else:
         width = 2 * (columns + MARGIN)
-        code, across, down, green, square, product, other = (device.empty(((rows + 2 * MARGIN) * width,))
-                                                             for _ in range(7))
-        steps = [(kernel, (rows + 2 * (MARGIN - low), (width - 2 * low) // sites), None, (*planes, low, width))
-                 for kernel, low, sites, planes in (
-                     ("encode_all", 0, 1, (raw, code)), ("differences", 4, 1, (code, across, down)),
-                     ("greens", 8, 2, (code, across, down, green)),
-                     ("slopes", 10, 2, (code, green, square, product)),
-                     ("diagonals", 12, 2, (code, green, square, product, other)),
-                     ("colors", 14, 2, (raw, code, green, square, product, other, out)))]
+        code, across, down, green, square, product, other = (
+            device.empty(((rows + 2 * MARGIN) * width,)) for _ in range(7)
+        )
+        steps = [
+            (
+                kernel,
+                (rows + 2 * (MARGIN - low), (width - 2 * low) // sites),
+                None,
+                (*planes, low, width),
+            )
+            for kernel, low, sites, planes in (
+                ("encode_all", 0, 1, (raw, code)),
+                ("differences", 4, 1, (code, across, down)),
+                ("greens", 8, 2, (code, across, down, green)),
+                ("slopes", 10, 2, (code, green, square, product)),
+                ("diagonals", 12, 2, (code, green, square, product, other)),
+                ("colors", 14, 2, (raw, code, green, square, product, other, out)),
+            )
+        ]
     shape = (half, rows, cols) if device.kind == "opencl" else (rows, cols, root, noisy)
     for kernel, grid, group, arrays in steps:
-        device.launch("processor.best", kernel, grid, *arrays, *mosaic, *shape, defines=defines, group=group)
+        device.launch(
+            "processor.best", kernel, grid, *arrays, *mosaic, *shape, defines=defines, group=group
+        )
     return out
 
 
 def _tiles(rows, pairs):
     """Grid and group of work-items over whole tiles."""
-    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (1, TILE["GROUP"])
+    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (
+        1,
+        TILE["GROUP"],
+    )
 
 
 def code_noise(root, gain, read):
@@ -137,7 +179,9 @@ def gain_prior(blur):
     return 20 / 255**2 / (1 + (2.5 * blur) ** 4)
 
 
-WORST_CONDITION = 150  # of the cases, error out over error in; high where pairs of neighbours chance to agree
+WORST_CONDITION = (
+    150  # of the cases, error out over error in; high where pairs of neighbours chance to agree
+)
 
 
 def cases():
@@ -147,25 +191,53 @@ def cases():
     for domain in DOMAINS:
         for phase in RED:
             for rows, cols in ((1, 4), (2, 2), (3, 5), (33, 70)):
-                raw = (np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
-                       + random.integers(300, 600, (rows, cols))).astype(np.uint16)
+                raw = (
+                    np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
+                    + random.integers(300, 600, (rows, cols))
+                ).astype(np.uint16)
                 raw.flat[0], raw.flat[-1] = 50, 2500
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
             yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
-        yield _case(f"{domain} noisy ramp", random.poisson(ramp).astype(np.uint16), "GBRG", domain, noise=noise)
-        yield _case(f"{domain} read noise alone", random.poisson(ramp).astype(np.uint16), "BGGR", domain,
-                    noise=(0.0, 3.0))
+        yield _case(
+            f"{domain} noisy ramp",
+            random.poisson(ramp).astype(np.uint16),
+            "GBRG",
+            domain,
+            noise=noise,
+        )
+        yield _case(
+            f"{domain} read noise alone",
+            random.poisson(ramp).astype(np.uint16),
+            "BGGR",
+            domain,
+            noise=(0.0, 3.0),
+        )
         for number, balance in enumerate(((1.7, 2.9), (0.6, 1.0))):
             raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
-            yield _case(f"{domain} balanced {balance}", raw, ("GRBG", "BGGR")[number], domain,
-                        noise=noise if number else (0.0, 0.0), balance=balance)
+            yield _case(
+                f"{domain} balanced {balance}",
+                raw,
+                ("GRBG", "BGGR")[number],
+                domain,
+                noise=noise if number else (0.0, 0.0),
+                balance=balance,
+            )
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
-        yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",
-                                      "black_level": 64.0, "scale": 1 / 4096, "domain": domain}, 8 * 2.0**-24,
-                   "all differences are 0 and the gains 1: what rounds are the means of equal numbers")
+        yield Case(
+            f"{domain} flat",
+            {
+                "raw": np.full((9, 9), 4096 + 64, np.uint16),
+                "phase": "RGGB",
+                "black_level": 64.0,
+                "scale": 1 / 4096,
+                "domain": domain,
+            },
+            8 * 2.0**-24,
+            "all differences are 0 and the gains 1: what rounds are the means of equal numbers",
+        )
 
 
 def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledge):
@@ -173,7 +245,13 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.best_ref import best as reference
 
-    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain, **knowledge}
+    options = {
+        "phase": phase,
+        "black_level": black_level,
+        "scale": scale,
+        "domain": domain,
+        **knowledge,
+    }
     encode, decode = CODES[domain]
     code = encode(raw - black_level)
     exact = reference(raw, **options)
@@ -181,15 +259,21 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
     step, worst = 1e-7, 0.0
     for _ in range(3):
         nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
-        worst = max(worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max())
+        worst = max(
+            worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max()
+        )
     condition = max(worst / step / np.abs(exact).max(), 1.0)
     if condition > WORST_CONDITION:
         raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
-    return Case(name, {"raw": raw, **options}, 2 * 48 * 2.0**-24 * condition,
-                "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
-                "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
-                "samples by 2^-24 of the largest, whose effect the reference tells; 2 because three random changes "
-                "need not hit the worst one")
+    return Case(
+        name,
+        {"raw": raw, **options},
+        2 * 48 * 2.0**-24 * condition,
+        "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
+        "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
+        "samples by 2^-24 of the largest, whose effect the reference tells; 2 because three random changes "
+        "need not hit the worst one",
+    )
 
 
 def bench(rows, cols):

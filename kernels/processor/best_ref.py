@@ -31,11 +31,16 @@ from gpusim.kernels.processor.levels import root_loss
 
 EDGE, DARK, ALIKE = 5 / 255, 10 / 255, 2 / 255  # E, K, D
 COLORED = 0.3  # T
-KEPT_FOUND, KEPT_GREEN = 0.34, 0.45  # of the variance: in red and blue found elsewhere, in green before it is drawn
+KEPT_FOUND, KEPT_GREEN = (
+    0.34,
+    0.45,
+)  # of the variance: in red and blue found elsewhere, in green before it is drawn
 RIM = 14
 
 
-def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)):
+def best(
+    raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)
+):
     """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
@@ -48,7 +53,9 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
     offset, constant, slope = 0.0, read**2, gain
     if domain == "root":
         if noisy:
-            gain = max(gain, read / 20)  # r^2 / g would grow beyond all light where shot noise vanishes
+            gain = max(
+                gain, read / 20
+            )  # r^2 / g would grow beyond all light where shot noise vanishes
             offset = 0.375 * gain + read**2 / gain
         constant, slope = gain / 4, 0.0
     factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))
@@ -56,7 +63,9 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
     if domain == "root":
         c = np.sign(c) * np.sqrt(np.abs(c))
         factors = {letter: np.sqrt(factor) for letter, factor in factors.items()}
-    letters = np.array(list(phase))[np.add.outer(2 * (np.arange(c.shape[0]) % 2), np.arange(c.shape[1]) % 2)]
+    letters = np.array(list(phase))[
+        np.add.outer(2 * (np.arange(c.shape[0]) % 2), np.arange(c.shape[1]) % 2)
+    ]
     is_green = letters == "G"
     own = np.vectorize(factors.get)(letters)
     c = c * own
@@ -81,19 +90,26 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
             short.append(0.6 * out[0] + 0.4 * out[1])
             far.append(sum(out) / 5)
             weights.append((EDGE + sum(np.roll(step, -side * n, axis) for n in range(4))) ** -2)
-    short, far = np.average(short, axis=0, weights=weights), np.average(far, axis=0, weights=weights)
+    short, far = (
+        np.average(short, axis=0, weights=weights),
+        np.average(far, axis=0, weights=weights),
+    )
     tent = lambda plane, axis: (2 * plane + np.roll(plane, 1, axis) + np.roll(plane, -1, axis)) / 4  # noqa: E731
     like = (COLORED * (np.maximum(tent(tent(c, 0), 1), 0) + DARK)) ** 2
     alpha = (longest * like + shortest * far**2) / (like + far**2)
     green = np.where(is_green, c, c + short + alpha * (far - short))
     kept = c
     if noisy:
-        drawn = _Drawing(domain == "root", variance, offset, root_loss(gain, read) if domain == "root" else None)
+        drawn = _Drawing(
+            domain == "root", variance, offset, root_loss(gain, read) if domain == "root" else None
+        )
         cross, corners, apart = (drawn.mean(c, *places) for places in (AXES, DIAGONALS, FAR_AXES))
         kept = drawn(c, np.where(is_green, corners, apart), own, 0.2, 3, 1.0)
         green = np.where(is_green, kept, drawn(green, cross, 1.0, 0, 3.5, KEPT_GREEN))
 
-    bends = lambda plane: [2 * plane - np.roll(plane, 2, axis) - np.roll(plane, -2, axis) for axis in (0, 1)]  # noqa: E731
+    bends = lambda plane: [  # noqa: E731
+        2 * plane - np.roll(plane, 2, axis) - np.roll(plane, -2, axis) for axis in (0, 1)
+    ]
     square = sum(b * b for b in bends(green))
     product = sum(b * b_own for b, b_own in zip(bends(green), bends(c), strict=True))
     planes = {"G": green}
@@ -101,12 +117,18 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
         sites = letters == color
         n = _window(sites)
         with np.errstate(invalid="ignore"):
-            a = np.clip((_window(sites * product) + n * prior)
-                        / (_window(sites * square) + n * prior + 5 * n * variance(green)), 0, 1)
+            a = np.clip(
+                (_window(sites * product) + n * prior)
+                / (_window(sites * square) + n * prior + 5 * n * variance(green)),
+                0,
+                1,
+            )
         limit = ALIKE + 2 * np.sqrt(variance(green, factors[color]))
         diagonal = _blend(c, green, a, limit, DIAGONALS)
         known = np.where(is_green, 0, np.where(sites, c, diagonal))
-        planes[color] = np.where(sites, kept, np.where(is_green, _blend(known, green, a, limit, AXES), diagonal))
+        planes[color] = np.where(
+            sites, kept, np.where(is_green, _blend(known, green, a, limit, AXES), diagonal)
+        )
     result = np.stack([planes[color][RIM:-RIM, RIM:-RIM] / factors[color] for color in "RGB"])
     measured = np.stack([letters[RIM:-RIM, RIM:-RIM] == color for color in "RGB"])
     if domain == "root":
@@ -147,10 +169,14 @@ class _Drawing:
         square = code * np.abs(code)
         square = square + (1 - left) * self.lost(square)  # left is 1 where the factor is not
         level = np.maximum((4 * mean + square) / 5, v)
-        photons = np.maximum(level - self.offset * factor**2, 0) / np.maximum(level - 1.5 * v, 1e-20)
+        photons = np.maximum(level - self.offset * factor**2, 0) / np.maximum(
+            level - 1.5 * v, 1e-20
+        )
         power = photons * 2 / 3
         root = lambda a: np.sign(a) * np.sqrt(np.abs(a))  # noqa: E731
-        z = (1 - power) * (square - mean) / (2 * np.sqrt(level)) + power * (root(square) - root(mean))
+        z = (1 - power) * (square - mean) / (2 * np.sqrt(level)) + power * (
+            root(square) - root(mean)
+        )
         square = mean + (square - mean) * (z**2 + kept * v) / (z**2 + reach * v + 1e-20)
         return np.sign(square) * np.sqrt(np.abs(square))
 
@@ -164,6 +190,12 @@ def _window(plane):
 
 def _blend(samples, green, a, limit, places):
     """A G + the mean of two pairs of neighbouring samples - A G; the pair that agrees better weighs more."""
-    p, q, r, s = (np.roll(samples, (-dy, -dx), (0, 1)) - a * np.roll(green, (-dy, -dx), (0, 1)) for dy, dx in places)
-    return a * green + np.average([(p + q) / 2, (r + s) / 2], axis=0,
-                                  weights=[1 / (np.abs(p - q) + limit), 1 / (np.abs(r - s) + limit)])
+    p, q, r, s = (
+        np.roll(samples, (-dy, -dx), (0, 1)) - a * np.roll(green, (-dy, -dx), (0, 1))
+        for dy, dx in places
+    )
+    return a * green + np.average(
+        [(p + q) / 2, (r + s) / 2],
+        axis=0,
+        weights=[1 / (np.abs(p - q) + limit), 1 / (np.abs(r - s) + limit)],
+    )

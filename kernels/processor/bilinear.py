@@ -25,9 +25,22 @@ def bilinear(device, raw, *, phase, black_level, scale):
     rows, cols = raw.shape
     out = device.empty((3, rows, cols))
     run, shape = items(device, cols)
-    device.launch("processor.bilinear", "bilinear", (-(-rows // shape["ROWS"]), -(-cols // run)),
-                  device.array(raw, np.uint16), out, float(black_level), float(scale), red_row, red_col, run, rows,
-                  cols, defines=shape | {"ELECTRONS": 0}, group=None if device.is_gpu else (1, 1))
+    device.launch(
+        "processor.bilinear",
+        "bilinear",
+        (-(-rows // shape["ROWS"]), -(-cols // run)),
+        device.array(raw, np.uint16),
+        out,
+        float(black_level),
+        float(scale),
+        red_row,
+        red_col,
+        run,
+        rows,
+        cols,
+        defines=shape | {"ELECTRONS": 0},
+        group=None if device.is_gpu else (1, 1),
+    )
     return out
 
 
@@ -43,20 +56,40 @@ def items(device, cols):
 def cases():
     """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
     random = np.random.default_rng(2)
-    why = ("sums of four 16-bit integers and their halves are exact in float32, so only the subtraction and the "
-           "product round: (1 + 2^-24)^2 - 1 < 2^-23 (1 + 2^-24) relative")
+    why = (
+        "sums of four 16-bit integers and their halves are exact in float32, so only the subtraction and the "
+        "product round: (1 + 2^-24)^2 - 1 < 2^-23 (1 + 2^-24) relative"
+    )
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130), (9, 12)):
             raw = random.integers(0, 65536, (rows, cols), np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(f"{phase} {rows}x{cols}",
-                       {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}, 2.0**-23 * (1 + 2.0**-24),
-                       why, metric="local")
-    yield Case("black", {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 2.0},
-               0.0, "64 - 64 is exact", metric="exact")
-    yield Case("saturated", {"raw": np.full((6, 6), 65535, np.uint16), "phase": "RGGB", "black_level": 0.0,
-                             "scale": 1.0}, 0.0, "a flat field stays flat, and 16-bit integers are exact",
-               metric="exact")
+            yield Case(
+                f"{phase} {rows}x{cols}",
+                {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024},
+                2.0**-23 * (1 + 2.0**-24),
+                why,
+                metric="local",
+            )
+    yield Case(
+        "black",
+        {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 2.0},
+        0.0,
+        "64 - 64 is exact",
+        metric="exact",
+    )
+    yield Case(
+        "saturated",
+        {
+            "raw": np.full((6, 6), 65535, np.uint16),
+            "phase": "RGGB",
+            "black_level": 0.0,
+            "scale": 1.0,
+        },
+        0.0,
+        "a flat field stays flat, and 16-bit integers are exact",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):

@@ -19,6 +19,11 @@ def bilinear(raw, *, phase, black_level, scale):
     for color, kernel in zip("RGB", (TENT, CROSS, TENT), strict=True):
         sampled = np.isin(parity, [place for place, letter in enumerate(phase) if letter == color])
         samples = np.where(sampled, padded, 0.0)
-        planes.append(sum(kernel[dy, dx] * samples[dy : dy + rows, dx : dx + cols]
-                          for dy in range(3) for dx in range(3)))
+        planes.append(
+            sum(
+                kernel[dy, dx] * samples[dy : dy + rows, dx : dx + cols]
+                for dy in range(3)
+                for dx in range(3)
+            )
+        )
     return (np.stack(planes) - black_level) * scale

@@ -34,8 +34,15 @@ def bilinear(
         y = top + i
         if y < rows:
             down = line(raw, none, y + 1, x)
-            colors = interpolated(up, here, down, (x & 1) == first_own(y, red_row, red_col), ((y ^ red_row) & 1) == 0,
-                                  black_level, scale)
+            colors = interpolated(
+                up,
+                here,
+                down,
+                (x & 1) == first_own(y, red_row, red_col),
+                ((y ^ red_row) & 1) == 0,
+                black_level,
+                scale,
+            )
             rgb[0, y, x] = colors[0]
             rgb[1, y, x] = colors[1]
             rgb[2, y, x] = colors[2]

@@ -22,42 +22,72 @@ def color(device, camera, matrix, *, ceiling=None):
     channels, rows, cols = camera.shape
     ceiling = np.full(channels, np.inf) if ceiling is None else np.asarray(ceiling)
     if tuple(matrix.shape) != (3, channels) or ceiling.shape != (channels,):
-        raise BadData(f"color: matrix {tuple(matrix.shape)} and ceiling {ceiling.shape} do not match "
-                      f"{channels} channels; wanted (3, {channels}) and ({channels},)")
+        raise BadData(
+            f"color: matrix {tuple(matrix.shape)} and ceiling {ceiling.shape} do not match "
+            f"{channels} channels; wanted (3, {channels}) and ({channels},)"
+        )
     out = device.empty((3, rows, cols))
     run = 1 if device.is_gpu else 2048  # a GPU wants many small items, LLVM a loop to vectorise
-    device.launch("processor.color", "color", (-(-rows * cols // run),), device.array(camera), device.array(matrix),
-                  device.array(ceiling), out, run, rows * cols, *(() if device.kind == "opencl" else (channels,)),
-                  defines={"CHANNELS": channels}, group=None if device.is_gpu else (1,))
+    device.launch(
+        "processor.color",
+        "color",
+        (-(-rows * cols // run),),
+        device.array(camera),
+        device.array(matrix),
+        device.array(ceiling),
+        out,
+        run,
+        rows * cols,
+        *(() if device.kind == "opencl" else (channels,)),
+        defines={"CHANNELS": channels},
+        group=None if device.is_gpu else (1,),
+    )
     return out
 
 
 def cases():
     """One to six channels, negative entries, values above 1, ceilings, infinities and NaN."""
     random = np.random.default_rng(5)
-    for channels, rows, cols in ((3, 1, 1), (3, 3, 5), (3, 63, 65), (1, 2, 2), (4, 17, 9), (6, 8, 31)):
-        camera = (random.random((channels, rows, cols)) * 10.0 ** random.uniform(-3, 3, (1, rows, cols))
-                  ).astype(np.float32)
+    for channels, rows, cols in (
+        (3, 1, 1),
+        (3, 3, 5),
+        (3, 63, 65),
+        (1, 2, 2),
+        (4, 17, 9),
+        (6, 8, 31),
+    ):
+        camera = (
+            random.random((channels, rows, cols)) * 10.0 ** random.uniform(-3, 3, (1, rows, cols))
+        ).astype(np.float32)
         matrix = random.normal(0, 1, (3, channels)).astype(np.float32)
         for ceiling in (None, random.uniform(0.5, 1, channels).astype(np.float32)):
             clipped = camera if ceiling is None else np.minimum(camera, ceiling[:, None, None])
             terms = np.einsum("pc,cyx->pyx", np.abs(matrix).astype(float), np.abs(clipped)).max()
             peak = np.abs(np.einsum("pc,cyx->pyx", matrix.astype(float), clipped)).max()
-            yield Case(f"{channels} channels, {rows}x{cols}, ceiling {ceiling is not None}",
-                       {"camera": camera, "matrix": matrix, "ceiling": ceiling},
-                       channels * 2.0**-24 * 1.001 * terms / peak,
-                       "a dot product of n terms errs by at most n 2^-24 sum |terms| (Higham 2002, 3.1); the bound is "
-                       "relative to the peak of the result")
+            yield Case(
+                f"{channels} channels, {rows}x{cols}, ceiling {ceiling is not None}",
+                {"camera": camera, "matrix": matrix, "ceiling": ceiling},
+                channels * 2.0**-24 * 1.001 * terms / peak,
+                "a dot product of n terms errs by at most n 2^-24 sum |terms| (Higham 2002, 3.1); the bound is "
+                "relative to the peak of the result",
+            )
     camera = np.ones((3, 2, 2), np.float32)
     camera[0, 0], camera[1, 1] = (np.nan, np.inf), 1e30
-    yield Case("NaN, infinity, huge", {"camera": camera, "matrix": np.eye(3, dtype=np.float32) + 1}, 3 * 2.0**-24,
-               "as above, all terms positive; NaN and infinity must stay in their pixels")
+    yield Case(
+        "NaN, infinity, huge",
+        {"camera": camera, "matrix": np.eye(3, dtype=np.float32) + 1},
+        3 * 2.0**-24,
+        "as above, all terms positive; NaN and infinity must stay in their pixels",
+    )
 
 
 def bench(rows, cols):
     """Three channels."""
     random = np.random.default_rng(5)
-    return {"camera": random.random((3, rows, cols), np.float32), "matrix": random.random((3, 3), np.float32)}
+    return {
+        "camera": random.random((3, rows, cols), np.float32),
+        "matrix": random.random((3, 3), np.float32),
+    }
 
 
 def operations(camera, matrix):

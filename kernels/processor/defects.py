@@ -54,31 +54,71 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
     cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     rows, cols = raw.shape
     if known is not None and tuple(known.shape) != (rows, cols):
-        raise BadData(f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}")
-    if isinstance(known, device.array_type) and known.dtype not in (np.uint8, device.empty((1,), np.uint8).dtype):
+        raise BadData(
+            f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}"
+        )
+    if isinstance(known, device.array_type) and known.dtype not in (
+        np.uint8,
+        device.empty((1,), np.uint8).dtype,
+    ):
         raise BadData(f"known defects: {known.dtype}, wanted uint8")
     if detect is not None and not 0 < detect < 1e6:
         raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
     lines = device.kind == "opencl" and not device.is_gpu
-    near, count, starts, entries, masks, reach = _tables(device, cfa.astype(np.int32).tobytes(), cfa.shape)
+    near, count, starts, entries, masks, reach = _tables(
+        device, cfa.astype(np.int32).tobytes(), cfa.shape
+    )
     grid, group = ((rows, 1), (1, 1)) if lines else ((rows, cols), None)
     defines = {"LINES": int(lines), "COUNT": count, "PERIOD_X": cfa.shape[1]}
     raw = device.array(raw, np.uint16)
 
     def replaced(values, flags):
         out = device.empty((rows, cols), np.uint16)
-        device.launch("processor.defects", "replace", grid, values, flags, starts, entries, out, *cfa.shape, rows, cols,
-                      group=group, defines=defines)
+        device.launch(
+            "processor.defects",
+            "replace",
+            grid,
+            values,
+            flags,
+            starts,
+            entries,
+            out,
+            *cfa.shape,
+            rows,
+            cols,
+            group=group,
+            defines=defines,
+        )
         return out
 
     if known is not None:
-        raw = replaced(raw, device.array(known if isinstance(known, device.array_type) else np.asarray(known) != 0,
-                                         np.uint8))
+        raw = replaced(
+            raw,
+            device.array(
+                known if isinstance(known, device.array_type) else np.asarray(known) != 0, np.uint8
+            ),
+        )
     if detect is not None:
         flags = device.empty((rows, cols), np.uint8)
-        device.launch("processor.defects", "mark", grid, raw, near, masks, flags, float(black_level),
-                      float(detect * detect * gain), float(detect * detect * read * read), reach, *cfa.shape, rows,
-                      cols, *(() if device.kind == "opencl" else (count,)), group=group, defines=defines)
+        device.launch(
+            "processor.defects",
+            "mark",
+            grid,
+            raw,
+            near,
+            masks,
+            flags,
+            float(black_level),
+            float(detect * detect * gain),
+            float(detect * detect * read * read),
+            reach,
+            *cfa.shape,
+            rows,
+            cols,
+            *(() if device.kind == "opencl" else (count,)),
+            group=group,
+            defines=defines,
+        )
         raw = replaced(raw, flags)
     return raw
 
@@ -95,29 +135,54 @@ def _tables(device, cfa, shape):
     cfa = np.frombuffer(cfa, np.int32).reshape(shape)
     phases = [_neighbours(cfa, y, x) for y in range(shape[0]) for x in range(shape[1])]
     count = max(len(near) for near, _, _ in phases)
-    near = np.array([[near[n % len(near)] for n in range(count)] + beside for near, beside, _ in phases], np.int32)
+    near = np.array(
+        [[near[n % len(near)] for n in range(count)] + beside for near, beside, _ in phases],
+        np.int32,
+    )
     starts = np.cumsum([0] + [len(entries) for _, _, entries in phases], dtype=np.int32)
     entries = np.array([entry for _, _, entries in phases for entry in entries], np.int32)
-    masks = np.where(np.arange(shape[1] + LANES) % shape[1] == np.arange(shape[1])[:, None], 65535, 0)
-    return (device.array(near, np.int32), count, device.array(starts, np.int32), device.array(entries, np.int32),
-            device.array(masks, np.uint16), int(abs(near).max()))
+    masks = np.where(
+        np.arange(shape[1] + LANES) % shape[1] == np.arange(shape[1])[:, None], 65535, 0
+    )
+    return (
+        device.array(near, np.int32),
+        count,
+        device.array(starts, np.int32),
+        device.array(entries, np.int32),
+        device.array(masks, np.uint16),
+        int(abs(near).max()),
+    )
 
 
 def _neighbours(cfa, y, x):
     """Of phase (y, x): what it is compared with, the adjacent pixels and those beyond, and all within reach."""
+
     def channel(dy, dx):
         return cfa[(y + dy) % len(cfa), (x + dx) % len(cfa[0])]
 
     far = [max(LEAST_REACH, REACH * n) for n in cfa.shape]
-    same = sorted((dy * dy + dx * dx, dy, dx) for dy in range(-far[0], far[0] + 1) for dx in range(-far[1], far[1] + 1)
-                  if (dy or dx) and channel(dy, dx) == channel(0, 0))
+    same = sorted(
+        (dy * dy + dx * dx, dy, dx)
+        for dy in range(-far[0], far[0] + 1)
+        for dx in range(-far[1], far[1] + 1)
+        if (dy or dx) and channel(dy, dx) == channel(0, 0)
+    )
     radius = same[min(NEAR, len(same)) - 1][0]
     near = [(dy, dx) for square, dy, dx in same if square <= radius]
     rings = sorted({square for square, _, _ in same if square > radius})
-    entries = [(dy, dx, int(channel(-dy, -dx) == channel(0, 0)), 0 if square <= radius else 1 + rings.index(square))
-               for square, dy, dx in same]
-    beyond = [next((n * dy, n * dx) for n in range(2, 10) if channel(n * dy, n * dx) == channel(dy, dx))
-              for dy, dx in BESIDE]
+    entries = [
+        (
+            dy,
+            dx,
+            int(channel(-dy, -dx) == channel(0, 0)),
+            0 if square <= radius else 1 + rings.index(square),
+        )
+        for square, dy, dx in same
+    ]
+    beyond = [
+        next((n * dy, n * dx) for n in range(2, 10) if channel(n * dy, n * dx) == channel(dy, dx))
+        for dy, dx in BESIDE
+    ]
     return near, [*BESIDE, *beyond], entries
 
 
@@ -125,9 +190,17 @@ def cases():
     """Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters; tiny frames."""
     random = np.random.default_rng(9)
     why = "integers, and three float32 roundings in the same order"
-    mosaics = {"RGGB": BAYER, "GRBG": ((1, 0), (2, 1)), "GBRG": ((1, 2), (0, 1)), "BGGR": ((2, 1), (1, 0)),
-               "quad-Bayer": QUAD, "X-Trans": X_TRANS, "grey": ((0,),), "stripes": ((0, 1, 2),),
-               "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8)}
+    mosaics = {
+        "RGGB": BAYER,
+        "GRBG": ((1, 0), (2, 1)),
+        "GBRG": ((1, 2), (0, 1)),
+        "BGGR": ((2, 1), (1, 0)),
+        "quad-Bayer": QUAD,
+        "X-Trans": X_TRANS,
+        "grey": ((0,),),
+        "stripes": ((0, 1, 2),),
+        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
+    }
     for name, cfa in mosaics.items():
         cfa = np.array(cfa, np.int32)
         for rows, cols in ((1, 1), (1, 7), (2, 2), (5, 3), (31, 90)):
@@ -137,25 +210,56 @@ def cases():
             raw[bad > 0.98] = 0
             known = (random.random((rows, cols)) < 0.1).astype(np.uint8)
             whole = rows == 31
-            for label, options in (("both", {"known": known, "detect": 6.0}), *([
-                    ("known", {"known": known}), ("found", {"detect": 4.0})] if whole else [])):
-                yield Case(f"{name} {rows}x{cols} {label}",
-                           {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0), **options}, 0.0, why,
-                           metric="exact")
+            for label, options in (
+                ("both", {"known": known, "detect": 6.0}),
+                *([("known", {"known": known}), ("found", {"detect": 4.0})] if whole else []),
+            ):
+                yield Case(
+                    f"{name} {rows}x{cols} {label}",
+                    {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0), **options},
+                    0.0,
+                    why,
+                    metric="exact",
+                )
     raw = random.integers(0, 65536, (24, 40), np.uint16)
     cluster = np.zeros(raw.shape, np.uint8)
     cluster[5:14, 8:19] = 1
-    yield Case("cluster of 9x11", {"raw": raw, "known": cluster, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
-               0.0, why, metric="exact")
-    yield Case("all defective", {"raw": raw, "known": np.ones_like(cluster), "cfa": np.array(BAYER, np.int32),
-                                 "black_level": 0.0}, 0.0, "nothing is replaced", metric="exact")
-    yield Case("nothing asked", {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 0.0}, 0.0,
-               "nothing is replaced", metric="exact")
+    yield Case(
+        "cluster of 9x11",
+        {"raw": raw, "known": cluster, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
+        0.0,
+        why,
+        metric="exact",
+    )
+    yield Case(
+        "all defective",
+        {
+            "raw": raw,
+            "known": np.ones_like(cluster),
+            "cfa": np.array(BAYER, np.int32),
+            "black_level": 0.0,
+        },
+        0.0,
+        "nothing is replaced",
+        metric="exact",
+    )
+    yield Case(
+        "nothing asked",
+        {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
+        0.0,
+        "nothing is replaced",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """A 10-bit Bayer mosaic with one known defect in a thousand, more being looked for."""
     random = np.random.default_rng(9)
-    return {"raw": random.poisson(400, (rows, cols)).astype(np.uint16),
-            "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8), "cfa": np.array(BAYER, np.int32),
-            "black_level": 64.0, "noise": (1.0, 3.0), "detect": 6.0}
+    return {
+        "raw": random.poisson(400, (rows, cols)).astype(np.uint16),
+        "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8),
+        "cfa": np.array(BAYER, np.int32),
+        "black_level": 64.0,
+        "noise": (1.0, 3.0),
+        "detect": 6.0,
+    }

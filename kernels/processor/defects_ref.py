@@ -20,7 +20,10 @@ def rings_of(cfa, y, x):
     """Offsets of the pixels of the colour of (y, x) within two periods, or 4 pixels if that is more, ring by ring."""
     ry, rx = (max(4, 2 * n) for n in cfa.shape)
     dy, dx = np.mgrid[-ry : ry + 1, -rx : rx + 1]
-    same = (cfa[(y + dy) % cfa.shape[0], (x + dx) % cfa.shape[1]] == cfa[y % cfa.shape[0], x % cfa.shape[1]])
+    same = (
+        cfa[(y + dy) % cfa.shape[0], (x + dx) % cfa.shape[1]]
+        == cfa[y % cfa.shape[0], x % cfa.shape[1]]
+    )
     square = dy**2 + dx**2
     return [np.argwhere(same & (square == s)) - (ry, rx) for s in np.unique(square[same]) if s > 0]
 
@@ -41,29 +44,44 @@ def found(raw, cfa, black_level, noise, detect):
     value = np.pad(raw.astype(np.int64), far)
 
     def at(plane, y, x, dy, dx):
-        return plane[far + dy :, far + dx :][: raw.shape[0], : raw.shape[1]][y :: cfa.shape[0], x :: cfa.shape[1]]
+        return plane[far + dy :, far + dx :][: raw.shape[0], : raw.shape[1]][
+            y :: cfa.shape[0], x :: cfa.shape[1]
+        ]
 
     out = np.zeros(raw.shape, bool)
     for y, x in np.ndindex(min(cfa.shape[0], raw.shape[0]), min(cfa.shape[1], raw.shape[1])):
         here, around = at(value, y, x, 0, 0), groups_of(cfa, y, x)[0]
-        high = np.max([np.where(at(inside, y, x, *n), at(value, y, x, *n), -1) for n in around], axis=0)
-        low = np.min([np.where(at(inside, y, x, *n), at(value, y, x, *n), 65536) for n in around], axis=0)
+        high = np.max(
+            [np.where(at(inside, y, x, *n), at(value, y, x, *n), -1) for n in around], axis=0
+        )
+        low = np.min(
+            [np.where(at(inside, y, x, *n), at(value, y, x, *n), 65536) for n in around], axis=0
+        )
         spread = 0
         for dy, dx in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            n = next(n for n in range(2, 10) if cfa[(y + n * dy) % len(cfa), (x + n * dx) % len(cfa[0])]
-                     == cfa[(y + dy) % len(cfa), (x + dx) % len(cfa[0])])
+            n = next(
+                n
+                for n in range(2, 10)
+                if cfa[(y + n * dy) % len(cfa), (x + n * dx) % len(cfa[0])]
+                == cfa[(y + dy) % len(cfa), (x + dx) % len(cfa[0])]
+            )
             difference = at(value, y, x, dy, dx) - at(value, y, x, n * dy, n * dx)
             spread = spread + np.where(at(inside, y, x, n * dy, n * dx), difference, 0)
         above = here > high
         excess = np.where(above, here - high, low - here)
         end = np.where(above, high, low).astype(np.float32)
-        limit = (np.float32(detect * detect * noise[0]) * np.maximum(end - np.float32(black_level), np.float32(0))
-                 + np.float32(detect * detect * noise[1] * noise[1]))
+        limit = np.float32(detect * detect * noise[0]) * np.maximum(
+            end - np.float32(black_level), np.float32(0)
+        ) + np.float32(detect * detect * noise[1] * noise[1])
         spread = np.where(above, spread, -spread)
         square, spread_square = (part.astype(np.float32) ** 2 for part in (excess, spread))
-        out[y :: cfa.shape[0], x :: cfa.shape[1]] = ((high >= 0) & (excess > 0) & (square > limit)
-                                                     & (excess > high - low)
-                                                     & ((8 * spread <= excess) | (spread_square <= limit)))
+        out[y :: cfa.shape[0], x :: cfa.shape[1]] = (
+            (high >= 0)
+            & (excess > 0)
+            & (square > limit)
+            & (excess > high - low)
+            & ((8 * spread <= excess) | (spread_square <= limit))
+        )
     return out
 
 
@@ -76,11 +94,17 @@ def replaced(raw, bad, cfa):
             groups[phase] = groups_of(cfa, *phase)
         nearest = {}
         for group in groups[phase]:
-            good = {(v - y, u - x): int(raw[v, u]) for v, u in np.add(group, (y, x))
-                    if 0 <= v < raw.shape[0] and 0 <= u < raw.shape[1] and not bad[v, u]}
+            good = {
+                (v - y, u - x): int(raw[v, u])
+                for v, u in np.add(group, (y, x))
+                if 0 <= v < raw.shape[0] and 0 <= u < raw.shape[1] and not bad[v, u]
+            }
             nearest = nearest or good
-            pairs = [(abs(a - good[-dy, -dx]), (a + good[-dy, -dx] + 1) // 2) for (dy, dx), a in good.items()
-                     if (-dy, -dx) in good]
+            pairs = [
+                (abs(a - good[-dy, -dx]), (a + good[-dy, -dx] + 1) // 2)
+                for (dy, dx), a in good.items()
+                if (-dy, -dx) in good
+            ]
             if pairs:
                 out[y, x] = min(pairs)[1]
                 break

@@ -33,15 +33,25 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
-from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black, check_noise
+from gpusim.kernels.processor.levels import (
+    CORRECTED_BLACK,
+    CORRECTED_WHITE,
+    check_black,
+    check_noise,
+)
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.stage import Case, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # beyond the expected 2, where the weight is 0; 5 to 8 differ by less than .1 dB
-MOST_TWIN = 2.0  # flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
+MOST_TWIN = (
+    2.0  # flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
+)
 BAND = 4  # rows that a work-item does (denoise_warp.py too): they share the squares of their differences
-CHUNK, SPARE = 64, 8  # columns that a CPU's work-item does, and columns beyond that it reads: four are needed
+CHUNK, SPARE = (
+    64,
+    8,
+)  # columns that a CPU's work-item does, and columns beyond that it reads: four are needed
 
 
 @stage
@@ -66,11 +76,19 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
     cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     rows, cols = raw.shape
     if rows < cfa.shape[0] or cols < cfa.shape[1]:
-        raise BadData(f"raw: {rows}x{cols} pixels; wanted at least one period of the mosaic, "
-                      f"{cfa.shape[0]}x{cfa.shape[1]}")
+        raise BadData(
+            f"raw: {rows}x{cols} pixels; wanted at least one period of the mosaic, "
+            f"{cfa.shape[0]}x{cfa.shape[1]}"
+        )
     if strength == 0 or gain == read == 0:
-        return shade(raw, np.ones((int(cfa.max()) + 1, 2, 2), np.float32), cfa=cfa, black_level=black_level,
-                     scale=scale, device=device)
+        return shade(
+            raw,
+            np.ones((int(cfa.max()) + 1, 2, 2), np.float32),
+            cfa=cfa,
+            black_level=black_level,
+            scale=scale,
+            device=device,
+        )
     lines = device.kind == "opencl" and not device.is_gpu
     chunk, spare = (CHUNK, SPARE) if lines else (1, 4)
     constant = read * read + 0.375 * gain * gain
@@ -78,48 +96,124 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
     bands, chunks = -(-rows // BAND), -(-cols // chunk)
     code = device.empty((bands * BAND + 2 * margin_y, chunks * chunk + 2 * margin_x + spare))
     out = device.empty((rows, cols), np.uint16)
-    twins = [MOST_TWIN * float(cfa.shape == (2, 2) and cfa[0, x] == cfa[1, 1 - x]) for x in (0, cfa.shape[1] - 1)]
+    twins = [
+        MOST_TWIN * float(cfa.shape == (2, 2) and cfa[0, x] == cfa[1, 1 - x])
+        for x in (0, cfa.shape[1] - 1)
+    ]
     group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
-    device.launch("processor.denoise", "stabilise", (code.shape[0], 1) if lines else code.shape,
-                  device.array(raw, np.uint16), code, float(black_level), float(gain), float(constant),
-                  float(-constant / gain if gain else -3e38), *cfa.shape, margin_y, margin_x, rows, cols, *code.shape,
-                  group=group, defines=defines)
-    device.launch("processor.denoise", "denoise", (bands, chunks), code, out,
-                  float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2)), float(gain / 4), float(np.sqrt(constant)),
-                  float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *twins, *cfa.shape,
-                  margin_y, margin_x, rows, cols, code.shape[1], group=group, defines=defines)
+    device.launch(
+        "processor.denoise",
+        "stabilise",
+        (code.shape[0], 1) if lines else code.shape,
+        device.array(raw, np.uint16),
+        code,
+        float(black_level),
+        float(gain),
+        float(constant),
+        float(-constant / gain if gain else -3e38),
+        *cfa.shape,
+        margin_y,
+        margin_x,
+        rows,
+        cols,
+        *code.shape,
+        group=group,
+        defines=defines,
+    )
+    device.launch(
+        "processor.denoise",
+        "denoise",
+        (bands, chunks),
+        code,
+        out,
+        float(1 + 2 / SOFT),
+        float(1 / (9 * SOFT * strength**2)),
+        float(gain / 4),
+        float(np.sqrt(constant)),
+        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
+        float(CORRECTED_BLACK),
+        *twins,
+        *cfa.shape,
+        margin_y,
+        margin_x,
+        rows,
+        cols,
+        code.shape[1],
+        group=group,
+        defines=defines,
+    )
     return out
 
 
 def cases():
     """Mosaics, sizes down to one period, noise models, edges, black, saturation."""
     random = np.random.default_rng(11)
-    why = ("u and its mean have some 2^-24 x 40 of the largest u, 2 sqrt(4095 / g) <= 130, which is < 4e-4 of a "
-           "standard deviation of noise; that is at most 61439 / 4031 sqrt(4095 g + s^2) < 1000 steps, so .4: the "
-           "rounding to whole numbers differs by one step at most")
-    for name, cfa in (("Bayer", BAYER), ("GRBG", ((1, 0), (2, 1))), ("GBRG", ((1, 2), (0, 1))),
-                      ("checkers", ((0, 1), (1, 0))), ("X-Trans", X_TRANS), ("grey", ((0,),)),
-                      ("8x8", random.permutation(np.arange(64) % 4).reshape(8, 8))):
+    why = (
+        "u and its mean have some 2^-24 x 40 of the largest u, 2 sqrt(4095 / g) <= 130, which is < 4e-4 of a "
+        "standard deviation of noise; that is at most 61439 / 4031 sqrt(4095 g + s^2) < 1000 steps, so .4: the "
+        "rounding to whole numbers differs by one step at most"
+    )
+    for name, cfa in (
+        ("Bayer", BAYER),
+        ("GRBG", ((1, 0), (2, 1))),
+        ("GBRG", ((1, 2), (0, 1))),
+        ("checkers", ((0, 1), (1, 0))),
+        ("X-Trans", X_TRANS),
+        ("grey", ((0,),)),
+        ("8x8", random.permutation(np.arange(64) % 4).reshape(8, 8)),
+    ):
         cfa = np.array(cfa, np.int32)
         for rows, cols in (cfa.shape, (9, 11), (45, 131)):
-            level = np.where(np.add.outer(np.arange(rows), 2 * np.arange(cols)) % 70 < 40, 200.0, 1500.0)
-            raw = (64 + np.round(random.poisson(level) + 3 * random.standard_normal((rows, cols)))).clip(0, 4095)
+            level = np.where(
+                np.add.outer(np.arange(rows), 2 * np.arange(cols)) % 70 < 40, 200.0, 1500.0
+            )
+            raw = (
+                64 + np.round(random.poisson(level) + 3 * random.standard_normal((rows, cols)))
+            ).clip(0, 4095)
             raw = raw.astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
             for noise in ((1.0, 3.0), (0.0, 20.0), (1.0, 0.0)) if rows == 45 else ((1.0, 3.0),):
-                yield Case(f"{name} {rows}x{cols}, noise {noise}",
-                           {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031, "noise": noise}, 1.0, why,
-                           metric="exact")
+                yield Case(
+                    f"{name} {rows}x{cols}, noise {noise}",
+                    {
+                        "raw": raw,
+                        "cfa": cfa,
+                        "black_level": 64.0,
+                        "scale": 1 / 4031,
+                        "noise": noise,
+                    },
+                    1.0,
+                    why,
+                    metric="exact",
+                )
     raw = random.integers(0, 65536, (40, 70), np.uint16)
-    options = {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 4096.0, "scale": 1 / 61439}
-    for name, more in (("noise-free", {"noise": (0.0, 0.0)}), ("strength 0", {"noise": (1.0, 2.0), "strength": 0.0})):
-        yield Case(name, {**options, **more}, 0.0, "nothing changes: see processor.shade with gains of 1",
-                   metric="exact")
+    options = {
+        "raw": raw,
+        "cfa": np.array(BAYER, np.int32),
+        "black_level": 4096.0,
+        "scale": 1 / 61439,
+    }
+    for name, more in (
+        ("noise-free", {"noise": (0.0, 0.0)}),
+        ("strength 0", {"noise": (1.0, 2.0), "strength": 0.0}),
+    ):
+        yield Case(
+            name,
+            {**options, **more},
+            0.0,
+            "nothing changes: see processor.shade with gains of 1",
+            metric="exact",
+        )
 
 
 def bench(rows, cols):
     """A 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
-    return {"raw": raw.astype(np.uint16), "cfa": np.array(BAYER, np.int32), "black_level": 64.0, "scale": 1 / 959,
-            "noise": (0.2, 1.0)}
+    return {
+        "raw": raw.astype(np.uint16),
+        "cfa": np.array(BAYER, np.int32),
+        "black_level": 64.0,
+        "scale": 1 / 959,
+        "noise": (0.2, 1.0),
+    }

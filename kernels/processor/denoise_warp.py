@@ -42,7 +42,9 @@ def stabilise(
     code_cols: int,
 ):
     y, x = wp.tid()
-    number = raw[moved_inside(y - margin_y, rows, period_y), moved_inside(x - margin_x, cols, period_x)]
+    number = raw[
+        moved_inside(y - margin_y, rows, period_y), moved_inside(x - margin_x, cols, period_x)
+    ]
     d = wp.max(float(number) - black_level, lowest)
     code[y, x] = 2.0 * d / (wp.sqrt(wp.max(gain * d + constant_part, 0.0)) + wp.sqrt(constant_part))
 
@@ -61,8 +63,12 @@ def column(code: wp.array2d[float], y: int, x: int, dy: int, dx: int):
 
 
 @wp.func
-def weigh(code: wp.array2d[float], y: int, x: int, dy: int, dx: int, most: float, per_square: float):
-    total = (column(code, y, x - 1, dy, dx) + column(code, y, x + 1, dy, dx)) + column(code, y, x, dy, dx)
+def weigh(
+    code: wp.array2d[float], y: int, x: int, dy: int, dx: int, most: float, per_square: float
+):
+    total = (column(code, y, x - 1, dy, dx) + column(code, y, x + 1, dy, dx)) + column(
+        code, y, x, dy, dx
+    )
     weights = Band()
     for r in range(4):
         root = wp.clamp(most - per_square * total[r], 0.0, 1.0)
@@ -77,16 +83,22 @@ def square(code: wp.array2d[float], y: int, x: int, dy: int, dx: int):
 
 
 @wp.func
-def weigh_twins(code: wp.array2d[float], y0: int, x: int, dy: int, dx: int, most: float, per_square: float):
+def weigh_twins(
+    code: wp.array2d[float], y0: int, x: int, dy: int, dx: int, most: float, per_square: float
+):
     """Weights by patches of the nine pixels next to one another on diagonals."""
     weights = Band()
     for r in range(4):
         y = y0 + r
         corners = (square(code, y - 1, x - 1, dy, dx) + square(code, y + 1, x + 1, dy, dx)) + (
-            square(code, y - 1, x + 1, dy, dx) + square(code, y + 1, x - 1, dy, dx))
+            square(code, y - 1, x + 1, dy, dx) + square(code, y + 1, x - 1, dy, dx)
+        )
         ends = (square(code, y - 2, x, dy, dx) + square(code, y + 2, x, dy, dx)) + (
-            square(code, y, x - 2, dy, dx) + square(code, y, x + 2, dy, dx))
-        root = wp.clamp(most - per_square * ((corners + ends) + square(code, y, x, dy, dx)), 0.0, 1.0)
+            square(code, y, x - 2, dy, dx) + square(code, y, x + 2, dy, dx)
+        )
+        root = wp.clamp(
+            most - per_square * ((corners + ends) + square(code, y, x, dy, dx)), 0.0, 1.0
+        )
         weights[r] = root * root
     return weights
 
@@ -155,8 +167,9 @@ def denoise(
             b = weigh_twins(code, y, x, -down, -right, most, per_square)
             c = weigh_twins(code, y, x, down, -right, most, per_square)
             d = weigh_twins(code, y, x, -down, right, most, per_square)
-            twin_sum += (weighted(code, y + down, x + right, a) + weighted(code, y - down, x - right, b)) + (
-                weighted(code, y + down, x - right, c) + weighted(code, y - down, x + right, d))
+            twin_sum += (
+                weighted(code, y + down, x + right, a) + weighted(code, y - down, x - right, b)
+            ) + (weighted(code, y + down, x - right, c) + weighted(code, y - down, x + right, d))
             twin_count += (a + b) + (c + d)
         for r in range(4):
             most_twin = wp.where((band * BAND + r + x0) % 2 == 0, even_twins, odd_twins)
@@ -168,4 +181,6 @@ def denoise(
             inverse = 1.0 / count[r]
             u = mean[r] * inverse
             signal = (quarter_gain * u + root) * u + quarter_gain * (1.0 - inverse)
-            out[band * BAND + r, x0] = wp.uint16(int(wp.clamp(signal * scale + new_black, 0.0, 65535.0) + 0.5))
+            out[band * BAND + r, x0] = wp.uint16(
+                int(wp.clamp(signal * scale + new_black, 0.0, 65535.0) + 0.5)
+            )

@@ -17,7 +17,9 @@ from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def develop(device, raw, matrix, thresholds, *, phase, black_level, scale, ceiling=None, converter=None):
+def develop(
+    device, raw, matrix, thresholds, *, phase, black_level, scale, ceiling=None, converter=None
+):
     """What `bilinear`, `color` and `encode` give one after the other, bit for bit on the same device.
 
     raw: shape (rows, cols): digital numbers, uint16 [DN]; or electrons, float32 [e-], with converter = (gain, offset,
@@ -38,11 +40,27 @@ def develop(device, raw, matrix, thresholds, *, phase, black_level, scale, ceili
     out = device.empty((rows, cols, 3), np.uint8)
     run, shape = items(device, cols)
     defines = shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)}
-    device.launch("processor.develop", "develop", (-(-rows // shape["ROWS"]), -(-cols // run)),
-                  device.array(raw, np.uint16 if converter is None else np.float32), device.array(matrix),
-                  device.array(ceiling), table.entries, out, *map(float, converter or (1, 0, 1)), float(black_level),
-                  float(scale), red_row, red_col, *table.numbers, run, rows, cols, defines=defines,
-                  group=None if device.is_gpu else (1, 1))
+    device.launch(
+        "processor.develop",
+        "develop",
+        (-(-rows // shape["ROWS"]), -(-cols // run)),
+        device.array(raw, np.uint16 if converter is None else np.float32),
+        device.array(matrix),
+        device.array(ceiling),
+        table.entries,
+        out,
+        *map(float, converter or (1, 0, 1)),
+        float(black_level),
+        float(scale),
+        red_row,
+        red_col,
+        *table.numbers,
+        run,
+        rows,
+        cols,
+        defines=defines,
+        group=None if device.is_gpu else (1, 1),
+    )
     return out
 
 
@@ -52,10 +70,14 @@ def _check(raw, scale, converter):
         return check_mosaic(raw, scale)
     dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
     if len(raw.shape) != 2 or dtype not in ("float32", "float64") or 0 in raw.shape:
-        raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of float32 with a converter")
+        raise BadData(
+            f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of float32 with a converter"
+        )
     gain, offset, most = converter
     if not (gain > 0 and np.isfinite([gain, offset]).all() and 0 < most <= 65535):
-        raise OutOfRange("converter", tuple(converter), "(gain > 0 [DN/e-], offset [DN], 0 < most <= 65535 [DN])")
+        raise OutOfRange(
+            "converter", tuple(converter), "(gain > 0 [DN/e-], offset [DN], 0 < most <= 65535 [DN])"
+        )
     if not scale > 0:
         raise OutOfRange("scale", scale, "scale > 0")
 
@@ -69,14 +91,25 @@ def cases():
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (33, 35), (16, 130)):
             raw = random.integers(0, 1100, (rows, cols), np.uint16)
-            yield _case(f"{phase} {rows}x{cols}", raw, matrix, next(powers), phase, ceiling if rows % 2 else None)
+            yield _case(
+                f"{phase} {rows}x{cols}",
+                raw,
+                matrix,
+                next(powers),
+                phase,
+                ceiling if rows % 2 else None,
+            )
     electrons = random.uniform(-300, 5000, (19, 24)).astype(np.float32)
     electrons[3:6, 7:9] = np.array([[np.nan, np.inf], [-np.inf, 1e30], [-0.0, 1e-30]])
     for phase in RED:
-        yield _case(f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, (0.2371, 63.7, 1023))
+        yield _case(
+            f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, (0.2371, 63.7, 1023)
+        )
 
 
-def _case(name, raw, matrix, power, phase, ceiling, converter=None, black_level=64.0, scale=1 / 1024):
+def _case(
+    name, raw, matrix, power, phase, ceiling, converter=None, black_level=64.0, scale=1 / 1024
+):
     """A case whose thresholds are moved out of the reach of rounding, so that its codes must agree exactly."""
     from gpusim.kernels.processor.bilinear_ref import bilinear
     from gpusim.kernels.processor.color_ref import color
@@ -93,15 +126,35 @@ def _case(name, raw, matrix, power, phase, ceiling, converter=None, black_level=
             if value > edges[k] + 2 * band:
                 break
             edges[k] = value + 3 * band
-    return Case(name, {"raw": raw, "matrix": matrix, "thresholds": edges.astype(np.float32), "phase": phase,
-                       "black_level": black_level, "scale": scale, "ceiling": ceiling, "converter": converter}, 0.0,
-                "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
-                "less than its distance from every threshold: the codes are equal", metric="exact")
+    return Case(
+        name,
+        {
+            "raw": raw,
+            "matrix": matrix,
+            "thresholds": edges.astype(np.float32),
+            "phase": phase,
+            "black_level": black_level,
+            "scale": scale,
+            "ceiling": ceiling,
+            "converter": converter,
+        },
+        0.0,
+        "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
+        "less than its distance from every threshold: the codes are equal",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """A 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
-    return {"raw": raw, "matrix": matrix, "thresholds": thresholds(DISPLAYS["srgb"].decode), "phase": "RGGB",
-            "black_level": 64.0, "scale": 1 / 959, "ceiling": np.ones(3, np.float32)}
+    return {
+        "raw": raw,
+        "matrix": matrix,
+        "thresholds": thresholds(DISPLAYS["srgb"].decode),
+        "phase": "RGGB",
+        "black_level": 64.0,
+        "scale": 1 / 959,
+        "ceiling": np.ones(3, np.float32),
+    }

@@ -46,11 +46,20 @@ def develop(
         y = first_row + i
         if y < rows:
             down = line(raw, converter, y + 1, x)
-            camera = interpolated(up, here, down, (x & 1) == first_own(y, red_row, red_col), ((y ^ red_row) & 1) == 0,
-                                  black_level, scale)
+            camera = interpolated(
+                up,
+                here,
+                down,
+                (x & 1) == first_own(y, red_row, red_col),
+                ((y ^ red_row) & 1) == 0,
+                black_level,
+                scale,
+            )
             sums = wp.vec3(0.0, 0.0, 0.0)
             for c in range(3):
-                sums += wp.min(camera[c], ceiling[c]) * wp.vec3(matrix[0, c], matrix[1, c], matrix[2, c])
+                sums += wp.min(camera[c], ceiling[c]) * wp.vec3(
+                    matrix[0, c], matrix[1, c], matrix[2, c]
+                )
             for p in range(3):
                 out[y, x, p] = code(sums[p], entries, bottom, top, shift)
             up = here

@@ -51,11 +51,28 @@ def flash(device, ambient, flash, *, ambient_noise, flash_noise, full=np.inf, ra
     out = device.empty((3, rows, cols))
     cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item, 8 pixels at once
     tables = [device.array(table) for table in (ambient_noise, flash_noise, spatial(radius))]
-    device.launch("processor.flash", "flash", (rows, 1 if cpu else cols), device.array(ambient), device.array(flash),
-                  *tables, out, float(min(full, 3e38)), float(1 / reach), rows, cols,
-                  *(() if device.kind == "opencl" else (int(radius),)),
-                  defines={"RADIUS": int(radius), "WIDTH": 8 if cpu else 1, "CPU": int(cpu), "BETTER": f"{BETTER}f",
-                           "HIGHLIGHT": f"{HIGHLIGHT}f"}, group=(1, 1) if cpu else None)
+    device.launch(
+        "processor.flash",
+        "flash",
+        (rows, 1 if cpu else cols),
+        device.array(ambient),
+        device.array(flash),
+        *tables,
+        out,
+        float(min(full, 3e38)),
+        float(1 / reach),
+        rows,
+        cols,
+        *(() if device.kind == "opencl" else (int(radius),)),
+        defines={
+            "RADIUS": int(radius),
+            "WIDTH": 8 if cpu else 1,
+            "CPU": int(cpu),
+            "BETTER": f"{BETTER}f",
+            "HIGHLIGHT": f"{HIGHLIGHT}f",
+        },
+        group=(1, 1) if cpu else None,
+    )
     return out
 
 
@@ -67,9 +84,16 @@ def spatial(radius):
 
 def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
     """Both tables of noise as float64. Raises BadData, OutOfRange."""
-    if len(ambient.shape) != 3 or ambient.shape[0] != 3 or 0 in ambient.shape or ambient.shape != flash.shape:
-        raise BadData(f"ambient {tuple(ambient.shape)} and flash {tuple(flash.shape)}: wanted (3, rows, cols), both "
-                      "alike")
+    if (
+        len(ambient.shape) != 3
+        or ambient.shape[0] != 3
+        or 0 in ambient.shape
+        or ambient.shape != flash.shape
+    ):
+        raise BadData(
+            f"ambient {tuple(ambient.shape)} and flash {tuple(flash.shape)}: wanted (3, rows, cols), both "
+            "alike"
+        )
     tables = []
     for name, table in (("ambient_noise", ambient_noise), ("flash_noise", flash_noise)):
         table = np.asarray(table, np.float64)
@@ -88,28 +112,52 @@ def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
 def _pair(rows, cols):
     """A noisy picture of patches, and one by flash with a shadow and a highlight."""
     random = np.random.default_rng(12)
-    patches = random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9))).repeat(7, 1).repeat(9, 2)[:, :rows, :cols]
+    patches = (
+        random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
+        .repeat(7, 1)
+        .repeat(9, 2)[:, :rows, :cols]
+    )
     own = 0.1 * patches * np.linspace(0.5, 1, cols)
     lit = 0.2 * own + patches * (np.arange(cols) % 40 > 9)
     lit[:, : rows // 4, : cols // 4] = 1.2
     noise = np.hstack([np.full((3, 3), 0.002) + 0.004 * np.eye(3), np.full((3, 1), 2e-4)])
-    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4)
+    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(
+        noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
+    )
     by_flash = lit + random.normal(0, 0.02, lit.shape)
-    return {"ambient": ambient.astype(np.float32), "flash": by_flash.astype(np.float32),
-            "ambient_noise": noise.tolist(), "flash_noise": (noise / 10).tolist(),
-            "full": 1.15}
+    return {
+        "ambient": ambient.astype(np.float32),
+        "flash": by_flash.astype(np.float32),
+        "ambient_noise": noise.tolist(),
+        "flash_noise": (noise / 10).tolist(),
+        "full": 1.15,
+    }
 
 
 def cases():
     """Window larger than the picture, odd sizes, shadows, highlights, flat fields."""
-    why = ("n = (2 r + 1)^2 taps: sums err by n 2^-24 at most, a squared difference of values below 1.3 over 2 V > "
-           "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3")
+    why = (
+        "n = (2 r + 1)^2 taps: sums err by n 2^-24 at most, a squared difference of values below 1.3 over 2 V > "
+        "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3"
+    )
     for rows, cols, radius in ((1, 1, 2), (5, 3, 5), (33, 70, 3), (24, 49, 5)):
-        yield Case(f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why)
-    yield Case("dark", {**_pair(9, 9), "ambient": np.zeros((3, 9, 9), np.float32)}, 0.0, "sums of zeros",
-               metric="exact")
+        yield Case(
+            f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why
+        )
+    yield Case(
+        "dark",
+        {**_pair(9, 9), "ambient": np.zeros((3, 9, 9), np.float32)},
+        0.0,
+        "sums of zeros",
+        metric="exact",
+    )
     same = _pair(20, 31)
-    yield Case("no better", {**same, "flash": same["ambient"], "flash_noise": same["ambient_noise"]}, 1e-3, why)
+    yield Case(
+        "no better",
+        {**same, "flash": same["ambient"], "flash_noise": same["ambient_noise"]},
+        1e-3,
+        why,
+    )
 
 
 def bench(rows, cols):

@@ -8,14 +8,20 @@ from gpusim.kernels.processor.flash import BETTER, HIGHLIGHT
 def flash(ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, reach=6.0):
     """See the contract."""
     ambient, flash = np.asarray(ambient, np.float64), np.asarray(flash, np.float64)
-    half_a, half_f = 1 / (2 * variance(ambient, ambient_noise)), 1 / (2 * variance(flash, flash_noise))
+    half_a, half_f = (
+        1 / (2 * variance(ambient, ambient_noise)),
+        1 / (2 * variance(flash, flash_noise)),
+    )
     joint, own = Means(), Means()
     fullness = spread = 0
     for dy in range(-radius, radius + 1):
         for dx in range(-radius, radius + 1):
             near = np.exp(-(dy**2 + dx**2) / (2 * (radius / 2) ** 2))
             a, f = shifted(ambient, dy, dx), shifted(flash, dy, dx)
-            alike_f, alike_a = ((f - flash) ** 2 * half_f).mean(axis=0), ((a - ambient) ** 2 * half_a).mean(axis=0)
+            alike_f, alike_a = (
+                ((f - flash) ** 2 * half_f).mean(axis=0),
+                ((a - ambient) ** 2 * half_a).mean(axis=0),
+            )
             joint.add(near * np.maximum(1 - alike_f / reach, 0) ** 2, np.stack([*a, *f, alike_f]))
             own.add(near * np.maximum(1 - alike_a / reach, 0) ** 2, a)
             fullness, spread = fullness + near * (f.max(axis=0) >= full), spread + near
@@ -24,9 +30,14 @@ def flash(ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, 
     v = means[6] - ((flash - f_f) ** 2 * half_f).mean(axis=0)
     share = np.maximum(v - 0.5, 0) / np.maximum(v, 0.5)
     detail = 1 + share * (flash - f_f) / np.maximum(f_f, np.sqrt(2 / half_f))
-    known_f, known_a = ((mean**2 / variance(mean, noise)).sum(axis=0)
-                        for mean, noise in ((f_f, flash_noise), (a_f, ambient_noise)))
-    mask = np.maximum(1 - step(known_f / np.maximum(BETTER * known_a, 1e-30) - 1), step(HIGHLIGHT * fullness / spread))
+    known_f, known_a = (
+        (mean**2 / variance(mean, noise)).sum(axis=0)
+        for mean, noise in ((f_f, flash_noise), (a_f, ambient_noise))
+    )
+    mask = np.maximum(
+        1 - step(known_f / np.maximum(BETTER * known_a, 1e-30) - 1),
+        step(HIGHLIGHT * fullness / spread),
+    )
     return (1 - mask) * a_f * detail + mask * own.total / own.weight
 
 
@@ -50,7 +61,11 @@ def variance(values, noise):
 def shifted(planes, dy, dx):
     """The pixels (dy, dx) away; outside, those at the edge."""
     rows, cols = planes.shape[1:]
-    return planes[:, np.clip(np.arange(rows) + dy, 0, rows - 1)[:, None], np.clip(np.arange(cols) + dx, 0, cols - 1)]
+    return planes[
+        :,
+        np.clip(np.arange(rows) + dy, 0, rows - 1)[:, None],
+        np.clip(np.arange(cols) + dx, 0, cols - 1),
+    ]
 
 
 def step(t):

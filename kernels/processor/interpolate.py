@@ -48,17 +48,34 @@ def interpolate(device, raw, *, cfa, black_level, scale):
     tents = _tents(*key)
     least = _least(tents)
     if rows < least[0] or cols < least[1]:
-        raise BadData(f"raw: {rows}x{cols} pixels; with a mosaic of {cfa.shape[0]}x{cfa.shape[1]}, at least "
-                      f"{least[0]}x{least[1]} are wanted, so that every channel is near every pixel")
+        raise BadData(
+            f"raw: {rows}x{cols} pixels; with a mosaic of {cfa.shape[0]}x{cfa.shape[1]}, at least "
+            f"{least[0]}x{least[1]} are wanted, so that every channel is near every pixel"
+        )
     blocks = device.kind == "opencl" and not device.is_gpu
     starts, offsets, weights, reach = _tables(device, blocks, *key)
     channels = len(tents)
     out = device.empty((channels, rows, cols))
-    device.launch("processor.interpolate", "interpolate", (rows, 1) if blocks else (rows, cols),
-                  device.array(raw, np.uint16), starts, offsets, weights, out, float(black_level), float(scale), *reach,
-                  *cfa.shape, weights.shape[1], rows, cols,
-                  *(() if device.kind == "opencl" else (channels,)),
-                  defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1}, group=(1, 1) if blocks else None)
+    device.launch(
+        "processor.interpolate",
+        "interpolate",
+        (rows, 1) if blocks else (rows, cols),
+        device.array(raw, np.uint16),
+        starts,
+        offsets,
+        weights,
+        out,
+        float(black_level),
+        float(scale),
+        *reach,
+        *cfa.shape,
+        weights.shape[1],
+        rows,
+        cols,
+        *(() if device.kind == "opencl" else (channels,)),
+        defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
+        group=(1, 1) if blocks else None,
+    )
     return out
 
 
@@ -70,14 +87,25 @@ def least_frame(cfa) -> tuple[int, int]:
 
 def checked_mosaic(cfa):
     """Return one period of the mosaic, the shortest there is. Raises BadData."""
-    if cfa.ndim != 2 or not cfa.size or max(cfa.shape) > LONGEST_PERIOD or cfa.dtype.kind not in "iu":
-        raise BadData(f"cfa: shape {cfa.shape} of {cfa.dtype}, wanted (rows, cols) of whole numbers, 1 to "
-                      f"{LONGEST_PERIOD} each way")
+    if (
+        cfa.ndim != 2
+        or not cfa.size
+        or max(cfa.shape) > LONGEST_PERIOD
+        or cfa.dtype.kind not in "iu"
+    ):
+        raise BadData(
+            f"cfa: shape {cfa.shape} of {cfa.dtype}, wanted (rows, cols) of whole numbers, 1 to "
+            f"{LONGEST_PERIOD} each way"
+        )
     found = np.unique(cfa)
     if found[0] < 0 or found[-1] != len(found) - 1:
-        raise BadData(f"cfa: channels {', '.join(map(str, found))}; wanted 0 .. C - 1, each in at least one pixel")
+        raise BadData(
+            f"cfa: channels {', '.join(map(str, found))}; wanted 0 .. C - 1, each in at least one pixel"
+        )
     for axis, size in enumerate(cfa.shape):
-        shortest = next(n for n in range(1, size + 1) if size % n == 0 and (np.roll(cfa, n, axis) == cfa).all())
+        shortest = next(
+            n for n in range(1, size + 1) if size % n == 0 and (np.roll(cfa, n, axis) == cfa).all()
+        )
         cfa = cfa.take(range(shortest), axis)
     return cfa
 
@@ -100,8 +128,12 @@ def _tent(sampled):
     """
     for k in range(1, max(sampled.shape) + 1):
         half = tuple(min(k, period) for period in sampled.shape)
-        weights = np.array([[_weights(sampled, half, y, x) for x in range(sampled.shape[1])]
-                            for y in range(sampled.shape[0])])
+        weights = np.array(
+            [
+                [_weights(sampled, half, y, x) for x in range(sampled.shape[1])]
+                for y in range(sampled.shape[0])
+            ]
+        )
         blocks = np.lib.stride_tricks.sliding_window_view(weights, half, axis=(2, 3))
         if not np.isnan(weights).any() and (blocks > 0).any(axis=(4, 5)).all():
             return half, weights
@@ -119,7 +151,9 @@ def _weights(sampled, half, y, x):
     weights = np.full(tent.shape, -1.0)
     while weights.min() < -LEAST:
         moments = np.einsum("iyx,jyx,yx->ij", plane, plane, tent)
-        weights = tent * np.tensordot(np.linalg.pinv(moments, rcond=LEAST, hermitian=True)[0], plane, 1)
+        weights = tent * np.tensordot(
+            np.linalg.pinv(moments, rcond=LEAST, hermitian=True)[0], plane, 1
+        )
         tent = np.where(weights < -LEAST, 0, tent)
     fits = np.allclose(np.tensordot(plane, weights, 2), (1, 0, 0), atol=LEAST)
     return np.where(weights > LEAST, weights, 0) if fits else np.full(tent.shape, np.nan)
@@ -145,42 +179,74 @@ def _tables(device, blocks, cfa, shape):
             for n in range(max(map(len, lists))):
                 taps = [taps[n] if n < len(taps) else None for taps in lists]
                 offsets.append([(0, 0) if tap is None else tap - half + 1 for tap in taps])
-                weights.append([0.0 if tap is None else table[y, x, *tap] for x, tap in enumerate(taps)])
+                weights.append(
+                    [0.0 if tap is None else table[y, x, *tap] for x, tap in enumerate(taps)]
+                )
             starts.append(len(offsets))
     offsets = np.array(offsets, np.int32)
     if blocks:
         weights = np.pad(weights, ((0, 0), (0, BLOCK - 1)), mode="wrap")
     reach = tuple(int(n) for n in abs(offsets).max(axis=(0, 1)))
-    return (device.array(np.array(starts, np.int32), np.int32), device.array(offsets, np.int32), device.array(weights),
-            reach)
+    return (
+        device.array(np.array(starts, np.int32), np.int32),
+        device.array(offsets, np.int32),
+        device.array(weights),
+        reach,
+    )
 
 
 BAYER, QUAD = ((0, 1), (1, 2)), ((0, 0, 1, 1), (0, 0, 1, 1), (1, 1, 2, 2), (1, 1, 2, 2))
-X_TRANS = ((1, 1, 0, 1, 1, 2), (1, 1, 2, 1, 1, 0), (2, 0, 1, 0, 2, 1),
-           (1, 1, 2, 1, 1, 0), (1, 1, 0, 1, 1, 2), (0, 2, 1, 2, 0, 1))
+X_TRANS = (
+    (1, 1, 0, 1, 1, 2),
+    (1, 1, 2, 1, 1, 0),
+    (2, 0, 1, 0, 2, 1),
+    (1, 1, 2, 1, 1, 0),
+    (1, 1, 0, 1, 1, 2),
+    (0, 2, 1, 2, 0, 1),
+)
 
 
 def cases():
     """Bayer, quad-Bayer, X-Trans, stripes, one channel, random 8 x 8, least frames, black, saturation."""
     random = np.random.default_rng(6)
-    why = ("weights are positive with sum 1, so errors count in 2^-24 of the largest sample: of n <= 40 taps n + 1 "
-           "(weight, product, sums), n of the sum of weights at borders, the quotient, black level, scale; 1 for "
-           "65535 / 65471")
-    mosaics = {"Bayer": BAYER, "quad-Bayer": QUAD, "X-Trans": X_TRANS, "stripes": ((0, 1, 2),), "grey": ((0,),),
-               "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
-               "rare of 5x7": np.arange(35).reshape(5, 7) // 17}
+    why = (
+        "weights are positive with sum 1, so errors count in 2^-24 of the largest sample: of n <= 40 taps n + 1 "
+        "(weight, product, sums), n of the sum of weights at borders, the quotient, black level, scale; 1 for "
+        "65535 / 65471"
+    )
+    mosaics = {
+        "Bayer": BAYER,
+        "quad-Bayer": QUAD,
+        "X-Trans": X_TRANS,
+        "stripes": ((0, 1, 2),),
+        "grey": ((0,),),
+        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
+        "rare of 5x7": np.arange(35).reshape(5, 7) // 17,
+    }
     for name, cfa in mosaics.items():
         cfa = np.array(cfa, np.int32)
         rows, cols = least_frame(cfa)
         for size in ((rows, cols), (rows + 1, cols + 5), (19, 150)):
             raw = random.integers(0, 65536, size, np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(f"{name} {size[0]}x{size[1]}", {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024},
-                       (2 * 40 + 5) * 2.0**-24, why)
-    yield Case("saturated", {"raw": np.full((40, 50), 65535, np.uint16), "cfa": np.array(BAYER, np.int32),
-                             "black_level": 0.0, "scale": 1.0}, 0.0,
-               "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
-               metric="exact")
+            yield Case(
+                f"{name} {size[0]}x{size[1]}",
+                {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024},
+                (2 * 40 + 5) * 2.0**-24,
+                why,
+            )
+    yield Case(
+        "saturated",
+        {
+            "raw": np.full((40, 50), 65535, np.uint16),
+            "cfa": np.array(BAYER, np.int32),
+            "black_level": 0.0,
+            "scale": 1.0,
+        },
+        0.0,
+        "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):

@@ -21,8 +21,18 @@ LOCAL = 48 * 1024  # bytes that any GPU's group may have
 
 
 @stage
-def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None,
-            balance=(1.0, 1.0)):
+def learned(
+    device,
+    raw,
+    *,
+    phase,
+    black_level,
+    scale,
+    domain=None,
+    noise=(0.0, 0.0),
+    table=None,
+    balance=(1.0, 1.0),
+):
     """Every pixel by the filter of its position in the mosaic, its class and the level around it.
 
     raw: shape (rows, cols) uint16 [DN]. phase: the sensor's mosaic, "RGGB", "GRBG", "GBRG", "BGGR" or one period of any
@@ -48,30 +58,42 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     shift = layout.shift(phase)
     code = _code(domain or layout.domain, black_level, scale, noise, balance, layout)
     if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
-        return bilinear(raw, phase="".join(phase), black_level=black_level, scale=scale, device=device)
+        return bilinear(
+            raw, phase="".join(phase), black_level=black_level, scale=scale, device=device
+        )
     rows, cols = raw.shape
     least = tuple(max(2, period) for period in layout.period)
     if rows < least[0] or cols < least[1]:
-        raise BadData(f"raw: {rows}x{cols} pixels; with a mosaic of {layout.period[0]}x{layout.period[1]} at least "
-                      f"{least[0]}x{least[1]} are wanted")
+        raise BadData(
+            f"raw: {rows}x{cols} pixels; with a mosaic of {layout.period[0]}x{layout.period[1]} at least "
+            f"{least[0]}x{least[1]} are wanted"
+        )
     prepared = _prepared(device, table, code)
     zero, pixels = float(np.sqrt(code.offset)), (2 * layout.box + 1) ** 2
     unit = STEPS[code.domain] * code.white * pixels
     from_black = float(code.offset - code.black_level), zero, prepared.factors
     decoding = zero, float(code.offset), float(scale), code.black_level
-    black = 0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))  # where whole codes start
+    black = (
+        0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))
+    )  # where whole codes start
     measures = prepared.least, float(1 / unit), float(black * pixels / unit)
     raw = device.array(raw, np.uint16)
     out = device.empty((len(layout.outputs), rows, cols))
-    (_tiles if device.is_gpu else _passes)(device, prepared, layout, raw, out, measures, from_black, decoding, shift)
+    (_tiles if device.is_gpu else _passes)(
+        device, prepared, layout, raw, out, measures, from_black, decoding, shift
+    )
     return out
 
 
 def _code(domain, black_level, scale, noise, balance, layout):
     """The frame's code. Raises OutOfRange, UnknownName."""
     balance = check_balance(balance)
-    if balance != (1, 1) and not (layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B")):
-        raise OutOfRange("balance", balance, "(1, 1) with a table that does not make R, G, B of RG/GB")
+    if balance != (1, 1) and not (
+        layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B")
+    ):
+        raise OutOfRange(
+            "balance", balance, "(1, 1) with a table that does not make R, G, B of RG/GB"
+        )
     return Code(domain, float(black_level), float(scale), noise, balance)
 
 
@@ -79,18 +101,49 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     """One pass over tiles, on GPUs."""
     rows, cols = raw.shape
     span, (period_y, period_x) = 2 * layout.box + 1, layout.period
-    high = span + 1  # low tiles: the more groups at a time the better, though they compute more of their rims twice
+    high = (
+        span + 1
+    )  # low tiles: the more groups at a time the better, though they compute more of their rims twice
     run = 2 if high % 2 == 0 and prepared.terms == 16 else 1
     terms = max(5 * span, 21 + 4 * len(layout.outputs))
     wide = 2 * prepared.reach
-    items = next(n for n in (128, 64, 32) if 4 * ((high + wide) * (n + wide) + n * (terms + 2 * high)) <= LOCAL)
+    items = next(
+        n
+        for n in (128, 64, 32)
+        if 4 * ((high + wide) * (n + wide) + n * (terms + 2 * high)) <= LOCAL
+    )
     strip = (items - 2 * layout.box) // 8 * 8
     across, down = -(-cols // strip), -(-rows // high)
-    defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run, "PERIOD_Y": period_y, "PERIOD_X": period_x}
-    device.launch(TILES, "learned_tiles", (across * down * items,), raw, prepared.limits,
-                  prepared.knots, prepared.weights, prepared.planes, prepared.factors, prepared.loss, out, *measures,
-                  *from_black[:2], *decoding[1:], *shift,
-                  rows, cols, across, defines=prepared.defines | defines, group=(items,))
+    defines = {
+        "ITEMS": items,
+        "STRIP": strip,
+        "ROWS": high,
+        "RUN": run,
+        "PERIOD_Y": period_y,
+        "PERIOD_X": period_x,
+    }
+    device.launch(
+        TILES,
+        "learned_tiles",
+        (across * down * items,),
+        raw,
+        prepared.limits,
+        prepared.knots,
+        prepared.weights,
+        prepared.planes,
+        prepared.factors,
+        prepared.loss,
+        out,
+        *measures,
+        *from_black[:2],
+        *decoding[1:],
+        *shift,
+        rows,
+        cols,
+        across,
+        defines=prepared.defines | defines,
+        group=(items,),
+    )
 
 
 def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
@@ -101,19 +154,86 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
     codes = device.empty((rows + 2 * reach, stride))
     units = device.empty((rows, cols), np.uint16)
     levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
-    launch = functools.partial(device.launch, "processor.learned", group=(1, 1) if opencl else None,
-                               defines=prepared.defines | {"STRIP": 128, "ROWS": 16})
-    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, raw, prepared.factors, codes, *from_black[:2],
-           *shift, *layout.period, rows, cols, stride, *(() if opencl else (reach, root)))
+    launch = functools.partial(
+        device.launch,
+        "processor.learned",
+        group=(1, 1) if opencl else None,
+        defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
+    )
+    launch(
+        "encode",
+        (codes.shape[0], 1) if opencl else codes.shape,
+        raw,
+        prepared.factors,
+        codes,
+        *from_black[:2],
+        *shift,
+        *layout.period,
+        rows,
+        cols,
+        stride,
+        *(() if opencl else (reach, root)),
+    )
     along, high = (128, 16) if opencl else (64, 1)
-    rest = () if opencl else (prepared.filters, reach, layout.box, root, layout.strengths.shape[1], len(layout.ratios),
-                              len(layout.shares), along)
-    launch("classify", (-(-rows // high), -(-cols // along)), codes, prepared.limits, prepared.knots, units, levels,
-           *measures, *shift, *layout.period, rows, cols, stride, *rest)
-    rest = () if opencl else (prepared.taps, reach, root, prepared.defines["UNBIASED"], layout.classes,
-                              layout.shape[-1])
-    launch("apply", (rows, 1 if opencl else cols), raw, codes, units, levels, prepared.weights, prepared.planes,
-           prepared.loss, out, *decoding, rows, cols, stride, *rest)
+    rest = (
+        ()
+        if opencl
+        else (
+            prepared.filters,
+            reach,
+            layout.box,
+            root,
+            layout.strengths.shape[1],
+            len(layout.ratios),
+            len(layout.shares),
+            along,
+        )
+    )
+    launch(
+        "classify",
+        (-(-rows // high), -(-cols // along)),
+        codes,
+        prepared.limits,
+        prepared.knots,
+        units,
+        levels,
+        *measures,
+        *shift,
+        *layout.period,
+        rows,
+        cols,
+        stride,
+        *rest,
+    )
+    rest = (
+        ()
+        if opencl
+        else (
+            prepared.taps,
+            reach,
+            root,
+            prepared.defines["UNBIASED"],
+            layout.classes,
+            layout.shape[-1],
+        )
+    )
+    launch(
+        "apply",
+        (rows, 1 if opencl else cols),
+        raw,
+        codes,
+        units,
+        levels,
+        prepared.weights,
+        prepared.planes,
+        prepared.loss,
+        out,
+        *decoding,
+        rows,
+        cols,
+        stride,
+        *rest,
+    )
 
 
 class _Prepared:
@@ -132,7 +252,9 @@ class _Prepared:
         unit = STEPS[code.domain] * code.white * (2 * layout.box + 1) ** 2
         self.least = int(min(floor * layout.weight / 2 * unit, 2.0**19))
         bounds = np.floor(np.minimum(strengths * layout.weight * unit, 2.0**27))
-        self.limits = device.array(np.concatenate([bounds, layout.ratios, layout.shares]).astype(np.int32), np.int32)
+        self.limits = device.array(
+            np.concatenate([bounds, layout.ratios, layout.shares]).astype(np.int32), np.int32
+        )
         self.knots = device.array(layout.levels.astype(np.float32))
 
         contrasts = [*layout.contrast, *(layout.detail or ())]
@@ -145,17 +267,23 @@ class _Prepared:
         constant = 0.0 if offsets is None else offsets * code.white
         if code.domain == "linear":  # weights take whole digital numbers there
             counts = np.bincount(layout.groups)
-            constant = constant - code.black_level * (weights[..., :groups].astype(np.float64) @ counts)
+            constant = constant - code.black_level * (
+                weights[..., :groups].astype(np.float64) @ counts
+            )
         kept = _samples(layout, weights[..., :groups])
         weights[..., :groups], left = _balanced(layout, code, weights[..., :groups])
         unbiased = code.domain == "root" and code.noise[0] > 0 and offsets is None
         weights[..., groups] = 1 - left if unbiased else constant
         self.loss = device.array(root_loss(*code.noise) if unbiased else np.zeros(7, np.float32))
         self.factors = device.array(_factors(layout, code).ravel().astype(np.float32))
-        planes = np.array([[o for o in range(outputs) if o != own] + [own] * (own is not None) for own in kept])
+        planes = np.array(
+            [[o for o in range(outputs) if o != own] + [own] * (own is not None) for own in kept]
+        )
         computed = outputs - (None not in kept)
         if computed < outputs:
-            weights = np.stack([weights[:, p].take(planes[p, :-1], axis=2) for p in range(positions)], axis=1)
+            weights = np.stack(
+                [weights[:, p].take(planes[p, :-1], axis=2) for p in range(positions)], axis=1
+            )
         else:
             planes = np.tile(np.arange(outputs), (positions, 1))
         self.planes = device.array(planes.astype(np.int32), np.int32)
@@ -167,18 +295,34 @@ class _Prepared:
         for row, weight in zip(wide, contrasts, strict=True):
             start = (len(row) - len(weight)) // 2
             row[start : start + len(weight)] = weight
-        self.taps, self.filters = device.array(taps.astype(np.int32), np.int32), device.array(wide, np.int32)
+        self.taps, self.filters = (
+            device.array(taps.astype(np.int32), np.int32),
+            device.array(wide, np.int32),
+        )
         names = ("DOWN", "ALONG", "DOWN_DETAIL", "ALONG_DETAIL")
         half = wide.shape[1] // 2
-        self.defines: dict = {name: " ".join(f"F({k - half}, ({weight}))" for k, weight in enumerate(row) if weight)
-                        for name, row in zip(names, wide, strict=False)}
-        self.defines |= {"TAPS": " ".join("F({}, {}, {})".format(*tap) for tap in taps),
-                         "ROOT": int(code.domain == "root"),
-                         "REACH": self.reach, "SPAN": 2 * layout.box + 1, "BOUNDS": len(bounds),
-                         "RATIOS": len(layout.ratios), "SHARES": len(layout.shares), "LEVELS": levels,
-                         "CLASSES": classes, "UNITS": positions * classes, "TERMS": terms, "CONSTANT": groups,
-                         "COMPUTED": computed, "KEPT": outputs - computed, "UNBIASED": int(unbiased),
-                         "BALANCED": int(code.balance != (1, 1))}
+        self.defines: dict = {
+            name: " ".join(f"F({k - half}, ({weight}))" for k, weight in enumerate(row) if weight)
+            for name, row in zip(names, wide, strict=False)
+        }
+        self.defines |= {
+            "TAPS": " ".join("F({}, {}, {})".format(*tap) for tap in taps),
+            "ROOT": int(code.domain == "root"),
+            "REACH": self.reach,
+            "SPAN": 2 * layout.box + 1,
+            "BOUNDS": len(bounds),
+            "RATIOS": len(layout.ratios),
+            "SHARES": len(layout.shares),
+            "LEVELS": levels,
+            "CLASSES": classes,
+            "UNITS": positions * classes,
+            "TERMS": terms,
+            "CONSTANT": groups,
+            "COMPUTED": computed,
+            "KEPT": outputs - computed,
+            "UNBIASED": int(unbiased),
+            "BALANCED": int(code.balance != (1, 1)),
+        }
 
 
 _prepared = functools.lru_cache(maxsize=16)(_Prepared)
@@ -186,8 +330,12 @@ _prepared = functools.lru_cache(maxsize=16)(_Prepared)
 
 def _factors(layout: Layout, code: Code):
     """What the codes of each position of the mosaic's period are multiplied by, shape (rows, cols)."""
-    return np.array([[code.factors.get(letter, 1.0) if code.balance != (1, 1) else 1.0 for letter in text]
-                     for text in layout.mosaic])
+    return np.array(
+        [
+            [code.factors.get(letter, 1.0) if code.balance != (1, 1) else 1.0 for letter in text]
+            for text in layout.mosaic
+        ]
+    )
 
 
 def _balanced(layout: Layout, code: Code, filters):
@@ -234,13 +382,33 @@ def cases():
             raw = (ramp + random.integers(0, 1000, size)).astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
             for phase in RED:
-                yield _case(f"{domain} {noise} {phase} {size[0]}x{size[1]}", raw, bayer_table(), phase=phase,
-                            domain=domain, noise=noise)
+                yield _case(
+                    f"{domain} {noise} {phase} {size[0]}x{size[1]}",
+                    raw,
+                    bayer_table(),
+                    phase=phase,
+                    domain=domain,
+                    noise=noise,
+                )
             if size[0] > 2 and domain == "root":
-                yield _case(f"balanced {noise} {size[0]}x{size[1]}", raw, bayer_table(), phase=phase, domain="root",
-                            noise=noise, balance=(1.9, 3.7))
-    yield _case("no constant, levels", raw, _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False),
-                phase="GBRG", domain="root", noise=(9.0, 14.0), balance=(0.6, 2.5))
+                yield _case(
+                    f"balanced {noise} {size[0]}x{size[1]}",
+                    raw,
+                    bayer_table(),
+                    phase=phase,
+                    domain="root",
+                    noise=noise,
+                    balance=(1.9, 3.7),
+                )
+    yield _case(
+        "no constant, levels",
+        raw,
+        _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False),
+        phase="GBRG",
+        domain="root",
+        noise=(9.0, 14.0),
+        balance=(0.6, 2.5),
+    )
     yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), domain="root", noise=(9.0, 14.0))
     yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
 
@@ -250,29 +418,52 @@ def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
     random = np.random.default_rng(9)
     dy, dx = np.mgrid[-3:4, -3:4]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
-    layout = Layout(mosaic, tuple(outputs), "root", taps, np.arange(len(taps)), (contrast, contrast), box, (12, 24),
-                    [0.0], [0.01], [[0.05, 0.2]], levels)
-    return FilterTable(layout, random.normal(0.04, 0.1, layout.shape),
-                       random.normal(0, 0.1, layout.shape[:-1]) if constant else None)
+    layout = Layout(
+        mosaic,
+        tuple(outputs),
+        "root",
+        taps,
+        np.arange(len(taps)),
+        (contrast, contrast),
+        box,
+        (12, 24),
+        [0.0],
+        [0.01],
+        [[0.05, 0.2]],
+        levels,
+    )
+    return FilterTable(
+        layout,
+        random.normal(0.04, 0.1, layout.shape),
+        random.normal(0, 0.1, layout.shape[:-1]) if constant else None,
+    )
 
 
 def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
     """A case whose tolerance is all roundings on the way to the largest sum that a filter of the table can make."""
     from gpusim.kernels.processor.learned_ref import learned as reference
 
-    code = Code(options["domain"], black_level, scale, options["noise"], options.get("balance", (1.0, 1.0)))
+    code = Code(
+        options["domain"], black_level, scale, options["noise"], options.get("balance", (1.0, 1.0))
+    )
     inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
     taps = np.bincount(table.layout.groups)
-    largest = (np.abs(table.filters) @ taps).max() * (np.abs(code.measured(raw)).max() + code.black_level)
+    largest = (np.abs(table.filters) @ taps).max() * (
+        np.abs(code.measured(raw)).max() + code.black_level
+    )
     largest /= min(code.factors.values())
     roundings = len(taps) + 12 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
     peak = np.abs(reference(**inputs)).max() / scale
     slope = 1.0 if code.domain == "linear" else 2 * np.sqrt(peak + code.offset)
-    return Case(name, inputs, roundings * 2.0**-24 * largest * slope / peak,
-                "a product and a sum for each group, the constant, weights and black level in float32, the decoding, "
-                "and four for what the square lacks, which is smaller than that: 2^-24 each of the largest sum of "
-                "absolute products, times the slope of the square; the place between two levels has three roundings "
-                "more, divided by their distance. Codes' sums and classes are exact")
+    return Case(
+        name,
+        inputs,
+        roundings * 2.0**-24 * largest * slope / peak,
+        "a product and a sum for each group, the constant, weights and black level in float32, the decoding, "
+        "and four for what the square lacks, which is smaller than that: 2^-24 each of the largest sum of "
+        "absolute products, times the slope of the square; the place between two levels has three roundings "
+        "more, divided by their distance. Codes' sums and classes are exact",
+    )
 
 
 def bench(rows, cols):

@@ -23,7 +23,9 @@ from gpusim.kernels.processor.levels import root_loss
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 
 
-def learned(raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None, balance=(1.0, 1.0)):
+def learned(
+    raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None, balance=(1.0, 1.0)
+):
     """Raw (rows, cols) [DN] -> (outputs, rows, cols), 1 = white."""
     layout = (table or bayer_table()).layout
     if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
@@ -42,23 +44,31 @@ def learned(raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), ta
 
     out, kept = np.zeros((2, len(layout.outputs), *raw.shape))
     for at, weight in hats(levels, layout.levels):
-        chosen = filters.astype(np.float32).astype(np.float64)[at, places, classes]  # (rows, cols, outputs, G)
+        chosen = filters.astype(np.float32).astype(np.float64)[
+            at, places, classes
+        ]  # (rows, cols, outputs, G)
         result = np.einsum("yxog,gyx->oyx", chosen, sums)
         if offsets is not None:
-            result += np.moveaxis(offsets.astype(np.float32)[at, places, classes], 2, 0) * np.float64(code.white)
+            result += np.moveaxis(
+                offsets.astype(np.float32)[at, places, classes], 2, 0
+            ) * np.float64(code.white)
         out += weight * result / own
         kept += weight * np.einsum("yxog,gyx->oyx", chosen**2, power) / own**2
     signal = code.decode(out)
     if unbiased:
         near, far, *terms = root_loss(*noise).astype(np.float64)
-        signal += (1 - kept) * np.polyval(terms, np.minimum(1, far / (near + (out + np.sqrt(code.offset)) ** 2)))
+        signal += (1 - kept) * np.polyval(
+            terms, np.minimum(1, far / (near + (out + np.sqrt(code.offset)) ** 2))
+        )
     return signal * scale
 
 
 def positions(layout: Layout, shape, shift=(0, 0)):
     """Number of each pixel's position in the mosaic's period, shape (rows, cols)."""
-    rows, cols = ((np.arange(n) + first) % period
-                  for n, first, period in zip(shape, shift, layout.period, strict=True))
+    rows, cols = (
+        (np.arange(n) + first) % period
+        for n, first, period in zip(shape, shift, layout.period, strict=True)
+    )
     return np.add.outer(rows * layout.period[1], cols)
 
 
@@ -70,7 +80,9 @@ def extended(plane, layout: Layout, reach):
     for axis, period in enumerate(layout.period):
         n = plane.shape[axis]
         if period <= 2:
-            plane = np.pad(plane, [(reach, reach) if a == axis else (0, 0) for a in range(2)], mode="reflect")
+            plane = np.pad(
+                plane, [(reach, reach) if a == axis else (0, 0) for a in range(2)], mode="reflect"
+            )
         else:
             i = np.arange(-reach, n + reach)
             i = np.where(i < 0, i % period, np.where(i >= n, n - period + (i - n) % period, i))
@@ -94,19 +106,27 @@ def classify(codes, code: Code, layout: Layout, floor, strengths):
 
     floor, strengths: relative to white, for this frame's noise.
     """
+
     def summed(plane):
         return boxed(np.floor(plane * STEPS[code.domain] + 0.5), layout)
 
-    columns, rows = (summed(np.abs(filtered(codes, layout, axis, layout.contrast))) for axis in range(2))
+    columns, rows = (
+        summed(np.abs(filtered(codes, layout, axis, layout.contrast))) for axis in range(2)
+    )
     unit = STEPS[code.domain] * code.white * (2 * layout.box + 1) ** 2
     e = np.floor(min(floor * layout.weight / 2 * unit, 2.0**19))  # so all numbers stay below 2^31
     bounds = np.floor(np.minimum(strengths * layout.weight * unit, 2.0**27))
     ratios = layout.ratios[:, None, None]
-    direction = ((8 * rows > ratios * columns + (ratios - 8) * e).sum(axis=0)
-                 - (8 * columns > ratios * rows + (ratios - 8) * e).sum(axis=0))
-    classes = (direction + len(ratios)) * (len(bounds) + 1) + (rows + columns > bounds[:, None, None]).sum(axis=0)
+    direction = (8 * rows > ratios * columns + (ratios - 8) * e).sum(axis=0) - (
+        8 * columns > ratios * rows + (ratios - 8) * e
+    ).sum(axis=0)
+    classes = (direction + len(ratios)) * (len(bounds) + 1) + (
+        rows + columns > bounds[:, None, None]
+    ).sum(axis=0)
     if layout.detail is not None:
-        least = np.minimum(*(summed(np.abs(filtered(codes, layout, axis, layout.detail))) for axis in range(2)))
+        least = np.minimum(
+            *(summed(np.abs(filtered(codes, layout, axis, layout.detail))) for axis in range(2))
+        )
         ratios = layout.shares[:, None, None]
         share = (8 * np.minimum(rows, columns) > ratios * least + (ratios - 8) * e).sum(axis=0)
         classes = classes * (len(ratios) + 1) + share

@@ -8,7 +8,9 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 
 from gpusim.kernels.common.bayer_warp import mirror
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})  # mirrored mosaic, mirrored picture
+wp.set_module_options(
+    {"enable_backward": False, "fuse_fp": False}
+)  # mirrored mosaic, mirrored picture
 
 GRAIN = 4096.0
 STEPS = 256.0
@@ -72,7 +74,15 @@ def whole(value: float, root: int):
 
 
 @wp.func
-def column(codes: wp.array2d[float], filters: wp.array2d[int], kind: int, y: int, x: int, box: int, root: int):
+def column(
+    codes: wp.array2d[float],
+    filters: wp.array2d[int],
+    kind: int,
+    y: int,
+    x: int,
+    box: int,
+    root: int,
+):
     """Return the sum down a column of the box of |contrast| of this kind: along columns (even kinds) or rows."""
     total = int(0)
     half = filters.shape[1] / 2
@@ -151,10 +161,15 @@ def classify(
                 kind = kind * (shares + 1)
                 for i in range(shares):
                     ratio = limits[bounds + ratios + i]
-                    if 8 * wp.min(columns, along) > ratio * wp.min(totals[2], totals[3]) + (ratio - 8) * least:
+                    if (
+                        8 * wp.min(columns, along)
+                        > ratio * wp.min(totals[2], totals[3]) + (ratio - 8) * least
+                    ):
                         kind += 1
             position = (y + shift_y) % period_y * period_x + (x + shift_x) % period_x
-            units[y, x] = wp.uint16((position * (2 * ratios + 1) + direction) * (bounds + 1) * (shares + 1) + kind)
+            units[y, x] = wp.uint16(
+                (position * (2 * ratios + 1) + direction) * (bounds + 1) * (shares + 1) + kind
+            )
             if knots.shape[0] > 1:
                 sum = int(0)
                 for v in range(y + reach - box, y + reach + box + 1):
@@ -232,7 +247,9 @@ def apply(
             missing = float(0.0)
             if unbiased != 0:
                 near = wp.min(loss[1] / (loss[0] + square), 1.0)
-                missing = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
+                missing = (
+                    ((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]
+                ) * near + loss[6]
                 share = weights[below, unit, o, constant]
                 if weights.shape[0] > 1:
                     share += part * (weights[below + 1, unit, o, constant] - share)

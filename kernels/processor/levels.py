@@ -39,7 +39,9 @@ def check_balance(balance) -> tuple[float, float]:
     except (TypeError, ValueError):
         red = blue = math.nan
     if not (1 / MOST_BALANCE <= red <= MOST_BALANCE and 1 / MOST_BALANCE <= blue <= MOST_BALANCE):
-        raise OutOfRange("balance", balance, f"two factors (red, blue), 1 / {MOST_BALANCE} .. {MOST_BALANCE}")
+        raise OutOfRange(
+            "balance", balance, f"two factors (red, blue), 1 / {MOST_BALANCE} .. {MOST_BALANCE}"
+        )
     return red, blue
 
 
@@ -75,8 +77,12 @@ def _mean_root(mean, sigma):
 
     count = np.arange(400)
     with np.errstate(divide="ignore", invalid="ignore"):
-        chance = np.exp(np.where(count == 0, 0.0, count * np.log(mean)[:, None]) - mean[:, None] - gammaln(count + 1))
+        chance = np.exp(
+            np.where(count == 0, 0.0, count * np.log(mean)[:, None])
+            - mean[:, None]
+            - gammaln(count + 1)
+        )
     place = np.linspace(-6, 6, 193)
-    normal = np.exp(-place**2 / 2)
+    normal = np.exp(-(place**2) / 2)
     y = count[:, None] + sigma * place + 0.375 + sigma**2
     return chance @ (np.copysign(np.sqrt(np.abs(y)), y) @ normal / normal.sum())

@@ -13,8 +13,17 @@ def linear(device, raw, *, black_level, scale):
     """Black level off, scale on: what demosaicking does for mosaics, shape (1, rows, cols); nothing is clipped."""
     rows, cols = raw.shape
     grey = device.empty((1, rows, cols))
-    device.launch("processor.linear", "linear", (rows * cols,), device.array(raw, np.uint16), grey,
-                  float(black_level), float(scale), *(() if device.kind == "opencl" else (cols,)), rows * cols)
+    device.launch(
+        "processor.linear",
+        "linear",
+        (rows * cols,),
+        device.array(raw, np.uint16),
+        grey,
+        float(black_level),
+        float(scale),
+        *(() if device.kind == "opencl" else (cols,)),
+        rows * cols,
+    )
     return grey
 
 
@@ -24,15 +33,23 @@ def cases():
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         raw = random.integers(0, 65536, (rows, cols), np.uint16)
         raw.flat[0] = 0
-        yield Case(f"{rows}x{cols}", {"raw": raw, "black_level": 64.0, "scale": 1 / 1024}, 2.0**-24,
-                   "the difference of integers below 2^24 is exact, scaling by a power of two too; half an ulp is "
-                   "left for a contracted product", metric="local")
+        yield Case(
+            f"{rows}x{cols}",
+            {"raw": raw, "black_level": 64.0, "scale": 1 / 1024},
+            2.0**-24,
+            "the difference of integers below 2^24 is exact, scaling by a power of two too; half an ulp is "
+            "left for a contracted product",
+            metric="local",
+        )
 
 
 def bench(rows, cols):
     """A 10-bit frame."""
-    return {"raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16), "black_level": 64.0,
-            "scale": 1 / 959}
+    return {
+        "raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16),
+        "black_level": 64.0,
+        "scale": 1 / 959,
+    }
 
 
 def operations(raw, black_level, scale):

@@ -6,21 +6,42 @@ wanted colour's neighbours plus a gain (1/2, 5/8 or 3/4) times the Laplacian of 
 
 import numpy as np
 
-GREEN = np.array([[0, 0, -1, 0, 0],  # at red and blue
-                  [0, 0, 2, 0, 0],
-                  [-1, 2, 4, 2, -1],
-                  [0, 0, 2, 0, 0],
-                  [0, 0, -1, 0, 0]]) / 8
-BESIDE = np.array([[0, 0, 0.5, 0, 0],  # at green: the colour left and right of it
-                   [0, -1, 0, -1, 0],
-                   [-1, 4, 5, 4, -1],
-                   [0, -1, 0, -1, 0],
-                   [0, 0, 0.5, 0, 0]]) / 8
-ACROSS = np.array([[0, 0, -1.5, 0, 0],  # red at blue, blue at red
-                   [0, 2, 0, 2, 0],
-                   [-1.5, 0, 6, 0, -1.5],
-                   [0, 2, 0, 2, 0],
-                   [0, 0, -1.5, 0, 0]]) / 8
+GREEN = (
+    np.array(
+        [
+            [0, 0, -1, 0, 0],  # at red and blue
+            [0, 0, 2, 0, 0],
+            [-1, 2, 4, 2, -1],
+            [0, 0, 2, 0, 0],
+            [0, 0, -1, 0, 0],
+        ]
+    )
+    / 8
+)
+BESIDE = (
+    np.array(
+        [
+            [0, 0, 0.5, 0, 0],  # at green: the colour left and right of it
+            [0, -1, 0, -1, 0],
+            [-1, 4, 5, 4, -1],
+            [0, -1, 0, -1, 0],
+            [0, 0, 0.5, 0, 0],
+        ]
+    )
+    / 8
+)
+ACROSS = (
+    np.array(
+        [
+            [0, 0, -1.5, 0, 0],  # red at blue, blue at red
+            [0, 2, 0, 2, 0],
+            [-1.5, 0, 6, 0, -1.5],
+            [0, 2, 0, 2, 0],
+            [0, 0, -1.5, 0, 0],
+        ]
+    )
+    / 8
+)
 KEEP = np.zeros((5, 5))
 KEEP[2, 2] = 1
 

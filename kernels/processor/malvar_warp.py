@@ -60,13 +60,25 @@ def malvar(
             far = int(raw[y, mirror(x - 2, cols)]) + next + int(raw[uu, c]) + int(raw[ww, c])
             rgb[own, y, c] = value(16 * here, 0, 0.0, black_level, scale)
             rgb[1, y, c] = value(4 * cross, 8 * here - 2 * far, of_own, black_level, scale)
-            rgb[2 - own, y, c] = value(4 * corners, 12 * here - 3 * far, of_own / of_other, black_level, scale)
+            rgb[2 - own, y, c] = value(
+                4 * corners, 12 * here - 3 * far, of_own / of_other, black_level, scale
+            )
         if x + 1 < cols:
             diagonal = up_c + int(raw[u, e]) + down_c + int(raw[w, e])
             along = left + int(raw[y, mirror(x + 3, cols)])
             across = int(raw[uu, d]) + int(raw[ww, d])
-            rgb[own, y, d] = value(8 * (here + next), 10 * right - 2 * (along + diagonal) + across, 1.0 / of_own,
-                                   black_level, scale)
+            rgb[own, y, d] = value(
+                8 * (here + next),
+                10 * right - 2 * (along + diagonal) + across,
+                1.0 / of_own,
+                black_level,
+                scale,
+            )
             rgb[1, y, d] = value(16 * right, 0, 0.0, black_level, scale)
-            rgb[2 - own, y, d] = value(8 * (up_d + down_d), 10 * right - 2 * (across + diagonal) + along,
-                                         1.0 / of_other, black_level, scale)
+            rgb[2 - own, y, d] = value(
+                8 * (up_d + down_d),
+                10 * right - 2 * (across + diagonal) + along,
+                1.0 / of_other,
+                black_level,
+                scale,
+            )

@@ -54,13 +54,28 @@ def merge(device, raw, *, dark, gain, time, floor, ceiling, photon=True, margin=
     full = (table[4] - table[0]) / table[1]
     table[1] = 1 / table[1]
     out = device.empty((rows, cols))
-    rows_alone = device.kind == "opencl" and not device.is_gpu  # CPUs do a row per work-item, 8 pixels at once
+    rows_alone = (
+        device.kind == "opencl" and not device.is_gpu
+    )  # CPUs do a row per work-item, 8 pixels at once
     run, width = (cols, 8) if rows_alone else (1, 1)
-    device.launch("processor.merge", "merge", (rows, -(-cols // run)), device.array(raw, np.uint16),
-                  device.array(np.vstack([table, full])), out, float(margin), float(1 / longest), int(bool(photon)),
-                  *map(int, period), *((run,) if device.kind == "opencl" else ()), rows, cols,
-                  *(() if device.kind == "opencl" else (count,)), defines={"FRAMES": count, "WIDTH": width},
-                  group=(1, 1) if rows_alone else None)
+    device.launch(
+        "processor.merge",
+        "merge",
+        (rows, -(-cols // run)),
+        device.array(raw, np.uint16),
+        device.array(np.vstack([table, full])),
+        out,
+        float(margin),
+        float(1 / longest),
+        int(bool(photon)),
+        *map(int, period),
+        *((run,) if device.kind == "opencl" else ()),
+        rows,
+        cols,
+        *(() if device.kind == "opencl" else (count,)),
+        defines={"FRAMES": count, "WIDTH": width},
+        group=(1, 1) if rows_alone else None,
+    )
     return out
 
 
@@ -68,19 +83,27 @@ def checked(raw, dark, gain, time, floor, ceiling, margin, period):
     """Numbers per frame as one float64 table (5, frames). Raises BadData, OutOfRange."""
     dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape or raw.shape[0] > MOST_FRAMES:
-        raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16, at most "
-                      f"{MOST_FRAMES} frames")
+        raise BadData(
+            f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16, at most "
+            f"{MOST_FRAMES} frames"
+        )
     table = np.empty((len(PER_FRAME), raw.shape[0]))
     for row, key, values in zip(table, PER_FRAME, (dark, gain, time, floor, ceiling), strict=True):
         values = np.asarray(values, np.float64)
         if values.shape != row.shape or not np.isfinite(values).all():
-            raise BadData(f"{key}: {values.tolist()}, wanted one finite number for each of {len(row)} frames")
+            raise BadData(
+                f"{key}: {values.tolist()}, wanted one finite number for each of {len(row)} frames"
+            )
         if key in ("gain", "time", "floor") and not (values > 0).all():
             raise OutOfRange(key, values.tolist(), f"{key} > 0")
         row[:] = values
     largest = (table[4] - table[0]) / table[1] / table[2]
     if not (np.diff(largest) <= 0).all():
-        raise OutOfRange("(ceiling - dark) / gain / time", f"{largest.tolist()} e-/s", "falling from frame to frame")
+        raise OutOfRange(
+            "(ceiling - dark) / gain / time",
+            f"{largest.tolist()} e-/s",
+            "falling from frame to frame",
+        )
     if not 0 <= margin <= 100:
         raise OutOfRange("margin", margin, "0 <= margin <= 100")
     if len(period) != 2 or not all(n >= 1 and n == int(n) for n in period):
@@ -91,33 +114,73 @@ def checked(raw, dark, gain, time, floor, ceiling, margin, period):
 def cases():
     """One to five frames, mosaics, frames smaller than a period, full and black pixels, edges of light."""
     random = np.random.default_rng(3)
-    why = ("in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
-           "and sums 2 n + 12 times the largest rate; no pixel of these is at a threshold")
-    for count, rows, cols, period in ((1, 1, 1, (1, 1)), (2, 3, 2, (2, 2)), (3, 33, 61, (2, 2)), (3, 9, 130, (6, 6)),
-                                      (5, 16, 40, (1, 1)), (2, 7, 8, (4, 8))):
+    why = (
+        "in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
+        "and sums 2 n + 12 times the largest rate; no pixel of these is at a threshold"
+    )
+    for count, rows, cols, period in (
+        (1, 1, 1, (1, 1)),
+        (2, 3, 2, (2, 2)),
+        (3, 33, 61, (2, 2)),
+        (3, 9, 130, (6, 6)),
+        (5, 16, 40, (1, 1)),
+        (2, 7, 8, (4, 8)),
+    ):
         time = 0.01 * 4.0 ** np.arange(count)
-        light = 2000 * 10 ** random.uniform(-3, 1, (rows, cols))  # [e- s-1] x 100: the longest frames are full
+        light = 2000 * 10 ** random.uniform(
+            -3, 1, (rows, cols)
+        )  # [e- s-1] x 100: the longest frames are full
         light = np.where(np.arange(cols) % 7 < 3, light, 1e4)
         gain, dark = np.full(count, 0.3), 64 + 0.3 * time
         raw = 64 + 0.3 * random.normal(light * time[:, None, None] * 10, 4)
         raw = np.rint(np.clip(raw, 0, 4095)).astype(np.uint16)
-        inputs = {"raw": raw, "dark": dark, "gain": gain, "time": time, "floor": np.full(count, 5.0) + time,
-                  "ceiling": np.full(count, 4080.0), "period": period}
+        inputs = {
+            "raw": raw,
+            "dark": dark,
+            "gain": gain,
+            "time": time,
+            "floor": np.full(count, 5.0) + time,
+            "ceiling": np.full(count, 4080.0),
+            "period": period,
+        }
         electrons = np.abs(raw / 0.3).max(axis=(1, 2)) / time
         peak = np.abs(reference(**inputs)).max()
-        yield Case(f"{count} frames {rows}x{cols}, period {period}", inputs,
-                   2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / peak, why)
+        yield Case(
+            f"{count} frames {rows}x{cols}, period {period}",
+            inputs,
+            2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / peak,
+            why,
+        )
         if count == 5:
-            yield Case("margin 0", {**inputs, "margin": 0.0},
-                       2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / np.abs(
-                           reference(**inputs, margin=0.0)).max(), why)
+            yield Case(
+                "margin 0",
+                {**inputs, "margin": 0.0},
+                2.0**-24
+                * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max())
+                / np.abs(reference(**inputs, margin=0.0)).max(),
+                why,
+            )
     full = np.full((3, 5, 9), 1023, np.uint16)
-    inputs = {"dark": np.full(3, 64.0), "gain": np.ones(3), "time": np.array([1.0, 2.0, 4.0]), "floor": np.full(3, 8.0),
-              "ceiling": np.full(3, 1000.0)}
-    yield Case("all full: the shortest", {"raw": full, **inputs}, 2.0**-22,
-               "959 e- in 1 s: one weight, its product, a quotient, the scale")
-    yield Case("black, no photon noise", {"raw": np.full((3, 5, 9), 64, np.uint16), **inputs, "photon": False}, 0.0,
-               "64 - 64 is exact", metric="exact")
+    inputs = {
+        "dark": np.full(3, 64.0),
+        "gain": np.ones(3),
+        "time": np.array([1.0, 2.0, 4.0]),
+        "floor": np.full(3, 8.0),
+        "ceiling": np.full(3, 1000.0),
+    }
+    yield Case(
+        "all full: the shortest",
+        {"raw": full, **inputs},
+        2.0**-22,
+        "959 e- in 1 s: one weight, its product, a quotient, the scale",
+    )
+    yield Case(
+        "black, no photon noise",
+        {"raw": np.full((3, 5, 9), 64, np.uint16), **inputs, "photon": False},
+        0.0,
+        "64 - 64 is exact",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
@@ -126,5 +189,12 @@ def bench(rows, cols):
     time = (1.0, 4.0, 16.0)
     raw = 64 + 2 * random.random((1, rows, cols)) * 50 * np.reshape(time, (3, 1, 1))
     raw += random.normal(0, 2, (3, rows, cols))
-    return {"raw": np.clip(raw, 0, 1023).astype(np.uint16), "dark": [64.0] * 3, "gain": [0.16] * 3, "time": time,
-            "floor": [25.0] * 3, "ceiling": [1020.0] * 3, "period": (2, 2)}
+    return {
+        "raw": np.clip(raw, 0, 1023).astype(np.uint16),
+        "dark": [64.0] * 3,
+        "gain": [0.16] * 3,
+        "time": time,
+        "floor": [25.0] * 3,
+        "ceiling": [1020.0] * 3,
+        "period": (2, 2),
+    }

@@ -5,18 +5,26 @@ import numpy as np
 
 def merge(raw, *, dark, gain, time, floor, ceiling, photon=True, margin=3.2, period=(1, 1)):
     """See the contract."""
-    dark, gain, time, floor, ceiling = (np.asarray(values, np.float64)[:, None, None]
-                                        for values in (dark, gain, time, floor, ceiling))
+    dark, gain, time, floor, ceiling = (
+        np.asarray(values, np.float64)[:, None, None]
+        for values in (dark, gain, time, floor, ceiling)
+    )
     raw = np.asarray(raw, np.float64)
     electrons, full = (raw - dark) / gain, (np.ceil(ceiling) - dark) / gain
-    ways = [[neighbours(size, sign * step) for sign in (-1, 0, 1)]
-            for size, step in zip(raw.shape[1:], period, strict=True)]
+    ways = [
+        [neighbours(size, sign * step) for sign in (-1, 0, 1)]
+        for size, step in zip(raw.shape[1:], period, strict=True)
+    ]
     around = sum(electrons[:, rows][:, :, cols] for rows in ways[0] for cols in ways[1]) - electrons
     mean = around / 8
     light = np.maximum(mean, 0) if photon else 0
     plausible = mean + margin * np.sqrt(light + floor) <= full
     plausible[0] = True
-    rate = np.maximum((plausible * mean).sum(axis=0) / (plausible * time).sum(axis=0), 0) if photon else 0
+    rate = (
+        np.maximum((plausible * mean).sum(axis=0) / (plausible * time).sum(axis=0), 0)
+        if photon
+        else 0
+    )
     used = plausible & (raw < ceiling)
     used[0] = True
     weights = used * time / (rate * time + floor)

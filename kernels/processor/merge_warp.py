@@ -52,7 +52,9 @@ def merge(
         if photon != 0:
             light = wp.max(mean, 0.0)
         left_over = wp.max(table[5, i] - mean, 0.0)  # to a full well
-        if i == 0 or (mean <= table[5, i] and margin * margin * (light + table[3, i]) <= left_over * left_over):
+        if i == 0 or (
+            mean <= table[5, i] and margin * margin * (light + table[3, i]) <= left_over * left_over
+        ):
             electrons += mean
             seconds += table[2, i]
             if i == 0 or float(raw[i, y, x]) < table[4, i]:

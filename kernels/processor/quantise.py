@@ -27,9 +27,20 @@ def quantise(device, raw, *, black_level, scale):
     check(raw, black_level, scale)
     rows, cols = raw.shape
     numbers = device.empty((rows, cols), np.uint16)
-    device.launch("processor.quantise", "quantise", (rows * cols,), device.array(raw), numbers, float(black_level),
-                  float(scale), LIGHT, float(CORRECTED_BLACK), float(CORRECTED_WHITE),
-                  *(() if device.kind == "opencl" else (cols,)), rows * cols)
+    device.launch(
+        "processor.quantise",
+        "quantise",
+        (rows * cols,),
+        device.array(raw),
+        numbers,
+        float(black_level),
+        float(scale),
+        LIGHT,
+        float(CORRECTED_BLACK),
+        float(CORRECTED_WHITE),
+        *(() if device.kind == "opencl" else (cols,)),
+        rows * cols,
+    )
     return numbers
 
 
@@ -46,17 +57,41 @@ def cases():
     """Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from 1."""
     random = np.random.default_rng(13)
     why = "the same four float32 operations, rounded alike, and an exact rounding"
-    for rows, cols, black, white in ((1, 1, 0.0, 65535.0), (1, 17, 64.25, 1023.0), (63, 65, -3.1, 5e-4),
-                                     (31, 33, 64.0, 1e9)):
-        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols)).astype(np.float32)
-        yield Case(f"{rows}x{cols}, black {black:g}, white {white:g}",
-                   {"raw": raw, "black_level": black, "scale": 1 / (white - black)}, 0.0, why, metric="exact")
-    hard = np.array([[np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]], np.float32)
-    yield Case("hard values", {"raw": hard, "black_level": 64.0, "scale": 1 / 959}, 0.0, why, metric="exact")
+    for rows, cols, black, white in (
+        (1, 1, 0.0, 65535.0),
+        (1, 17, 64.25, 1023.0),
+        (63, 65, -3.1, 5e-4),
+        (31, 33, 64.0, 1e9),
+    ):
+        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols)).astype(
+            np.float32
+        )
+        yield Case(
+            f"{rows}x{cols}, black {black:g}, white {white:g}",
+            {"raw": raw, "black_level": black, "scale": 1 / (white - black)},
+            0.0,
+            why,
+            metric="exact",
+        )
+    hard = np.array(
+        [[np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]],
+        np.float32,
+    )
+    yield Case(
+        "hard values",
+        {"raw": hard, "black_level": 64.0, "scale": 1 / 959},
+        0.0,
+        why,
+        metric="exact",
+    )
     steps = (np.arange(-16384, 16384, dtype=np.float32) / 2)[None] * np.float32(LIGHT)
     yield Case("halves", {"raw": steps, "black_level": 0.0, "scale": 1.0}, 0.0, why, metric="exact")
 
 
 def bench(rows, cols):
     """Electrons up to a full well."""
-    return {"raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32), "black_level": 0.0, "scale": 1e-4}
+    return {
+        "raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32),
+        "black_level": 0.0,
+        "scale": 1e-4,
+    }

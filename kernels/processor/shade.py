@@ -34,9 +34,15 @@ def shade(device, raw, gains, *, cfa, black_level, scale):
     cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     channels = int(cfa.max()) + 1
     shape = tuple(gains.shape)
-    if len(shape) != 3 or shape[0] != channels or not 2 <= min(shape[1:]) <= max(shape[1:]) <= MOST_NODES:
-        raise BadData(f"gains: shape {shape}, wanted ({channels}, 2 .. {MOST_NODES}, 2 .. {MOST_NODES}): nodes of each "
-                      "of the mosaic's channels")
+    if (
+        len(shape) != 3
+        or shape[0] != channels
+        or not 2 <= min(shape[1:]) <= max(shape[1:]) <= MOST_NODES
+    ):
+        raise BadData(
+            f"gains: shape {shape}, wanted ({channels}, 2 .. {MOST_NODES}, 2 .. {MOST_NODES}): nodes of each "
+            "of the mosaic's channels"
+        )
     if isinstance(gains, np.ndarray) and not (np.isfinite(gains).all() and gains.min() >= 0):
         wrong = gains[~(np.isfinite(gains) & (gains >= 0))]
         raise OutOfRange("gains", f"{wrong[0]:.6g}", "0 <= gain < inf")
@@ -44,39 +50,80 @@ def shade(device, raw, gains, *, cfa, black_level, scale):
     _, ny, nx = shape
     lines = device.empty((cfa.shape[0], ny, cols))
     out = device.empty((rows, cols), np.uint16)
-    device.launch("processor.shade", "widen", lines.shape, device.array(gains), device.array(cfa, np.int32), lines,
-                  *cfa.shape, ny, nx, cols)
-    device.launch("processor.shade", "shade", (rows, cols), device.array(raw, np.uint16), lines, out,
-                  float(black_level), float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK),
-                  cfa.shape[0], ny, rows, cols)
+    device.launch(
+        "processor.shade",
+        "widen",
+        lines.shape,
+        device.array(gains),
+        device.array(cfa, np.int32),
+        lines,
+        *cfa.shape,
+        ny,
+        nx,
+        cols,
+    )
+    device.launch(
+        "processor.shade",
+        "shade",
+        (rows, cols),
+        device.array(raw, np.uint16),
+        lines,
+        out,
+        float(black_level),
+        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
+        float(CORRECTED_BLACK),
+        cfa.shape[0],
+        ny,
+        rows,
+        cols,
+    )
     return out
 
 
 def cases():
     """Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped."""
     random = np.random.default_rng(10)
-    why = ("gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the "
-           "product below 61439 x 8 x 6 2^-24 < 0.2 steps where nothing is clipped: the rounding to whole numbers may "
-           "differ by one")
+    why = (
+        "gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the "
+        "product below 61439 x 8 x 6 2^-24 < 0.2 steps where nothing is clipped: the rounding to whole numbers may "
+        "differ by one"
+    )
     for name, cfa in (("Bayer", BAYER), ("X-Trans", X_TRANS), ("grey", ((0,),))):
         cfa = np.array(cfa, np.int32)
         for rows, cols, ny, nx in ((1, 1, 2, 2), (3, 5, 4, 3), (63, 130, 5, 9), (40, 33, 17, 65)):
             raw = random.integers(0, 4096, (rows, cols), np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
             gains = random.uniform(0, 8, (cfa.max() + 1, ny, nx)).astype(np.float32)
-            yield Case(f"{name} {rows}x{cols}, {ny}x{nx} nodes",
-                       {"raw": raw, "gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031}, 1.0, why,
-                       metric="exact")
+            yield Case(
+                f"{name} {rows}x{cols}, {ny}x{nx} nodes",
+                {"raw": raw, "gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031},
+                1.0,
+                why,
+                metric="exact",
+            )
     raw = random.integers(0, 65536, (20, 30), np.uint16)
-    yield Case("no correction", {"raw": raw, "gains": np.ones((3, 3, 3), np.float32), "cfa": np.array(BAYER, np.int32),
-                                 "black_level": 4096.0, "scale": 1 / 61439}, 0.0,
-               "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
-               metric="exact")
+    yield Case(
+        "no correction",
+        {
+            "raw": raw,
+            "gains": np.ones((3, 3, 3), np.float32),
+            "cfa": np.array(BAYER, np.int32),
+            "black_level": 4096.0,
+            "scale": 1 / 61439,
+        },
+        0.0,
+        "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """A 10-bit Bayer mosaic, 17 x 17 nodes."""
     random = np.random.default_rng(10)
-    return {"raw": random.integers(0, 1024, (rows, cols), np.uint16),
-            "gains": random.uniform(1, 4, (3, 17, 17)).astype(np.float32), "cfa": np.array(BAYER, np.int32),
-            "black_level": 64.0, "scale": 1 / 959}
+    return {
+        "raw": random.integers(0, 1024, (rows, cols), np.uint16),
+        "gains": random.uniform(1, 4, (3, 17, 17)).astype(np.float32),
+        "cfa": np.array(BAYER, np.int32),
+        "black_level": 64.0,
+        "scale": 1 / 959,
+    }

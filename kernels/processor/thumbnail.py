@@ -28,8 +28,10 @@ def thumbnail(device, camera, ceiling, *, rows=48, cols=64):
     channels, height, width = (int(size) for size in checked(camera, rows, cols))
     ceiling = np.asarray(ceiling, np.float64)
     if ceiling.shape not in ((), (channels,)):
-        raise BadData(f"thumbnail: ceiling of shape {ceiling.shape}; wanted one number, or one for each of the "
-                      f"{channels} channels")
+        raise BadData(
+            f"thumbnail: ceiling of shape {ceiling.shape}; wanted one number, or one for each of the "
+            f"{channels} channels"
+        )
     rows, cols = min(int(rows), height), min(int(cols), width)
     run = 1 if device.is_gpu else CHUNK
     sums = device.empty((channels + 1, rows, width))
@@ -37,18 +39,43 @@ def thumbnail(device, camera, ceiling, *, rows=48, cols=64):
     sizes = () if device.kind == "opencl" else (channels,)
     defines = {"CHANNELS": channels, "RUN": run}
     one = None if device.is_gpu else (1, 1)
-    device.launch("processor.thumbnail", "columns", (rows, -(-width // run)), device.array(camera),
-                  device.array(np.broadcast_to(ceiling, channels)), sums, height, width, rows, run, *sizes,
-                  defines=defines, group=one)
-    device.launch("processor.thumbnail", "blocks", (rows, cols), sums, out, width, rows, cols, *sizes, defines=defines,
-                  group=one)
+    device.launch(
+        "processor.thumbnail",
+        "columns",
+        (rows, -(-width // run)),
+        device.array(camera),
+        device.array(np.broadcast_to(ceiling, channels)),
+        sums,
+        height,
+        width,
+        rows,
+        run,
+        *sizes,
+        defines=defines,
+        group=one,
+    )
+    device.launch(
+        "processor.thumbnail",
+        "blocks",
+        (rows, cols),
+        sums,
+        out,
+        width,
+        rows,
+        cols,
+        *sizes,
+        defines=defines,
+        group=one,
+    )
     return out
 
 
 def checked(camera, rows, cols):
     """Shape of the camera's picture; raises BadData and OutOfRange for what has no thumbnail."""
     if len(camera.shape) != 3 or 0 in camera.shape:
-        raise BadData(f"thumbnail: a picture of shape {tuple(camera.shape)}; wanted (channels, rows, cols)")
+        raise BadData(
+            f"thumbnail: a picture of shape {tuple(camera.shape)}; wanted (channels, rows, cols)"
+        )
     for axis, count in (("rows", rows), ("cols", cols)):
         if not (1 <= count <= MOST and count == int(count)):
             raise OutOfRange(f"thumbnail {axis}", count, f"a whole number, 1 .. {MOST}")
@@ -58,16 +85,27 @@ def checked(camera, rows, cols):
 def cases():
     """One to six channels, blocks of unequal size, pictures smaller than the thumbnail, ceilings, clipped blocks."""
     random = np.random.default_rng(7)
-    for channels, height, width, rows, cols in ((3, 1, 1, 48, 64), (3, 5, 3, 48, 64), (1, 50, 130, 48, 64),
-                                                (3, 97, 515, 7, 9), (4, 33, 300, 5, 1), (6, 64, 64, 1, 3)):
+    for channels, height, width, rows, cols in (
+        (3, 1, 1, 48, 64),
+        (3, 5, 3, 48, 64),
+        (1, 50, 130, 48, 64),
+        (3, 97, 515, 7, 9),
+        (4, 33, 300, 5, 1),
+        (6, 64, 64, 1, 3),
+    ):
         camera = random.normal(0.4, 0.3, (channels, height, width)).astype(np.float32)
         for ceiling in (np.inf, 0.9, random.uniform(0.6, 1, channels).astype(np.float32)):
-            yield _case(f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d",
-                        {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols})
+            yield _case(
+                f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d",
+                {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols},
+            )
     camera = np.full((3, 40, 40), 0.5, np.float32)
     camera[1, :10, :10] = 1.0  # a whole block clipped, in one channel
     camera[0, 25, 25], camera[2, 35, 5], camera[0, 5, 35] = np.nan, np.inf, 1e30
-    yield _case("a clipped block, NaN, infinity, huge", {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4})
+    yield _case(
+        "a clipped block, NaN, infinity, huge",
+        {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4},
+    )
 
 
 def _case(name, inputs):
@@ -77,9 +115,13 @@ def _case(name, inputs):
     additions = -(-camera.shape[1] // rows) + -(-camera.shape[2] // cols)
     # A block's mean of magnitudes is at most the largest one; some block's mean is at least the mean of them all.
     peak = max(np.abs(values.sum((1, 2)) / max(np.count_nonzero(below), 1)).max(), 1e-30)
-    return Case(name, inputs, (additions + 1) * 2.0**-24 * 1.001 * np.abs(values).max() / peak,
-                "a sum of m rows, then n columns, errs by at most (m + n) 2^-24 times the sum of magnitudes (Higham "
-                "2002, 4.2), the division by half an ulp")
+    return Case(
+        name,
+        inputs,
+        (additions + 1) * 2.0**-24 * 1.001 * np.abs(values).max() / peak,
+        "a sum of m rows, then n columns, errs by at most (m + n) 2^-24 times the sum of magnitudes (Higham "
+        "2002, 4.2), the division by half an ulp",
+    )
 
 
 def bench(rows, cols):

@@ -14,7 +14,10 @@ def thumbnail(camera, ceiling, *, rows=48, cols=64):
     out = np.full((channels, rows, cols), np.nan)
     for i in range(rows):
         for j in range(cols):
-            block = np.s_[i * height // rows:(i + 1) * height // rows, j * width // cols:(j + 1) * width // cols]
+            block = np.s_[
+                i * height // rows : (i + 1) * height // rows,
+                j * width // cols : (j + 1) * width // cols,
+            ]
             if below[block].any():
                 out[:, i, j] = camera[:, *block][:, below[block]].mean(1)
     return out

@@ -23,7 +23,9 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.stage import Case, stage
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
-CHUNK = 1024  # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
+CHUNK = (
+    1024  # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
+)
 
 
 @stage
@@ -42,12 +44,29 @@ def bin(device, pixels, *, binning, stride=(1, 1), average=False):
     pixels = device.array(pixels, np.uint16 if digital else np.float32)
     out = device.empty(out_shape, np.uint16 if digital else np.float32)
     # Along a row the block is known at compile time: its columns are picked without gathers.
-    defines = {"PIXEL": "ushort" if digital else "float", "DIGITAL": int(digital), "BINNING_X": binning[1],
-               "STRIDE_X": stride[1], "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1]))}
+    defines = {
+        "PIXEL": "ushort" if digital else "float",
+        "DIGITAL": int(digital),
+        "BINNING_X": binning[1],
+        "STRIDE_X": stride[1],
+        "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1])),
+    }
     grid = (out_shape[0], 1) if device.kind == "opencl" and not device.is_gpu else out_shape
-    device.launch("sensor.bin", "bin", grid, pixels, out, int(binning[0]), int(stride[0]), int(average), cols,
-                  *out_shape, *(() if device.kind == "opencl" else (binning[1], stride[1], int(digital))),
-                  defines=defines, group=None if device.is_gpu else (1, 1))
+    device.launch(
+        "sensor.bin",
+        "bin",
+        grid,
+        pixels,
+        out,
+        int(binning[0]),
+        int(stride[0]),
+        int(average),
+        cols,
+        *out_shape,
+        *(() if device.kind == "opencl" else (binning[1], stride[1], int(digital))),
+        defines=defines,
+        group=None if device.is_gpu else (1, 1),
+    )
     return out
 
 
@@ -55,8 +74,10 @@ def checked(pixels, average) -> bool:
     """Whether `pixels` are digital numbers; raises BadData for what is neither charges nor numbers."""
     kind = getattr(pixels.dtype, "name", None) or pixels.dtype.__name__  # Warp's types are classes
     if len(pixels.shape) != 2 or kind not in ("uint16", "float32", "float64"):
-        raise BadData(f"pixels: {kind}, shape {tuple(pixels.shape)}; wanted (rows, cols) of charges, float32, or of "
-                      "digital numbers, uint16")
+        raise BadData(
+            f"pixels: {kind}, shape {tuple(pixels.shape)}; wanted (rows, cols) of charges, float32, or of "
+            "digital numbers, uint16"
+        )
     if average and kind != "uint16":
         raise BadData("average: charges are added; only digital numbers, uint16, can be averaged")
     return kind == "uint16"
@@ -73,11 +94,17 @@ def binned_shape(shape, binning, stride=(1, 1)) -> tuple[int, int]:
             raise OutOfRange(f"binning ({axis})", factor, f"a whole number, 1 <= binning <= {MOST}")
         if not (step >= 1 and step == int(step)):
             raise OutOfRange(f"stride ({axis})", step, "a whole number, stride >= 1")
-    rows, cols = (size // (factor * step) * step for size, factor, step in zip(shape, binning, stride, strict=True))
+    rows, cols = (
+        size // (factor * step) * step
+        for size, factor, step in zip(shape, binning, stride, strict=True)
+    )
     if not (rows and cols):
-        raise OutOfRange("frame", f"{shape[1]}x{shape[0]} pixels",
-                         f"at least {binning[1] * stride[1]}x{binning[0] * stride[0]}, one block of binning "
-                         f"{binning[1]}x{binning[0]} in this mosaic; use a larger frame or less binning")
+        raise OutOfRange(
+            "frame",
+            f"{shape[1]}x{shape[0]} pixels",
+            f"at least {binning[1] * stride[1]}x{binning[0] * stride[0]}, one block of binning "
+            f"{binning[1]}x{binning[0]} in this mosaic; use a larger frame or less binning",
+        )
     return rows, cols
 
 
@@ -86,9 +113,19 @@ def cases():
     random = np.random.default_rng(11)
     charges = "the same float32 additions in the same order"
     numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
-    sizes = [((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3))
-             for by, bx, sy, sx in ((1, 1, 1, 1), (2, 2, 1, 1), (3, 2, 1, 1), (2, 2, 2, 2), (3, 3, 2, 2), (3, 2, 4, 2),
-                                    (2, 2, 6, 6), (8, 8, 8, 1))]
+    sizes = [
+        ((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3))
+        for by, bx, sy, sx in (
+            (1, 1, 1, 1),
+            (2, 2, 1, 1),
+            (3, 2, 1, 1),
+            (2, 2, 2, 2),
+            (3, 3, 2, 2),
+            (3, 2, 4, 2),
+            (2, 2, 6, 6),
+            (8, 8, 8, 1),
+        )
+    ]
     sizes += [((2, 2), (2, 2), (4, 4)), ((2, 2), (2, 2), (7, 4103)), ((1, 2), (2, 1), (5, 5000))]
     for binning, stride, (rows, cols) in sizes:
         inputs = {"binning": binning, "stride": stride}
@@ -97,14 +134,28 @@ def cases():
         yield Case(f"charges {name}", {"pixels": values, **inputs}, 0.0, charges, metric="exact")
         values = random.integers(0, 65536, (rows, cols), np.uint16)
         for average in (False, True):
-            yield Case(f"{'means' if average else 'sums'} {name}", {"pixels": values, **inputs, "average": average},
-                       0.0, numbers, metric="exact")
+            yield Case(
+                f"{'means' if average else 'sums'} {name}",
+                {"pixels": values, **inputs, "average": average},
+                0.0,
+                numbers,
+                metric="exact",
+            )
     values = np.ones((8, 12), np.float32)
     values[2, 3], values[5, 6], values[0, 11] = np.nan, np.inf, 1e-45
-    yield Case("NaN and infinity stay in their block", {"pixels": values, "binning": (2, 2), "stride": (2, 2)}, 0.0,
-               charges, metric="exact")
+    yield Case(
+        "NaN and infinity stay in their block",
+        {"pixels": values, "binning": (2, 2), "stride": (2, 2)},
+        0.0,
+        charges,
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """Charges of a Bayer mosaic, 2 x 2."""
-    return {"pixels": np.random.default_rng(11).random((rows, cols), np.float32), "binning": (2, 2), "stride": (2, 2)}
+    return {
+        "pixels": np.random.default_rng(11).random((rows, cols), np.float32),
+        "binning": (2, 2),
+        "stride": (2, 2),
+    }

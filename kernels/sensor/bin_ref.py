@@ -13,7 +13,9 @@ def bin(pixels, *, binning, stride=(1, 1), average=False):
     whole = np.asarray(pixels)[: rows * by, : cols * bx].astype(np.int64 if digital else np.float32)
     blocks = whole.reshape(rows // sy, by, sy, cols // sx, bx, sx)
     columns = sum((blocks[:, j] for j in range(1, by)), start=blocks[:, 0])
-    total = sum((columns[:, :, :, i] for i in range(1, bx)), start=columns[:, :, :, 0]).reshape(rows, cols)
+    total = sum((columns[:, :, :, i] for i in range(1, bx)), start=columns[:, :, :, 0]).reshape(
+        rows, cols
+    )
     if not digital:
         return total
     return (np.rint(total / (by * bx)) if average else np.minimum(total, 65535)).astype(np.uint16)

@@ -24,18 +24,32 @@ def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
     """
     for name, plane in (("response", response), ("dark", dark)):
         if plane is not None and tuple(plane.shape) != tuple(mean.shape):
-            raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the mean, {tuple(mean.shape)}")
+            raise BadData(
+                f"{name}: shape {tuple(plane.shape)}, wanted that of the mean, {tuple(mean.shape)}"
+            )
     for name, value in (("scale", scale), ("dark_time", dark_time)):
         if not 0 <= value <= MOST:
             raise OutOfRange(name, value, f"0 <= {name} <= {MOST:g}")
     size = mean.shape[0] * mean.shape[1]
-    planes = [device.array(mean), *(None if plane is None else device.array(plane) for plane in (response, dark))]
+    planes = [
+        device.array(mean),
+        *(None if plane is None else device.array(plane) for plane in (response, dark)),
+    ]
     use = [int(plane is not None) for plane in planes[1:]]
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
-    device.launch("sensor.chip", "chip", (size,), *planes, expected,
-                  *(() if device.kind == "opencl" else use), size, float(scale), float(dark_time),
-                  defines={"RESPONSE": use[0], "DARK": use[1]})
+    device.launch(
+        "sensor.chip",
+        "chip",
+        (size,),
+        *planes,
+        expected,
+        *(() if device.kind == "opencl" else use),
+        size,
+        float(scale),
+        float(dark_time),
+        defines={"RESPONSE": use[0], "DARK": use[1]},
+    )
     return device.reshape(expected, tuple(mean.shape))
 
 
@@ -51,13 +65,26 @@ def cases():
     random = np.random.default_rng(5)
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
-        mean = np.resize([0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7], (rows, cols))
-        planes = {"response": random.normal(1, 0.4, (rows, cols)).astype(np.float32),
-                  "dark": random.exponential(1, (rows, cols)).astype(np.float32)}
+        mean = np.resize(
+            [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7], (rows, cols)
+        )
+        planes = {
+            "response": random.normal(1, 0.4, (rows, cols)).astype(np.float32),
+            "dark": random.exponential(1, (rows, cols)).astype(np.float32),
+        }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
-            yield Case(f"{rows}x{cols} {' '.join(chosen) or 'alone'}",
-                       {"mean": mean.astype(np.float32), "scale": 0.3, "dark_time": 0.7,
-                        **{name: planes[name] for name in chosen}}, 0.0, why, metric="exact")
+            yield Case(
+                f"{rows}x{cols} {' '.join(chosen) or 'alone'}",
+                {
+                    "mean": mean.astype(np.float32),
+                    "scale": 0.3,
+                    "dark_time": 0.7,
+                    **{name: planes[name] for name in chosen},
+                },
+                0.0,
+                why,
+                metric="exact",
+            )
 
 
 def bench(rows, cols):

@@ -11,11 +11,17 @@ MOST = wp.constant(1e30)
 @wp.kernel
 def chip(
     # in:
-    mean: wp.array[float], response: wp.array[float], dark: wp.array[float],
+    mean: wp.array[float],
+    response: wp.array[float],
+    dark: wp.array[float],
     # out:
     out: wp.array[float],
     # sizes and numbers:
-    use_response: int, use_dark: int, pixels: int, scale: float, dark_time: float,
+    use_response: int,
+    use_dark: int,
+    pixels: int,
+    scale: float,
+    dark_time: float,
 ):
     i = wp.tid()
     expected = scale * mean[i]

@@ -25,9 +25,20 @@ def collect(device, rates, cfa, exposure_time, slope):
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
-    device.launch("sensor.collect", "collect", (rows, cols), rates, cfa, mean, float(exposure_time), float(slope),
-                  rows, cols, *(() if device.kind == "opencl" else cfa.shape),
-                  defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]})
+    device.launch(
+        "sensor.collect",
+        "collect",
+        (rows, cols),
+        rates,
+        cfa,
+        mean,
+        float(exposure_time),
+        float(slope),
+        rows,
+        cols,
+        *(() if device.kind == "opencl" else cfa.shape),
+        defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
+    )
     return mean
 
 
@@ -41,23 +52,53 @@ def retime(tape, exposure_time):
 def cases():
     """All Bayer phases, monochrome, an odd period, a field of 100 degrees."""
     random = np.random.default_rng(4)
-    why = ("three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
-           "below 10 ulp")
-    for pattern in ([[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]], [[0]],
-                    [[0, 1, 2], [3, 0, 1]]):
+    why = (
+        "three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
+        "below 10 ulp"
+    )
+    for pattern in (
+        [[0, 1], [1, 2]],
+        [[1, 0], [2, 1]],
+        [[1, 2], [0, 1]],
+        [[2, 1], [1, 0]],
+        [[0]],
+        [[0, 1, 2], [3, 0, 1]],
+    ):
         for rows, cols, slope in ((1, 1, 0.0), (3, 5, 1e-3), (63, 65, 0.027)):
-            yield Case(f"{rows}x{cols}, cfa {pattern}",
-                       {"rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
-                        "cfa": np.array(pattern, np.int32), "exposure_time": 0.013, "slope": slope},
-                       10 * 2.0**-23, why, metric="local")
+            yield Case(
+                f"{rows}x{cols}, cfa {pattern}",
+                {
+                    "rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
+                    "cfa": np.array(pattern, np.int32),
+                    "exposure_time": 0.013,
+                    "slope": slope,
+                },
+                10 * 2.0**-23,
+                why,
+                metric="local",
+            )
     overshot = random.normal(0, 1, (3, 7, 9)).astype(np.float32)
     overshot[:, 2, 3] = np.nan
-    yield Case("below zero and NaN", {"rates": overshot, "cfa": np.array([[0, 1], [1, 2]], np.int32),
-                                      "exposure_time": 0.013, "slope": 1e-3}, 10 * 2.0**-23, why, metric="local")
+    yield Case(
+        "below zero and NaN",
+        {
+            "rates": overshot,
+            "cfa": np.array([[0, 1], [1, 2]], np.int32),
+            "exposure_time": 0.013,
+            "slope": 1e-3,
+        },
+        10 * 2.0**-23,
+        why,
+        metric="local",
+    )
 
 
 def bench(rows, cols):
     """A Bayer mosaic with fall-off."""
     random = np.random.default_rng(4)
-    return {"rates": random.random((3, rows, cols), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32),
-            "exposure_time": 0.01, "slope": 3e-4}
+    return {
+        "rates": random.random((3, rows, cols), np.float32),
+        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "exposure_time": 0.01,
+        "slope": 3e-4,
+    }

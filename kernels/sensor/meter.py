@@ -49,15 +49,21 @@ def meter(device, rates, weights_y, weights_x, fractions=()):
     arrays = [device.array(values) for values in (rates, weights_y, weights_x)]
     out = device.empty((6 + 2 * len(fractions),))
     numbers = device.array(limbs(fractions), np.int32) if fractions else None
-    (_by_groups if device.is_gpu else _by_chunks)(device, arrays, rows, cols, numbers, len(fractions), out)
+    (_by_groups if device.is_gpu else _by_chunks)(
+        device, arrays, rows, cols, numbers, len(fractions), out
+    )
     return out
 
 
 def checked(rates, weights_y, weights_x, fractions):
     """The fractions as a list of numbers. Raises BadData, OutOfRange."""
     if len(rates.shape) != 2 or 0 in rates.shape or rates.shape[0] * rates.shape[1] >= 2**31:
-        raise BadData(f"rates: shape {tuple(rates.shape)}, wanted (rows, cols), fewer than 2^31 pixels")
-    for name, weights, size in zip(("weights_y", "weights_x"), (weights_y, weights_x), rates.shape, strict=True):
+        raise BadData(
+            f"rates: shape {tuple(rates.shape)}, wanted (rows, cols), fewer than 2^31 pixels"
+        )
+    for name, weights, size in zip(
+        ("weights_y", "weights_x"), (weights_y, weights_x), rates.shape, strict=True
+    ):
         if tuple(weights.shape) != (size,):
             raise BadData(f"{name}: shape {tuple(weights.shape)}, wanted ({size},)")
     fractions = [float(fraction) for fraction in fractions]
@@ -85,10 +91,29 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
     launch = partial(device.launch, group=(1,) if opencl else None)
     defines = {"WIDTH": 8, "STRIP": STRIP}
     sums = device.empty((FIELDS, rows, strips))
-    device.launch("sensor.meter", "parts", (rows, strips), *arrays, sums, rows, cols, strips,
-                  *(() if opencl else (STRIP,)), defines=defines, group=(1, 1) if opencl else None)
-    launch("sensor.meter", "finish", (1,), device.reshape(sums, (FIELDS, rows * strips)), out, rows * strips, size,
-           defines=defines)
+    device.launch(
+        "sensor.meter",
+        "parts",
+        (rows, strips),
+        *arrays,
+        sums,
+        rows,
+        cols,
+        strips,
+        *(() if opencl else (STRIP,)),
+        defines=defines,
+        group=(1, 1) if opencl else None,
+    )
+    launch(
+        "sensor.meter",
+        "finish",
+        (1,),
+        device.reshape(sums, (FIELDS, rows * strips)),
+        out,
+        rows * strips,
+        size,
+        defines=defines,
+    )
     if not count:
         return
     chunk = max(CHUNK, -(-size // MOST_CHUNKS // 8) * 8)
@@ -99,23 +124,66 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
         lists = 1 if shift == PASSES[0][0] else count
         counts = device.empty((chunks, lists, (2 if opencl else 1) * BINS), np.int32)
         above = device.empty((chunks, lists), np.int32)
-        launch("sensor.meter", "tally", (chunks,), device.reshape(arrays[0], (size,)), state, counts, above, size,
-               chunk, shift, bits, *(() if opencl else (lists,)), defines=defines | {"LISTS": lists})
-        launch("sensor.meter", "choose", (count,), counts, above, numbers, state, merged, out, chunks, lists, shift,
-               bits, defines=defines)
+        launch(
+            "sensor.meter",
+            "tally",
+            (chunks,),
+            device.reshape(arrays[0], (size,)),
+            state,
+            counts,
+            above,
+            size,
+            chunk,
+            shift,
+            bits,
+            *(() if opencl else (lists,)),
+            defines=defines | {"LISTS": lists},
+        )
+        launch(
+            "sensor.meter",
+            "choose",
+            (count,),
+            counts,
+            above,
+            numbers,
+            state,
+            merged,
+            out,
+            chunks,
+            lists,
+            shift,
+            bits,
+            defines=defines,
+        )
 
 
 def _by_groups(device, arrays, rows, cols, numbers, count, out):
     """GPUs: a strip of a row, or a share of the frame, per work-group."""
-    strips, size, items, wide = -(-cols // STRIP), rows * cols, 256, 512 if device.group_limit >= 512 else 256
+    strips, size, items, wide = (
+        -(-cols // STRIP),
+        rows * cols,
+        256,
+        512 if device.group_limit >= 512 else 256,
+    )
     launch = partial(device.launch, GROUPS)
     defines = {"STRIP": STRIP, "SHARE": SHARE, "ITEMS": items}
     parts = rows * strips
     sums = device.empty((FIELDS, parts))
     cleared = (BINS * (1 + 2 * count) + count) * (count > 0)
     counts = device.empty((max(cleared, 1),), np.int32)
-    launch("parts", (parts * items,), *arrays, sums, counts, rows, cols, strips, cleared, defines=defines,
-           group=(items,))
+    launch(
+        "parts",
+        (parts * items,),
+        *arrays,
+        sums,
+        counts,
+        rows,
+        cols,
+        strips,
+        cleared,
+        defines=defines,
+        group=(items,),
+    )
     launch("finish", (items,), sums, out, parts, size, defines=defines, group=(items,))
     if not count:
         return
@@ -123,10 +191,35 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
     rates, start = device.reshape(arrays[0], (size,)), 0
     for shift, bits in PASSES:
         lists = 1 if shift == PASSES[0][0] else count
-        launch("tally", (-(-size // SHARE) * wide,), rates, state, counts, size, start, cleared - count, shift, bits,
-               defines=defines | {"ITEMS": wide, "LISTS": lists}, group=(wide,))
-        launch("choose", (count * items,), counts, numbers, state, out, start, cleared - count, lists, shift, bits,
-               defines=defines, group=(items,))
+        launch(
+            "tally",
+            (-(-size // SHARE) * wide,),
+            rates,
+            state,
+            counts,
+            size,
+            start,
+            cleared - count,
+            shift,
+            bits,
+            defines=defines | {"ITEMS": wide, "LISTS": lists},
+            group=(wide,),
+        )
+        launch(
+            "choose",
+            (count * items,),
+            counts,
+            numbers,
+            state,
+            out,
+            start,
+            cleared - count,
+            lists,
+            shift,
+            bits,
+            defines=defines,
+            group=(items,),
+        )
         start += lists * BINS
 
 
@@ -136,17 +229,25 @@ def cases():
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
         for name, rates in (
-                ("light", random.gamma(2.0, 300.0, (rows, cols))),
-                ("equal", np.full((rows, cols), 0.1)),
-                ("two values", random.choice([3.0, 7e3], (rows, cols))),
-                ("both signs", random.normal(0, 5, (rows, cols))),
-                ("zeros", np.zeros((rows, cols))),
-                ("denormals", 1e-40 * random.random((rows, cols))),
-                ("1e-30 to 1e30", 10.0 ** random.uniform(-30, 30, (rows, cols))),
-                ("NaN and infinities", random.choice([np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30], (rows, cols))),
-                ("NaN", np.full((rows, cols), np.nan))):
+            ("light", random.gamma(2.0, 300.0, (rows, cols))),
+            ("equal", np.full((rows, cols), 0.1)),
+            ("two values", random.choice([3.0, 7e3], (rows, cols))),
+            ("both signs", random.normal(0, 5, (rows, cols))),
+            ("zeros", np.zeros((rows, cols))),
+            ("denormals", 1e-40 * random.random((rows, cols))),
+            ("1e-30 to 1e30", 10.0 ** random.uniform(-30, 30, (rows, cols))),
+            (
+                "NaN and infinities",
+                random.choice([np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30], (rows, cols)),
+            ),
+            ("NaN", np.full((rows, cols), np.nan)),
+        ):
             fractions = next(quantiles)
-            yield _case(f"{name} {rows}x{cols}, {len(fractions)} quantiles", rates.astype(np.float32), fractions)
+            yield _case(
+                f"{name} {rows}x{cols}, {len(fractions)} quantiles",
+                rates.astype(np.float32),
+                fractions,
+            )
 
 
 def _weights(size):
@@ -155,23 +256,36 @@ def _weights(size):
 
 
 def _case(name, rates, fractions):
-    inputs = {"rates": rates, "weights_y": _weights(rates.shape[0]), "weights_x": _weights(rates.shape[1]),
-              "fractions": fractions}
+    inputs = {
+        "rates": rates,
+        "weights_y": _weights(rates.shape[0]),
+        "weights_x": _weights(rates.shape[1]),
+        "fractions": fractions,
+    }
     finite = np.where(np.isfinite(rates), rates, 0).astype(np.float64)
     weights = np.outer(inputs["weights_y"], inputs["weights_x"]).astype(np.float64)
     plain, centre = finite / max(np.isfinite(rates).sum(), 1), weights * finite
     floor = max(np.abs(plain).sum(), np.abs(centre).sum())  # of sums that cancel
     lost = max(np.abs(part).sum() / max(abs(part.sum()), floor, 1e-300) for part in (plain, centre))
     tiny = (sum(rates.shape) + 8) * 2.0**-150 / max(floor, 2.0**-149)
-    return Case(name, inputs, 110 * 2.0**-24 * max(lost, 1.0) + tiny,
-                "sums of 45 + 46 terms at most, then of parts, compensated, in trees of 8 levels (Higham 2002, 4.2): "
-                "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 products "
-                "are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that",
-                metric="local", floor=floor)
+    return Case(
+        name,
+        inputs,
+        110 * 2.0**-24 * max(lost, 1.0) + tiny,
+        "sums of 45 + 46 terms at most, then of parts, compensated, in trees of 8 levels (Higham 2002, 4.2): "
+        "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 products "
+        "are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that",
+        metric="local",
+        floor=floor,
+    )
 
 
 def bench(rows, cols):
     """Light with lamps, and no quantile, as exposure by the mean asks for it."""
     random = np.random.default_rng(11)
-    return {"rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32), "weights_y": _weights(rows),
-            "weights_x": _weights(cols), "fractions": ()}
+    return {
+        "rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32),
+        "weights_y": _weights(rows),
+        "weights_x": _weights(cols),
+        "fractions": (),
+    }

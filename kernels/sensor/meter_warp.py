@@ -225,8 +225,12 @@ def choose(
         prefix = wp.uint32(0)
         rank = 0
         if finite > 0:
-            rank = rank_of(wp.uint32(fractions[f, 0]), wp.uint32(fractions[f, 1]), wp.uint32(fractions[f, 2]),
-                           wp.uint32(finite - 1))
+            rank = rank_of(
+                wp.uint32(fractions[f, 0]),
+                wp.uint32(fractions[f, 1]),
+                wp.uint32(fractions[f, 2]),
+                wp.uint32(finite - 1),
+            )
     found = int(0)
     while found < BINS - 1 and rank >= merged[f, found]:
         rank -= merged[f, found]

@@ -36,9 +36,30 @@ MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
 @stage
-def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
-          column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
-          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0, electrons=False):
+def noise(
+    device,
+    expected,
+    offset=None,
+    amplitude=None,
+    *,
+    dark_electrons=0.0,
+    read_noise=0.0,
+    row_noise=0.0,
+    column_noise=0.0,
+    telegraph_switching=1.0,
+    full_well,
+    gain,
+    black_level=0.0,
+    white_level=None,
+    photon="fast",
+    seed=0,
+    frame=0,
+    frames=None,
+    first=(0, 0),
+    frame_cols=None,
+    read=0,
+    electrons=False,
+):
     """Digital numbers of one frame, or of several.
 
     expected: mean electrons of this chip, shape (rows, cols) [e-]. offset: of every pixel [e-]. amplitude: of its
@@ -54,37 +75,88 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    check(full_well, gain, white_level, photon, telegraph_switching, black_level, dark_electrons=dark_electrons,
-          read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check(
+        full_well,
+        gain,
+        white_level,
+        photon,
+        telegraph_switching,
+        black_level,
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        row_noise=row_noise,
+        column_noise=column_noise,
+    )
     check_drawn(seed, frame, frames, read)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
-            raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}")
+            raise BadData(
+                f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}"
+            )
     frame_cols = checked_tile(cols, first, frame_cols)
     if photon == "exact" and not device.has_fp64:
-        raise DeviceError(f'{device.name}: photon = "exact" needs float64, which this device lacks; use "fast"')
+        raise DeviceError(
+            f'{device.name}: photon = "exact" needs float64, which this device lacks; use "fast"'
+        )
     expected = device.array(expected)
-    offset, amplitude = (None if plane is None else device.array(plane) for plane in (offset, amplitude))
+    offset, amplitude = (
+        None if plane is None else device.array(plane) for plane in (offset, amplitude)
+    )
     count = 1 if frames is None else frames
     converter = not electrons and white_level is not None
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
     drawn = *_key(int(seed)), signed(int(frame)), int(read)  # what launches end with: see `redraw`
-    common = {"WIDTH": width, "PHOTON": PHOTONS.index(photon), "READ_NOISE": int(read_noise > 0),
-              "OFFSET": int(offset is not None), "TELEGRAPH": int(amplitude is not None),
-              "LINES": int(row_noise > 0 or column_noise > 0), "CONVERTER": int(converter)}
+    common = {
+        "WIDTH": width,
+        "PHOTON": PHOTONS.index(photon),
+        "READ_NOISE": int(read_noise > 0),
+        "OFFSET": int(offset is not None),
+        "TELEGRAPH": int(amplitude is not None),
+        "LINES": int(row_noise > 0 or column_noise > 0),
+        "CONVERTER": int(converter),
+    }
     lines = None
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
-        device.launch("sensor.noise", "lines", (count, -(-rows // width) + -(-cols // width)), lines, count, rows,
-                      cols, *first, float(row_noise), float(column_noise), *drawn, defines=common)
-    planes = [expected if plane is None else plane for plane in (expected, offset, amplitude, lines)]
+        device.launch(
+            "sensor.noise",
+            "lines",
+            (count, -(-rows // width) + -(-cols // width)),
+            lines,
+            count,
+            rows,
+            cols,
+            *first,
+            float(row_noise),
+            float(column_noise),
+            *drawn,
+            defines=common,
+        )
+    planes = [
+        expected if plane is None else plane for plane in (expected, offset, amplitude, lines)
+    ]
     scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
-    device.launch("sensor.noise", "noise", (count, rows, -(-cols // width)), *planes, out, rows, cols,
-                  signed((first[0] * frame_cols + first[1]) % 2**32), frame_cols, float(dark_electrons),
-                  float(read_noise), chance_word(telegraph_switching, 31), float(full_well), *scale,
-                  float(white_level or 0.0), *drawn, defines=common)
+    device.launch(
+        "sensor.noise",
+        "noise",
+        (count, rows, -(-cols // width)),
+        *planes,
+        out,
+        rows,
+        cols,
+        signed((first[0] * frame_cols + first[1]) % 2**32),
+        frame_cols,
+        float(dark_electrons),
+        float(read_noise),
+        chance_word(telegraph_switching, 31),
+        float(full_well),
+        *scale,
+        float(white_level or 0.0),
+        *drawn,
+        defines=common,
+    )
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
@@ -113,7 +185,11 @@ def checked_tile(cols, first, frame_cols) -> int:
     """Columns of the frame in which a tile `cols` wide begins at `first`. Raises OutOfRange."""
     frame_cols = first[1] + cols if frame_cols is None else frame_cols
     if not (min(first) >= 0 and first[1] + cols <= frame_cols):
-        raise OutOfRange("first, frame_cols", f"{first}, {frame_cols}", f"a tile of {cols} columns inside its frame")
+        raise OutOfRange(
+            "first, frame_cols",
+            f"{first}, {frame_cols}",
+            f"a tile of {cols} columns inside its frame",
+        )
     return frame_cols
 
 
@@ -133,8 +209,12 @@ def check(full_well, gain, white_level, photon, switching, black_level, **magnit
         raise OutOfRange("white_level", white_level, "0 < white_level <= 65535 [DN], or None")
     if photon not in PHOTONS:
         raise UnknownName("photon", photon, PHOTONS)
-    if not SLOWEST_SWITCHING <= switching <= 1:  # a state is traced back through about the inverse of it
-        raise OutOfRange("telegraph_switching", switching, f"{SLOWEST_SWITCHING:g} <= telegraph_switching <= 1")
+    if (
+        not SLOWEST_SWITCHING <= switching <= 1
+    ):  # a state is traced back through about the inverse of it
+        raise OutOfRange(
+            "telegraph_switching", switching, f"{SLOWEST_SWITCHING:g} <= telegraph_switching <= 1"
+        )
 
 
 def check_drawn(seed, frame, frames, read):
@@ -149,9 +229,19 @@ def check_drawn(seed, frame, frames, read):
 def cases():
     """Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds: bit for bit."""
     random = np.random.default_rng(1)
-    sensor = {"dark_electrons": 0.1, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "full_well": 2e4,
-              "gain": 0.5, "black_level": 64, "white_level": 4095, "seed": 2**64 - 2, "frame": 2**32 - 3,
-              "telegraph_switching": 0.3}
+    sensor = {
+        "dark_electrons": 0.1,
+        "read_noise": 2.0,
+        "row_noise": 0.3,
+        "column_noise": 0.2,
+        "full_well": 2e4,
+        "gain": 0.5,
+        "black_level": 64,
+        "white_level": 4095,
+        "seed": 2**64 - 2,
+        "frame": 2**32 - 3,
+        "telegraph_switching": 0.3,
+    }
     why = "both sides do the same correctly rounded operations in the same order"
 
     def case(name, mean, planes=True, **changed):
@@ -159,7 +249,9 @@ def cases():
         inputs = {"expected": mean, **sensor, **changed}
         if planes:
             inputs["offset"] = random.normal(0, 1, mean.shape).astype(np.float32)
-            inputs["amplitude"] = np.maximum(random.normal(-5, 10, mean.shape), 0).astype(np.float32)
+            inputs["amplitude"] = np.maximum(random.normal(-5, 10, mean.shape), 0).astype(
+                np.float32
+            )
         return Case(name, inputs, 0.0, why, metric="exact")
 
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
@@ -169,24 +261,65 @@ def cases():
         yield case(f"{rows}x{cols}, exact", mean, photon="exact", electrons=True)
     mean = 10.0 ** random.uniform(-1, 4, (17, 61))
     quiet = {"read_noise": 0.0, "row_noise": 0.0, "column_noise": 0.0}
-    for name, planes, off in (("photon noise", True, {"photon": "none"}), ("read noise", True, {"read_noise": 0.0}),
-                              ("row noise", True, {"row_noise": 0.0}), ("column noise", True, {"column_noise": 0.0}),
-                              ("planes", False, {}), ("all but photon noise", False, {**quiet, "dark_electrons": 0.0}),
-                              ("all noise", False, {"photon": "none", **quiet})):
+    for name, planes, off in (
+        ("photon noise", True, {"photon": "none"}),
+        ("read noise", True, {"read_noise": 0.0}),
+        ("row noise", True, {"row_noise": 0.0}),
+        ("column noise", True, {"column_noise": 0.0}),
+        ("planes", False, {}),
+        ("all but photon noise", False, {**quiet, "dark_electrons": 0.0}),
+        ("all noise", False, {"photon": "none", **quiet}),
+    ):
         yield case(f"without {name}", mean, planes, **off, electrons=True)
     yield case("without a converter", mean, white_level=None)
     yield case("five frames", mean, frames=5)
     yield case("a later read", mean, read=3)
     yield case("a tile", mean, first=(40, 1000), frame_cols=70_000)
     yield case("a first frame", mean, frame=0, telegraph_switching=0.01, electrons=True)
-    extreme = [0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 23.9, 24, 24.1, 87, 88, 104, 300, 1e4, 1e7, 2.0**24 + 2,
-               1e12, 1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5]
+    extreme = [
+        0,
+        1e-40,
+        1e-8,
+        1e-3,
+        0.1,
+        5,
+        11.9,
+        12,
+        12.1,
+        23.9,
+        24,
+        24.1,
+        87,
+        88,
+        104,
+        300,
+        1e4,
+        1e7,
+        2.0**24 + 2,
+        1e12,
+        1e38,
+        np.nan,
+        np.inf,
+        -np.inf,
+        -1e-6,
+        -1,
+        5,
+    ]
     for level in extreme:
         alone = {"dark_electrons": 0.0, "full_well": 3e38, "electrons": True}
         for photon in ("fast", "exact"):
-            yield case(f"mean {level:g}, {photon}", np.full((13, 37), level), False, **quiet, **alone, photon=photon)
+            yield case(
+                f"mean {level:g}, {photon}",
+                np.full((13, 37), level),
+                False,
+                **quiet,
+                **alone,
+                photon=photon,
+            )
     for photon in ("fast", "exact"):
-        yield case(f"extreme means side by side, {photon}", np.resize(extreme, (33, 31)), photon=photon)
+        yield case(
+            f"extreme means side by side, {photon}", np.resize(extreme, (33, 31)), photon=photon
+        )
     yield case("darkness", np.zeros((9, 9)), False, dark_electrons=0.0, black_level=0)
 
 
@@ -195,6 +328,18 @@ def bench(rows, cols):
     random = np.random.default_rng(1)
     mean = np.geomspace(1, 1e4, rows * cols, dtype=np.float32).reshape(rows, cols)
     amplitude = np.where(random.random((rows, cols)) < 1e-3, 10.0, 0.0).astype(np.float32)
-    return {"expected": mean, "offset": random.normal(0, 1, (rows, cols)).astype(np.float32), "amplitude": amplitude,
-            "dark_electrons": 0.1, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "full_well": 1e4,
-            "gain": 0.4, "black_level": 64, "white_level": 4095, "telegraph_switching": 0.1, "frame": 100}
+    return {
+        "expected": mean,
+        "offset": random.normal(0, 1, (rows, cols)).astype(np.float32),
+        "amplitude": amplitude,
+        "dark_electrons": 0.1,
+        "read_noise": 2.0,
+        "row_noise": 0.3,
+        "column_noise": 0.2,
+        "full_well": 1e4,
+        "gain": 0.4,
+        "black_level": 64,
+        "white_level": 4095,
+        "telegraph_switching": 0.1,
+        "frame": 100,
+    }

@@ -17,12 +17,42 @@ MOST_EXPECTED = f32(1e30)  # stands for infinity, so that no inf - inf arises
 TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; 1 to 3 are those of `pattern`
 
 
-def noise(expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
-          column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
-          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0, electrons=False):
+def noise(
+    expected,
+    offset=None,
+    amplitude=None,
+    *,
+    dark_electrons=0.0,
+    read_noise=0.0,
+    row_noise=0.0,
+    column_noise=0.0,
+    telegraph_switching=1.0,
+    full_well,
+    gain,
+    black_level=0.0,
+    white_level=None,
+    photon="fast",
+    seed=0,
+    frame=0,
+    frames=None,
+    first=(0, 0),
+    frame_cols=None,
+    read=0,
+    electrons=False,
+):
     """See `gpusim.kernels.sensor.noise`."""
-    check(full_well, gain, white_level, photon, telegraph_switching, black_level, dark_electrons=dark_electrons,
-          read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check(
+        full_well,
+        gain,
+        white_level,
+        photon,
+        telegraph_switching,
+        black_level,
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        row_noise=row_noise,
+        column_noise=column_noise,
+    )
     check_drawn(seed, frame, frames, read)
     expected, key, frame = np.asarray(expected, f32), seed_words(int(seed)), int(frame)
     rows, cols = expected.shape
@@ -47,7 +77,11 @@ def noise(expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noi
             result = result + np.asarray(offset, f32)
         if amplitude is not None:
             size = np.asarray(amplitude, f32)
-            result = np.where(size > 0, result + size * trap_state(pixel, number, telegraph_switching, key), result)
+            result = np.where(
+                size > 0,
+                result + size * trap_state(pixel, number, telegraph_switching, key),
+                result,
+            )
         if row_noise or column_noise:
             result = result + line_noise(y, read, number, row_noise, ROW, key)[:, None]
             result = result + line_noise(x, read, number, column_noise, COLUMN, key)

@@ -20,15 +20,27 @@ COLUMN_STREAM = wp.constant(wp.uint32(6))
 
 
 @wp.func
-def trap_state(pixel: wp.uint32, frame: wp.uint32, switching: wp.uint32, seed_low: wp.uint32, seed_high: wp.uint32):
+def trap_state(
+    pixel: wp.uint32,
+    frame: wp.uint32,
+    switching: wp.uint32,
+    seed_low: wp.uint32,
+    seed_high: wp.uint32,
+):
     """1 in one state of a pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew."""
     at = wp.uint32(frame)
     words = philox(pixel, wp.uint32(0), at >> wp.uint32(2), TELEGRAPH_STREAM, seed_low, seed_high)
     word = words[int(at & wp.uint32(3))]
     while at != wp.uint32(0) and (word >> wp.uint32(1)) > switching:
         if (at & wp.uint32(3)) == wp.uint32(0):
-            words = philox(pixel, wp.uint32(0), (at >> wp.uint32(2)) - wp.uint32(1), TELEGRAPH_STREAM, seed_low,
-                           seed_high)
+            words = philox(
+                pixel,
+                wp.uint32(0),
+                (at >> wp.uint32(2)) - wp.uint32(1),
+                TELEGRAPH_STREAM,
+                seed_low,
+                seed_high,
+            )
         at -= wp.uint32(1)
         word = words[int(at & wp.uint32(3))]
     return float(word & wp.uint32(1))
@@ -44,13 +56,28 @@ def specialised(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER,
     @wp.kernel(module="unique", module_options=OPTIONS)
     def noise(
         # in:
-        expected: wp.array2d[float], offset: wp.array2d[float], amplitude: wp.array2d[float], lines: wp.array2d[float],
+        expected: wp.array2d[float],
+        offset: wp.array2d[float],
+        amplitude: wp.array2d[float],
+        lines: wp.array2d[float],
         # out:
         out: wp.array3d[value],
         # sizes and numbers:
-        rows: int, cols: int, first_pixel: int, frame_cols: int, dark_electrons: float, read_noise: float,
-        switching: int, full_well: float, gain: float, black_level: float, white_level: float, seed_low: int,
-        seed_high: int, first_frame: int, read: int,
+        rows: int,
+        cols: int,
+        first_pixel: int,
+        frame_cols: int,
+        dark_electrons: float,
+        read_noise: float,
+        switching: int,
+        full_well: float,
+        gain: float,
+        black_level: float,
+        white_level: float,
+        seed_low: int,
+        seed_high: int,
+        first_frame: int,
+        read: int,
     ):
         number, y, x = wp.tid()
         frame = wp.uint32(first_frame) + wp.uint32(number)
@@ -74,7 +101,9 @@ def specialised(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER,
         if wp.static(TELEGRAPH):
             size = amplitude[y, x]
             if size > 0.0:
-                electrons = electrons + size * trap_state(pixel, frame, wp.uint32(switching), low, high)
+                electrons = electrons + size * trap_state(
+                    pixel, frame, wp.uint32(switching), low, high
+                )
         if wp.static(LINES):
             electrons = electrons + lines[number, y]
             electrons = electrons + lines[number, rows + x]
@@ -92,14 +121,29 @@ def lines(
     # out:
     out: wp.array2d[float],
     # sizes and numbers:
-    frames: int, rows: int, cols: int, first_row: int, first_col: int, row_noise: float, column_noise: float,
-    seed_low: int, seed_high: int, first_frame: int, read: int,
+    frames: int,
+    rows: int,
+    cols: int,
+    first_row: int,
+    first_col: int,
+    row_noise: float,
+    column_noise: float,
+    seed_low: int,
+    seed_high: int,
+    first_frame: int,
+    read: int,
 ):
     """What every row and every column of a frame have in common: rows first."""
     number, i = wp.tid()
     down = i < rows
     line = wp.where(down, first_row + i, first_col + i - rows)
-    words = philox(wp.uint32(line), wp.uint32(read), wp.uint32(first_frame) + wp.uint32(number),
-                   wp.where(down, ROW_STREAM, COLUMN_STREAM), wp.uint32(seed_low), wp.uint32(seed_high))
+    words = philox(
+        wp.uint32(line),
+        wp.uint32(read),
+        wp.uint32(first_frame) + wp.uint32(number),
+        wp.where(down, ROW_STREAM, COLUMN_STREAM),
+        wp.uint32(seed_low),
+        wp.uint32(seed_high),
+    )
     z = exact_normal_pair(words[0], words[1])
     out[number, i] = wp.where(down, row_noise, column_noise) * z[0]

@@ -9,8 +9,22 @@ PIXEL, ROW, COLUMN = 1, 2, 3  # random streams
 PLANES = ("response", "offset", "dark", "telegraph")
 
 
-def pattern(rows, cols, plane, *, mean=0.0, pixel=0.0, row=0.0, column=0.0, dead=0.0, share=0.0, scale=0.0, seed=0,
-            first=(0, 0), frame_cols=None):
+def pattern(
+    rows,
+    cols,
+    plane,
+    *,
+    mean=0.0,
+    pixel=0.0,
+    row=0.0,
+    column=0.0,
+    dead=0.0,
+    share=0.0,
+    scale=0.0,
+    seed=0,
+    first=(0, 0),
+    frame_cols=None,
+):
     """See `gpusim.kernels.sensor.pattern`."""
     y, x = (np.arange(n) + start for n, start in zip((rows, cols), first, strict=True))
     places = (y[:, None] * (frame_cols or first[1] + cols) + x).astype(np.uint32)

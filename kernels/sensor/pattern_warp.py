@@ -18,9 +18,23 @@ def pattern(
     # out:
     out: wp.array2d[float],
     # sizes and numbers:
-    rows: int, cols: int, first_row: int, first_col: int, frame_cols: int, plane: int, mean: float, per_pixel: float,
-    per_row: float, per_column: float, some_dead: int, dead: int, some_chosen: int, share: int, scale: float,
-    seed_low: int, seed_high: int,
+    rows: int,
+    cols: int,
+    first_row: int,
+    first_col: int,
+    frame_cols: int,
+    plane: int,
+    mean: float,
+    per_pixel: float,
+    per_row: float,
+    per_column: float,
+    some_dead: int,
+    dead: int,
+    some_chosen: int,
+    share: int,
+    scale: float,
+    seed_low: int,
+    seed_high: int,
 ):
     y, x = wp.tid()
     row = wp.uint32(first_row + y)

@@ -31,9 +31,20 @@ def shutter(device, rates, weights):
     weights = np.ascontiguousarray(device.numpy(weights), np.float32)
     chunk = 1 if device.is_gpu else CHUNK
     mean = device.empty((rows, cols))
-    device.launch("sensor.shutter", "shutter", (rows, -(-cols // chunk) if device.kind == "opencl" else cols),
-                  device.array(rates), device.array(weights), device.array(spans(weights), np.int32), mean,
-                  instants, rows, cols, defines={"CHUNK": chunk}, group=None if device.is_gpu else (1, 1))
+    device.launch(
+        "sensor.shutter",
+        "shutter",
+        (rows, -(-cols // chunk) if device.kind == "opencl" else cols),
+        device.array(rates),
+        device.array(weights),
+        device.array(spans(weights), np.int32),
+        mean,
+        instants,
+        rows,
+        cols,
+        defines={"CHUNK": chunk},
+        group=None if device.is_gpu else (1, 1),
+    )
     return mean
 
 
@@ -41,23 +52,42 @@ def spans(weights) -> np.ndarray:
     """First instant whose weight is not zero, and the one after the last, int32 (rows, 2); 0, 0 for a row of zeros."""
     used = np.asarray(weights) != 0
     last = used.shape[1] - used[:, ::-1].argmax(axis=1)
-    return np.stack([used.argmax(axis=1), np.where(used.any(axis=1), last, 0)], axis=1).astype(np.int32)
+    return np.stack([used.argmax(axis=1), np.where(used.any(axis=1), last, 0)], axis=1).astype(
+        np.int32
+    )
 
 
 def cases():
     """One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing is read."""
     random = np.random.default_rng(7)
-    for instants, used, rows, cols in ((1, 1, 1, 1), (5, 5, 3, 5), (9, 3, 63, 65), (40, 12, 30, 1030), (70, 64, 5, 9)):
+    for instants, used, rows, cols in (
+        (1, 1, 1, 1),
+        (5, 5, 3, 5),
+        (9, 3, 63, 65),
+        (40, 12, 30, 1030),
+        (70, 64, 5, 9),
+    ):
         rates = (10.0 ** random.uniform(-3, 6, (instants, rows, cols))).astype(np.float32)
         weights = _moving_window(random, instants, used, rows)
         for y, (first, end) in enumerate(spans(weights)):
             rates[:first, y] = rates[end:, y] = np.nan
-        yield Case(f"{rows}x{cols}, {used} of {instants} instants", {"rates": rates, "weights": weights},
-                   used * 2.0**-24, metric="local",
-                   why=f"{used} products and {used - 1} sums of positive float32 numbers round, each by half an ulp")
-    yield Case("a row that gathers nothing", {"rates": np.full((3, 2, 4), 7, np.float32),
-                                              "weights": np.array([[0, 0, 0], [0, 0.5, 0]], np.float32)}, 0.0,
-               "7 x 0.5 is exact", metric="exact")
+        yield Case(
+            f"{rows}x{cols}, {used} of {instants} instants",
+            {"rates": rates, "weights": weights},
+            used * 2.0**-24,
+            metric="local",
+            why=f"{used} products and {used - 1} sums of positive float32 numbers round, each by half an ulp",
+        )
+    yield Case(
+        "a row that gathers nothing",
+        {
+            "rates": np.full((3, 2, 4), 7, np.float32),
+            "weights": np.array([[0, 0, 0], [0, 0.5, 0]], np.float32),
+        },
+        0.0,
+        "7 x 0.5 is exact",
+        metric="exact",
+    )
 
 
 def _moving_window(random, instants, used, rows):
@@ -71,4 +101,7 @@ def _moving_window(random, instants, used, rows):
 def bench(rows, cols):
     """16 instants of which every row needs 5: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
     random = np.random.default_rng(7)
-    return {"rates": random.random((16, rows, cols), np.float32), "weights": _moving_window(random, 16, 5, rows)}
+    return {
+        "rates": random.random((16, rows, cols), np.float32),
+        "weights": _moving_window(random, 16, 5, rows),
+    }

@@ -31,8 +31,18 @@ def decode(device, codes, curve):
     if len(codes.shape) == 2:
         codes = device.reshape(codes, (rows, cols, 1))
     # An inner loop that is not unrolled stops PoCL from vectorising.
-    device.launch("spectral.decode", "decode_bytes" if kind == np.uint8 else "decode_words", (rows, cols), codes, curve,
-                  out, rows, cols, *(() if device.kind == "opencl" else (channels,)), defines={"CHANNELS": channels})
+    device.launch(
+        "spectral.decode",
+        "decode_bytes" if kind == np.uint8 else "decode_words",
+        (rows, cols),
+        codes,
+        curve,
+        out,
+        rows,
+        cols,
+        *(() if device.kind == "opencl" else (channels,)),
+        defines={"CHANNELS": channels},
+    )
     return out
 
 
@@ -43,9 +53,13 @@ def checked(codes, curve):
         raise BadData(f"decode: codes of type {kind or codes.dtype}; wanted uint8 or uint16")
     kind = np.dtype(kind.type)  # in the host's order of bytes
     if len(shape) not in (2, 3):
-        raise BadData(f"decode: codes of shape {shape}; wanted (rows, cols, channels) or (rows, cols)")
+        raise BadData(
+            f"decode: codes of shape {shape}; wanted (rows, cols, channels) or (rows, cols)"
+        )
     if tuple(curve.shape) != (CODES[kind],):
-        raise BadData(f"decode: a curve of shape {tuple(curve.shape)}; wanted ({CODES[kind]},) for {kind}")
+        raise BadData(
+            f"decode: a curve of shape {tuple(curve.shape)}; wanted ({CODES[kind]},) for {kind}"
+        )
     return kind, (*shape, 1)[:3]
 
 
@@ -54,18 +68,61 @@ def cases():
     random, why = np.random.default_rng(8), "an entry of the table, nothing is computed"
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
-        yield Case(f"every {kind}, grey", {"codes": every.reshape(16, -1), "curve": srgb}, 0.0, why, metric="exact")
-        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1).reshape(-1, 32, 3)
-        yield Case(f"every {kind} in three channels", {"codes": mixed, "curve": srgb}, 0.0, why, metric="exact")
-        for shape in ((1, 1, 3), (1, 1), (3, 5, 3), (1, 17, 3), (17, 1, 3), (33, 65, 3), (7, 129, 4), (9, 31, 1),
-                      (5, 6, 5), (0, 4, 3), (4, 0, 3)):
-            curve = (random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)).astype(np.float32)
-            curve[random.integers(0, count, 8)] = np.nan, np.inf, -np.inf, -0.0, 3e38, 1.2e-38, 1, -1
-            yield Case(f"{kind} {shape}, any curve", {"codes": random.integers(0, count, shape).astype(kind),
-                                                      "curve": curve}, 0.0, why, metric="exact")
+        yield Case(
+            f"every {kind}, grey",
+            {"codes": every.reshape(16, -1), "curve": srgb},
+            0.0,
+            why,
+            metric="exact",
+        )
+        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1).reshape(
+            -1, 32, 3
+        )
+        yield Case(
+            f"every {kind} in three channels",
+            {"codes": mixed, "curve": srgb},
+            0.0,
+            why,
+            metric="exact",
+        )
+        for shape in (
+            (1, 1, 3),
+            (1, 1),
+            (3, 5, 3),
+            (1, 17, 3),
+            (17, 1, 3),
+            (33, 65, 3),
+            (7, 129, 4),
+            (9, 31, 1),
+            (5, 6, 5),
+            (0, 4, 3),
+            (4, 0, 3),
+        ):
+            curve = (random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)).astype(
+                np.float32
+            )
+            curve[random.integers(0, count, 8)] = (
+                np.nan,
+                np.inf,
+                -np.inf,
+                -0.0,
+                3e38,
+                1.2e-38,
+                1,
+                -1,
+            )
+            yield Case(
+                f"{kind} {shape}, any curve",
+                {"codes": random.integers(0, count, shape).astype(kind), "curve": curve},
+                0.0,
+                why,
+                metric="exact",
+            )
 
 
 def bench(rows, cols):
     """A frame of 8 bits, sRGB."""
-    return {"codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
-            "curve": DISPLAYS["srgb"].table(np.uint8)}
+    return {
+        "codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
+        "curve": DISPLAYS["srgb"].table(np.uint8),
+    }

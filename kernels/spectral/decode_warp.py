@@ -14,7 +14,9 @@ def decode_bytes(
     # out:
     out: wp.array3d[float],
     # sizes:
-    rows: int, cols: int, channels: int,
+    rows: int,
+    cols: int,
+    channels: int,
 ):
     y, x = wp.tid()
     for c in range(channels):
@@ -29,7 +31,9 @@ def decode_words(
     # out:
     out: wp.array3d[float],
     # sizes:
-    rows: int, cols: int, channels: int,
+    rows: int,
+    cols: int,
+    channels: int,
 ):
     y, x = wp.tid()
     for c in range(channels):

@@ -20,44 +20,80 @@ def illuminate(device, maps, coefficients):
     """
     lights, surfaces, shape = checked(maps, coefficients)
     is_half = type_of(coefficients) == np.float16
-    maps, coefficients = device.array(maps), device.array(coefficients, np.float16 if is_half else np.float32)
+    maps, coefficients = (
+        device.array(maps),
+        device.array(coefficients, np.float16 if is_half else np.float32),
+    )
     out = device.empty((lights * surfaces, *shape))
     if shape[0] * shape[1]:  # an inner loop that is not unrolled stops PoCL from vectorising
-        device.launch("spectral.illuminate", "illuminate_half" if is_half else "illuminate", shape, maps, coefficients,
-                      out, *shape, *(() if device.kind == "opencl" else (lights, surfaces)),
-                      defines={"LIGHTS": lights, "SURFACES": surfaces})
+        device.launch(
+            "spectral.illuminate",
+            "illuminate_half" if is_half else "illuminate",
+            shape,
+            maps,
+            coefficients,
+            out,
+            *shape,
+            *(() if device.kind == "opencl" else (lights, surfaces)),
+            defines={"LIGHTS": lights, "SURFACES": surfaces},
+        )
     return out
 
 
 def checked(maps, coefficients):
     """Lights, surfaces, and rows and columns. Raises BadData."""
-    if len(maps.shape) != 3 or len(coefficients.shape) != 3 or maps.shape[1:] != coefficients.shape[1:]:
-        raise BadData(f"illuminate: maps {tuple(maps.shape)} and coefficients {tuple(coefficients.shape)}; wanted "
-                      "(lights, rows, cols) and (surfaces, rows, cols)")
+    if (
+        len(maps.shape) != 3
+        or len(coefficients.shape) != 3
+        or maps.shape[1:] != coefficients.shape[1:]
+    ):
+        raise BadData(
+            f"illuminate: maps {tuple(maps.shape)} and coefficients {tuple(coefficients.shape)}; wanted "
+            "(lights, rows, cols) and (surfaces, rows, cols)"
+        )
     return maps.shape[0], coefficients.shape[0], tuple(maps.shape[1:])
 
 
 def cases():
     """One light and many, one surface and a cube's, odd sizes, no pixels, dark lights, negative coefficients, NaN."""
     random = np.random.default_rng(31)
-    for lights, surfaces, *shape in ((1, 1, 1, 1), (2, 3, 5, 7), (3, 31, 63, 65), (2, 6, 1, 129), (5, 1, 17, 1),
-                                     (2, 3, 0, 4)):
-        maps = (10.0 ** random.uniform(-3, 4, (lights, *shape)) * (random.random((lights, *shape)) > 0.2))
+    for lights, surfaces, *shape in (
+        (1, 1, 1, 1),
+        (2, 3, 5, 7),
+        (3, 31, 63, 65),
+        (2, 6, 1, 129),
+        (5, 1, 17, 1),
+        (2, 3, 0, 4),
+    ):
+        maps = 10.0 ** random.uniform(-3, 4, (lights, *shape)) * (
+            random.random((lights, *shape)) > 0.2
+        )
         coefficients = random.normal(0, 1, (surfaces, *shape))
         for kind in (np.float32, np.float16):
-            yield Case(f"{lights} lights, {surfaces} surfaces of {np.dtype(kind)}, {shape[0]}x{shape[1]}",
-                       {"maps": maps.astype(np.float32), "coefficients": coefficients.astype(kind)}, 2.0**-24,
-                       "one float32 product of exact inputs rounds once: half an ulp", metric="local")
+            yield Case(
+                f"{lights} lights, {surfaces} surfaces of {np.dtype(kind)}, {shape[0]}x{shape[1]}",
+                {"maps": maps.astype(np.float32), "coefficients": coefficients.astype(kind)},
+                2.0**-24,
+                "one float32 product of exact inputs rounds once: half an ulp",
+                metric="local",
+            )
     wild = np.array([[[np.nan, np.inf, -0.0, 1e-20]]], np.float32)
-    yield Case("NaN and infinity", {"maps": np.full((2, 1, 4), 0.5, np.float32), "coefficients": wild}, 0.0,
-               "a product with a power of two is exact", metric="exact")
+    yield Case(
+        "NaN and infinity",
+        {"maps": np.full((2, 1, 4), 0.5, np.float32), "coefficients": wild},
+        0.0,
+        "a product with a power of two is exact",
+        metric="exact",
+    )
 
 
 def bench(rows, cols):
     """Two lights on surfaces of seven coefficients."""
     random = np.random.default_rng(31)
-    return {"maps": random.random((2, rows, cols), np.float32),
-            "coefficients": random.random((7, rows, cols), np.float32)}
+    return {
+        "maps": random.random((2, rows, cols), np.float32),
+        "coefficients": random.random((7, rows, cols), np.float32),
+    }
 
 
 def operations(maps, coefficients):

@@ -5,5 +5,7 @@ import numpy as np
 
 def illuminate(maps, coefficients):
     """Maps (K, rows, cols), coefficients (J, rows, cols) -> (K J, rows, cols)."""
-    products = np.einsum("kyx,jyx->kjyx", np.asarray(maps, np.float64), np.asarray(coefficients, np.float64))
+    products = np.einsum(
+        "kyx,jyx->kjyx", np.asarray(maps, np.float64), np.asarray(coefficients, np.float64)
+    )
     return products.reshape(len(maps) * len(coefficients), *products.shape[2:])

@@ -9,8 +9,15 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def products(maps: wp.array3d[float], coefficients: wp.array3d[Any], out: wp.array3d[float], y: int, x: int,
-             lights: int, surfaces: int):
+def products(
+    maps: wp.array3d[float],
+    coefficients: wp.array3d[Any],
+    out: wp.array3d[float],
+    y: int,
+    x: int,
+    lights: int,
+    surfaces: int,
+):
     """All products of a pixel."""
     for k in range(lights):
         light = maps[k, y, x]
@@ -26,7 +33,10 @@ def illuminate(
     # out:
     out: wp.array3d[float],
     # sizes:
-    rows: int, cols: int, lights: int, surfaces: int,
+    rows: int,
+    cols: int,
+    lights: int,
+    surfaces: int,
 ):
     y, x = wp.tid()
     products(maps, coefficients, out, y, x, lights, surfaces)
@@ -40,7 +50,10 @@ def illuminate_half(
     # out:
     out: wp.array3d[float],
     # sizes:
-    rows: int, cols: int, lights: int, surfaces: int,
+    rows: int,
+    cols: int,
+    lights: int,
+    surfaces: int,
 ):
     y, x = wp.tid()
     products(maps, coefficients, out, y, x, lights, surfaces)

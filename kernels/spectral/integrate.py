@@ -25,7 +25,10 @@ def integrate(device, content, weights):
     """
     bands, rows, cols = content.shape
     is_half = type_of(content) == np.float16
-    content, weights = device.array(content, np.float16 if is_half else np.float32), device.array(weights)
+    content, weights = (
+        device.array(content, np.float16 if is_half else np.float32),
+        device.array(weights),
+    )
     planes = weights.shape[0]
     out = device.empty((planes, rows, cols))
     name, given = "integrate_half" if is_half else "integrate", (content, weights, out, rows * cols)
@@ -33,42 +36,83 @@ def integrate(device, content, weights):
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64
-        device.launch(LINES, name, (-(-rows * cols // chunk),), *given, group=(1,),
-                      defines=defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER})
+        device.launch(
+            LINES,
+            name,
+            (-(-rows * cols // chunk),),
+            *given,
+            group=(1,),
+            defines=defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER},
+        )
     else:
-        device.launch("spectral.integrate", name, (rows * cols,), *given,
-                      *(() if device.kind == "opencl" else (bands, planes)), defines=defines)
+        device.launch(
+            "spectral.integrate",
+            name,
+            (rows * cols,),
+            *given,
+            *(() if device.kind == "opencl" else (bands, planes)),
+            defines=defines,
+        )
     return out
 
 
 def cases():
     """Odd sizes, one band, many planes, nine decades of range."""
     random = np.random.default_rng(1)
-    for rows, cols, bands, planes in ((1, 1, 31, 3), (3, 5, 31, 3), (63, 65, 31, 4), (17, 129, 1, 1), (8, 8, 93, 8)):
-        content = random.random((bands, rows, cols)) * 10.0 ** random.integers(-3, 7, (1, rows, cols))
+    for rows, cols, bands, planes in (
+        (1, 1, 31, 3),
+        (3, 5, 31, 3),
+        (63, 65, 31, 4),
+        (17, 129, 1, 1),
+        (8, 8, 93, 8),
+    ):
+        content = random.random((bands, rows, cols)) * 10.0 ** random.integers(
+            -3, 7, (1, rows, cols)
+        )
         weights = random.random((planes, bands))
-        yield Case(f"{rows}x{cols}, {bands} bands, {planes} planes",
-                   {"content": content.astype(np.float32), "weights": weights.astype(np.float32)},
-                   bands * 2.0**-24 * 2, metric="local",
-                   why="all terms are positive: a running float32 sum of n products errs by at most about n ulp/2 "
-                       "relative (Higham 2002, 3.1); the inputs are exact in float32")
-        small = (content * 2.0**-14).clip(0, 65504).astype(np.float16)  # half of them below its smallest normal number
-        yield Case(f"float16, {rows}x{cols}, {bands} bands, {planes} planes",
-                   {"content": small, "weights": weights.astype(np.float32)}, bands * 2.0**-24 * 2, metric="local",
-                   why="as for float32: every float16 is a float32, so the inputs are exact")
-    yield Case("darkness", {"content": np.zeros((31, 4, 4), np.float32), "weights": np.ones((3, 31), np.float32)}, 0.0,
-               "sums of zeros are exact", metric="exact")
+        yield Case(
+            f"{rows}x{cols}, {bands} bands, {planes} planes",
+            {"content": content.astype(np.float32), "weights": weights.astype(np.float32)},
+            bands * 2.0**-24 * 2,
+            metric="local",
+            why="all terms are positive: a running float32 sum of n products errs by at most about n ulp/2 "
+            "relative (Higham 2002, 3.1); the inputs are exact in float32",
+        )
+        small = (
+            (content * 2.0**-14).clip(0, 65504).astype(np.float16)
+        )  # half of them below its smallest normal number
+        yield Case(
+            f"float16, {rows}x{cols}, {bands} bands, {planes} planes",
+            {"content": small, "weights": weights.astype(np.float32)},
+            bands * 2.0**-24 * 2,
+            metric="local",
+            why="as for float32: every float16 is a float32, so the inputs are exact",
+        )
+    yield Case(
+        "darkness",
+        {"content": np.zeros((31, 4, 4), np.float32), "weights": np.ones((3, 31), np.float32)},
+        0.0,
+        "sums of zeros are exact",
+        metric="exact",
+    )
     wild = np.ones((5, 3, 4), np.float16)
     wild[2, 0, :3] = np.nan, np.inf, 2.0**-24
-    yield Case("float16, NaN, infinity and the smallest number",
-               {"content": wild, "weights": np.full((2, 5), 0.5, np.float32)}, 2.0**-24,
-               "products with a power of two are exact; of the sums only that with 2^-25 rounds, to 1", metric="local")
+    yield Case(
+        "float16, NaN, infinity and the smallest number",
+        {"content": wild, "weights": np.full((2, 5), 0.5, np.float32)},
+        2.0**-24,
+        "products with a power of two are exact; of the sums only that with 2^-25 rounds, to 1",
+        metric="local",
+    )
 
 
 def bench(rows, cols):
     """A 31-band cube to three channels."""
     random = np.random.default_rng(1)
-    return {"content": random.random((31, rows, cols), np.float32), "weights": random.random((3, 31), np.float32)}
+    return {
+        "content": random.random((31, rows, cols), np.float32),
+        "weights": random.random((3, 31), np.float32),
+    }
 
 
 def operations(content, weights):

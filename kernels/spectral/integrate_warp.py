@@ -9,8 +9,14 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def sum_up(content: wp.array3d[Any], weights: wp.array2d[float], planes: wp.array3d[float], i: int, bands: int,
-           count: int):
+def sum_up(
+    content: wp.array3d[Any],
+    weights: wp.array2d[float],
+    planes: wp.array3d[float],
+    i: int,
+    bands: int,
+    count: int,
+):
     """All planes of pixel i."""
     cols = content.shape[2]
     y = i // cols
@@ -21,7 +27,9 @@ def sum_up(content: wp.array3d[Any], weights: wp.array2d[float], planes: wp.arra
         p3 = wp.min(first + 3, count - 1)
         sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for b in range(bands):
-            sums += float(content[b, y, x]) * wp.vec4(weights[first, b], weights[p1, b], weights[p2, b], weights[p3, b])
+            sums += float(content[b, y, x]) * wp.vec4(
+                weights[first, b], weights[p1, b], weights[p2, b], weights[p3, b]
+            )
         planes[first, y, x] = sums[0]
         planes[p1, y, x] = sums[1]
         planes[p2, y, x] = sums[2]
@@ -36,7 +44,9 @@ def integrate(
     # out:
     planes: wp.array3d[float],
     # sizes:
-    pixels: int, bands: int, count: int,
+    pixels: int,
+    bands: int,
+    count: int,
 ):
     sum_up(content, weights, planes, wp.tid(), bands, count)
 
@@ -49,6 +59,8 @@ def integrate_half(
     # out:
     planes: wp.array3d[float],
     # sizes:
-    pixels: int, bands: int, count: int,
+    pixels: int,
+    bands: int,
+    count: int,
 ):
     sum_up(content, weights, planes, wp.tid(), bands, count)

@@ -21,27 +21,52 @@ def materials(device, ids, shading, table):
     ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
     planes, count = table.shape
     out = device.empty((planes, rows, cols))
-    device.launch("spectral.materials", "materials", (rows * cols,), ids, shading, table, out, rows * cols, count,
-                  *(() if device.kind == "opencl" else (planes, cols)), defines={"PLANES": planes})
+    device.launch(
+        "spectral.materials",
+        "materials",
+        (rows * cols,),
+        ids,
+        shading,
+        table,
+        out,
+        rows * cols,
+        count,
+        *(() if device.kind == "opencl" else (planes, cols)),
+        defines={"PLANES": planes},
+    )
     return out
 
 
 def cases():
     """One material to hundreds, shading over nine decades."""
     random = np.random.default_rng(2)
-    for rows, cols, planes, count in ((1, 1, 3, 1), (3, 5, 3, 24), (63, 65, 31, 26), (5, 200, 4, 300)):
-        yield Case(f"{rows}x{cols}, {count} materials, {planes} planes",
-                   {"ids": random.integers(0, count, (rows, cols)).astype(np.uint16),
-                    "shading": (10.0 ** random.uniform(-3, 6, (rows, cols))).astype(np.float32),
-                    "table": random.random((planes, count)).astype(np.float32)},
-                   2.0**-24, "one float32 product rounds once: half an ulp", metric="local")
+    for rows, cols, planes, count in (
+        (1, 1, 3, 1),
+        (3, 5, 3, 24),
+        (63, 65, 31, 26),
+        (5, 200, 4, 300),
+    ):
+        yield Case(
+            f"{rows}x{cols}, {count} materials, {planes} planes",
+            {
+                "ids": random.integers(0, count, (rows, cols)).astype(np.uint16),
+                "shading": (10.0 ** random.uniform(-3, 6, (rows, cols))).astype(np.float32),
+                "table": random.random((planes, count)).astype(np.float32),
+            },
+            2.0**-24,
+            "one float32 product rounds once: half an ulp",
+            metric="local",
+        )
 
 
 def bench(rows, cols):
     """The 24 patches of a ColorChecker to 31 bands."""
     random = np.random.default_rng(2)
-    return {"ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
-            "shading": random.random((rows, cols), np.float32), "table": random.random((31, 24), np.float32)}
+    return {
+        "ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
+        "shading": random.random((rows, cols), np.float32),
+        "table": random.random((31, 24), np.float32),
+    }
 
 
 def operations(ids, shading, table):

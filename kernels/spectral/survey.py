@@ -44,15 +44,23 @@ def survey(device, content, table, first, ids=None, scale=(1.0, 1.0)):
     """
     entries, rows, cols = checked(content, table, first, ids)
     count, pairs = table.shape[0], first.shape[0]
-    if ids is None and pairs and type_of(content) == np.float16:  # of the pairs' rows alone: they are few
+    if (
+        ids is None and pairs and type_of(content) == np.float16
+    ):  # of the pairs' rows alone: they are few
         content, first, rows = _widened(device, content, first)
     unit, of_table = map(float, scale)
     if of_table != 1:
         table = device.numpy(table) * np.float32(of_table)
     opencl = device.kind == "opencl"
-    if not (device.is_gpu or opencl):  # Warp's loops are vectors along the projections, which lie side by side for them
+    if not (
+        device.is_gpu or opencl
+    ):  # Warp's loops are vectors along the projections, which lie side by side for them
         table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
-    content, table, first = device.array(content), device.array(table), device.array(first, np.int32)
+    content, table, first = (
+        device.array(content),
+        device.array(table),
+        device.array(first, np.int32),
+    )
     ids = None if ids is None else device.array(ids, np.uint16)
     out = device.empty((pairs, 3, count + 1))
     if not pairs:
@@ -63,11 +71,40 @@ def survey(device, content, table, first, ids=None, scale=(1.0, 1.0)):
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
     if ids is None:
-        device.launch("spectral.survey", "mixed", grid, content, table, first, out, entries, rows, cols, count, unit,
-                      defines=defines, group=group)
+        device.launch(
+            "spectral.survey",
+            "mixed",
+            grid,
+            content,
+            table,
+            first,
+            out,
+            entries,
+            rows,
+            cols,
+            count,
+            unit,
+            defines=defines,
+            group=group,
+        )
     else:
-        device.launch("spectral.survey", "labelled", grid, ids, content, table, first, out, entries, rows, cols, count,
-                      unit, defines=defines, group=group)
+        device.launch(
+            "spectral.survey",
+            "labelled",
+            grid,
+            ids,
+            content,
+            table,
+            first,
+            out,
+            entries,
+            rows,
+            cols,
+            count,
+            unit,
+            defines=defines,
+            group=group,
+        )
     return out
 
 
@@ -86,11 +123,35 @@ def _by_groups(device, content, table, first, ids, out, entries, rows, cols, uni
     parts = device.empty((pairs, chunks, 3 * (count + 1)))
     defines = {"PROJECTIONS": count, "THREADS": THREADS}
     content = (content,) if ids is None else (ids, content)
-    device.launch(GROUPS, "mixed_groups" if ids is None else "labelled_groups", (pairs * chunks * THREADS,), *content,
-                  table, first, parts, entries, rows, cols, chunks, unit, defines=defines, group=(THREADS,))
+    device.launch(
+        GROUPS,
+        "mixed_groups" if ids is None else "labelled_groups",
+        (pairs * chunks * THREADS,),
+        *content,
+        table,
+        first,
+        parts,
+        entries,
+        rows,
+        cols,
+        chunks,
+        unit,
+        defines=defines,
+        group=(THREADS,),
+    )
     items = pairs * 3 * (count + 1)
-    device.launch(GROUPS, "finish", (-(-items // THREADS) * THREADS,), parts, out, items, chunks, cols,
-                  defines=defines, group=(THREADS,))
+    device.launch(
+        GROUPS,
+        "finish",
+        (-(-items // THREADS) * THREADS,),
+        parts,
+        out,
+        items,
+        chunks,
+        cols,
+        defines=defines,
+        group=(THREADS,),
+    )
 
 
 def checked(content, table, first, ids):
@@ -99,10 +160,14 @@ def checked(content, table, first, ids):
     if len(shape) != (3 if ids is None else 2) or 0 in shape:
         raise BadData(f"survey: content of shape {shape}; wanted {wanted}")
     if ids is not None and tuple(ids.shape) != shape:
-        raise BadData(f"survey: ids of shape {tuple(ids.shape)} and shading {shape}; wanted one (rows, cols)")
+        raise BadData(
+            f"survey: ids of shape {tuple(ids.shape)} and shading {shape}; wanted one (rows, cols)"
+        )
     if len(table.shape) != 2 or (ids is None and table.shape[1] != shape[0]):
-        raise BadData(f"survey: a table of shape {tuple(table.shape)}; wanted (projections, "
-                      f"{shape[0] if ids is None else 'entries'})")
+        raise BadData(
+            f"survey: a table of shape {tuple(table.shape)}; wanted (projections, "
+            f"{shape[0] if ids is None else 'entries'})"
+        )
     if not 1 <= table.shape[0] <= MOST:
         raise OutOfRange("projections", table.shape[0], f"1 .. {MOST}")
     if len(first.shape) != 1:
@@ -113,15 +178,30 @@ def checked(content, table, first, ids):
 def cases():
     """Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values, zeros, NaN."""
     random = np.random.default_rng(11)
-    for rows, cols, entries, count in ((1, 1, 31, 3), (1, 9, 5, 1), (7, 1, 3, 16), (5, 2, 1, 5), (3, 8, 31, 12),
-                                       (33, 65, 70, 7), (20, 300, 6, 4), (9, 1025, 130, 12)):
+    for rows, cols, entries, count in (
+        (1, 1, 31, 3),
+        (1, 9, 5, 1),
+        (7, 1, 3, 16),
+        (5, 2, 1, 5),
+        (3, 8, 31, 12),
+        (33, 65, 70, 7),
+        (20, 300, 6, 4),
+        (9, 1025, 130, 12),
+    ):
         table = random.normal(0, 10.0 ** random.uniform(-4, 4, (count, 1)), (count, entries))
         first = random.integers(-2, rows + 2, 5)
         shape = f"{rows}x{cols}, {entries} entries, {count} projections"
         light = 10.0 ** random.uniform(-3, 5, (rows, cols))
         yield _case(f"cube {shape}", random.random((entries, rows, cols)) * light, table, first)
-        yield _case(f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first)
-        yield _case(f"float16 {shape}", random.normal(0, 1, (entries, rows, cols)).astype(np.float16), table, first)
+        yield _case(
+            f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first
+        )
+        yield _case(
+            f"float16 {shape}",
+            random.normal(0, 1, (entries, rows, cols)).astype(np.float16),
+            table,
+            first,
+        )
         ids = random.integers(0, entries, (rows, cols)).astype(np.uint16)
         yield _case(f"materials {shape}", light, table, first, ids)
     table = random.normal(0, 1, (6, 31))
@@ -140,7 +220,14 @@ def cases():
     yield _case("materials with NaN and infinity", shading, table, np.arange(12), ids)
     light = 1e23 * random.random((31, 12, 40))
     yield _case("the sun", light, table, np.arange(12), scale=(2.0**-77, 2.0**-79))
-    yield _case("materials in the sun", light[3], table * 2.0**20, np.arange(12), ids, scale=(2.0**-77, 2.0**-97))
+    yield _case(
+        "materials in the sun",
+        light[3],
+        table * 2.0**20,
+        np.arange(12),
+        ids,
+        scale=(2.0**-77, 2.0**-97),
+    )
     yield _case("faint light", light * 1e-60, table, np.arange(12), scale=(2.0**123, 2.0**121))
 
 
@@ -155,8 +242,10 @@ def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
     for y in np.clip(first, 0, rows - 1):
         upper, lower = (content[..., row, :].astype(float) for row in (y, min(y + 1, rows - 1)))
         if ids is not None:  # one-hot: an entry for each sample's id
-            upper, lower = (np.where(ids[row] == np.arange(table.shape[1])[:, None], values, 0)
-                            for row, values in ((y, upper), (min(y + 1, rows - 1), lower)))
+            upper, lower = (
+                np.where(ids[row] == np.arange(table.shape[1])[:, None], values, 0)
+                for row, values in ((y, upper), (min(y + 1, rows - 1), lower))
+            )
         with np.errstate(invalid="ignore"):
             for part in (upper, np.diff(upper), lower - upper):
                 part = part[:, np.isfinite(part).all(0)]
@@ -165,18 +254,23 @@ def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
                 worst = (rounding * (2 * np.abs(exact) + rounding)).sum(1)
                 worst += (cols + 3) * unit * ((np.abs(exact) + rounding) ** 2).sum(1)
                 tolerance = max(tolerance, (worst[total > 0] / total[total > 0]).max(initial=0.0))
-    return Case(name, inputs if ids is None else inputs | {"ids": ids},
-                1.01 * max(tolerance, (terms + cols + 5) * unit) if content.any() else 0.0,
-                "a projection of n terms, each a weight times a difference, errs by at most (n + 2) 2^-24 times the "
-                "sum of their magnitudes (Higham 2002, 3.1), which its square doubles; a mean of m squares adds m + 3 "
-                "roundings, one of the squares of n entries n + m + 5; second orders are below 1 %",
-                metric="local")
+    return Case(
+        name,
+        inputs if ids is None else inputs | {"ids": ids},
+        1.01 * max(tolerance, (terms + cols + 5) * unit) if content.any() else 0.0,
+        "a projection of n terms, each a weight times a difference, errs by at most (n + 2) 2^-24 times the "
+        "sum of their magnitudes (Higham 2002, 3.1), which its square doubles; a mean of m squares adds m + 3 "
+        "roundings, one of the squares of n entries n + m + 5; second orders are below 1 %",
+        metric="local",
+    )
 
 
 def bench(rows, cols):
     """Twelve projections of a 31-band cube, which has the 34 rows that are read in a frame of 1080 and no others."""
     random = np.random.default_rng(11)
     pairs = min(17, max(rows // 2, 1))
-    return {"content": random.random((31, 2 * pairs, cols), np.float32),
-            "table": random.normal(0, 1, (12, 31)).astype(np.float32),
-            "first": 2 * np.arange(pairs, dtype=np.int32)}
+    return {
+        "content": random.random((31, 2 * pairs, cols), np.float32),
+        "table": random.normal(0, 1, (12, 31)).astype(np.float32),
+        "first": 2 * np.arange(pairs, dtype=np.int32),
+    }

@@ -11,7 +11,9 @@ def survey(content, table, first, ids=None, scale=(1.0, 1.0)):
     table = np.asarray(table, np.float64)
     out = np.zeros((len(first), 3, len(table) + 1))
     for number, y in enumerate(np.clip(first, 0, rows - 1)):
-        upper, lower = (_entries(content, ids, table.shape[1], row) for row in (y, min(y + 1, rows - 1)))
+        upper, lower = (
+            _entries(content, ids, table.shape[1], row) for row in (y, min(y + 1, rows - 1))
+        )
         with np.errstate(invalid="ignore"):  # infinity less infinity
             across, down = upper[:, 1:] - upper[:, :-1], lower - upper
         out[number, 0] = _mean_squares(table, upper)

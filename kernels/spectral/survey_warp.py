@@ -9,7 +9,9 @@ vec16 = wp.types.vector(length=16, dtype=float)
 
 
 @wp.func
-def store(out: wp.array3d[float], i: int, kind: int, count: int, sums: vec16, squares: float, length: int):
+def store(
+    out: wp.array3d[float], i: int, kind: int, count: int, sums: vec16, squares: float, length: int
+):
     """Means from sums."""
     for p in range(count):
         out[i, kind, p] = sums[p] / float(length)
@@ -34,7 +36,11 @@ def mixed(
     # out:
     out: wp.array3d[float],
     # sizes:
-    entries: int, rows: int, cols: int, count: int, unit: float,
+    entries: int,
+    rows: int,
+    cols: int,
+    count: int,
+    unit: float,
 ):
     i = wp.tid()
     y = wp.clamp(first[i], 0, rows - 1)
@@ -97,7 +103,11 @@ def labelled(
     # out:
     out: wp.array3d[float],
     # sizes:
-    entries: int, rows: int, cols: int, count: int, unit: float,
+    entries: int,
+    rows: int,
+    cols: int,
+    count: int,
+    unit: float,
 ):
     i = wp.tid()
     y = wp.clamp(first[i], 0, rows - 1)
@@ -115,8 +125,11 @@ def labelled(
         down = difference(table, id, id_below, shade, shade_below)
         values += wp.cw_mul(value, value)
         falls += wp.cw_mul(down, down)
-        square = wp.vec3(unit * shade * (unit * shade), 0.0, difference_square(
-            id, id_below, unit * shade, unit * shade_below))
+        square = wp.vec3(
+            unit * shade * (unit * shade),
+            0.0,
+            difference_square(id, id_below, unit * shade, unit * shade_below),
+        )
         if x + 1 < cols:
             id_right = int(ids[y, x + 1])
             shade_right = content[y, x + 1]

@@ -11,7 +11,11 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.stage import Case, stage
 
-KERNELS = {np.dtype(np.float32): "take", np.dtype(np.float16): "take_half", np.dtype(np.uint16): "take_numbers"}
+KERNELS = {
+    np.dtype(np.float32): "take",
+    np.dtype(np.float16): "take_half",
+    np.dtype(np.uint16): "take_numbers",
+}
 
 
 @stage
@@ -25,16 +29,36 @@ def take(device, content, rows=None, cols=None):
     """
     dtype, (*entries, height, width), (count, lines, across) = checked(content, rows, cols)
     planes = entries[0] if entries else 1
-    out = device.empty((count, planes, lines, across), np.uint16 if dtype == np.uint16 else np.float32)
+    out = device.empty(
+        (count, planes, lines, across), np.uint16 if dtype == np.uint16 else np.float32
+    )
     if 0 not in out.shape:
         whole = cols is None
-        rows = device.array(np.tile(np.arange(height), (count, 1)) if rows is None else rows, np.int32)
-        cols = rows if whole else device.array(cols, np.int32)  # not read where columns are in their order
+        rows = device.array(
+            np.tile(np.arange(height), (count, 1)) if rows is None else rows, np.int32
+        )
+        cols = (
+            rows if whole else device.array(cols, np.int32)
+        )  # not read where columns are in their order
         content = device.reshape(device.array(content, dtype), (planes, height, width))
         # Whole rows are a build of their own on OpenCL: PoCL does not vectorise where columns are looked up.
-        device.launch("spectral.take", KERNELS[dtype], (planes, count * lines, across), content, rows, cols, out,
-                      planes, height, width, count * lines, lines, across,
-                      *(() if device.kind == "opencl" else (int(whole),)), defines={"WHOLE_ROWS": int(whole)})
+        device.launch(
+            "spectral.take",
+            KERNELS[dtype],
+            (planes, count * lines, across),
+            content,
+            rows,
+            cols,
+            out,
+            planes,
+            height,
+            width,
+            count * lines,
+            lines,
+            across,
+            *(() if device.kind == "opencl" else (int(whole),)),
+            defines={"WHOLE_ROWS": int(whole)},
+        )
     return out if entries else device.reshape(out, (count, lines, across))
 
 
@@ -42,17 +66,27 @@ def checked(content, rows, cols):
     """Type that the content is read as, its shape, and that of its windows, (n, h, w). Raises BadData."""
     shape = tuple(content.shape)
     if len(shape) not in (2, 3) or 0 in shape:
-        raise BadData(f"take: content of shape {shape}; wanted (entries, rows, cols) or (rows, cols), none of them 0")
+        raise BadData(
+            f"take: content of shape {shape}; wanted (entries, rows, cols) or (rows, cols), none of them 0"
+        )
     kind = type_of(content)
     if kind is None or (kind.kind in "iub" and kind.type is not np.uint16):
-        raise BadData(f"take: content of type {kind or content.dtype}; wanted float32, float16 or uint16")
+        raise BadData(
+            f"take: content of type {kind or content.dtype}; wanted float32, float16 or uint16"
+        )
     of_rows, of_cols = ((*given.shape,) if given is not None else None for given in (rows, cols))
     of_rows = of_rows or ((of_cols or (1,))[0], shape[-2])
     of_cols = of_cols or (of_rows[0], shape[-1])
     if len(of_rows) != 2 or len(of_cols) != 2 or of_rows[0] != of_cols[0]:
-        raise BadData(f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w), of as "
-                      "many windows")
-    return np.dtype(kind.type if kind.type in (np.float16, np.uint16) else np.float32), shape, (*of_rows, of_cols[1])
+        raise BadData(
+            f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w), of as "
+            "many windows"
+        )
+    return (
+        np.dtype(kind.type if kind.type in (np.float16, np.uint16) else np.float32),
+        shape,
+        (*of_rows, of_cols[1]),
+    )
 
 
 def cases():
@@ -63,32 +97,60 @@ def cases():
     wild = np.array([np.nan, np.inf, -np.inf, -0.0, 1e-45, 3.4e38], np.float32)
 
     def case(name, content, rows=None, cols=None):
-        return Case(name, {"content": content, "rows": rows, "cols": cols}, 0.0, why, metric="exact")
+        return Case(
+            name, {"content": content, "rows": rows, "cols": cols}, 0.0, why, metric="exact"
+        )
 
     yield case("every float16", every.reshape(4, 64, 256))
-    yield case("every float16 by columns", every.reshape(4, 64, 256), cols=np.arange(256, dtype=np.int32)[None, ::-1])
+    yield case(
+        "every float16 by columns",
+        every.reshape(4, 64, 256),
+        cols=np.arange(256, dtype=np.int32)[None, ::-1],
+    )
     yield case("every number", numbers.reshape(256, 256))
-    yield case("every number by columns", numbers.reshape(256, 256), cols=np.arange(256, dtype=np.int32)[None, ::-1])
-    yield case("NaN and infinities", wild.reshape(1, 2, 3), *(np.array([chosen], np.int32) for chosen in
-                                                              ([0, 1], [2, 1, 0, 9])))
-    for entries, rows, cols, windows in ((1, 1, 1, (1, 1, 1)), (3, 5, 9, (2, 4, 3)), (31, 33, 65, (3, 7, 129)),
-                                         (2, 7, 129, (1, 1, 300)), (2, 3, 4, (0, 5, 6)), (2, 3, 4, (3, 0, 6)),
-                                         (70, 9, 8, (12, 5, 1))):
+    yield case(
+        "every number by columns",
+        numbers.reshape(256, 256),
+        cols=np.arange(256, dtype=np.int32)[None, ::-1],
+    )
+    yield case(
+        "NaN and infinities",
+        wild.reshape(1, 2, 3),
+        *(np.array([chosen], np.int32) for chosen in ([0, 1], [2, 1, 0, 9])),
+    )
+    for entries, rows, cols, windows in (
+        (1, 1, 1, (1, 1, 1)),
+        (3, 5, 9, (2, 4, 3)),
+        (31, 33, 65, (3, 7, 129)),
+        (2, 7, 129, (1, 1, 300)),
+        (2, 3, 4, (0, 5, 6)),
+        (2, 3, 4, (3, 0, 6)),
+        (70, 9, 8, (12, 5, 1)),
+    ):
         values = random.normal(0, 1, (entries, rows, cols))
         count, height, width = windows  # indices beyond the frame on both sides
-        chosen = (random.integers(-3, rows + 3, (count, height), np.int32),
-                  random.integers(-3, cols + 3, (count, width), np.int32))
+        chosen = (
+            random.integers(-3, rows + 3, (count, height), np.int32),
+            random.integers(-3, cols + 3, (count, width), np.int32),
+        )
         name = f"of {entries}x{rows}x{cols}, {count} windows {height}x{width}"
         for dtype in (np.float32, np.float16):
             yield case(f"{dtype.__name__} {name}", values.astype(dtype), *chosen)
         yield case(f"whole rows {name}", values.astype(np.float16), chosen[0])
         yield case(f"shading {name}", values[0].astype(np.float32), *chosen)
         yield case(f"numbers {name}", random.integers(0, 2**16, (rows, cols), np.uint16), *chosen)
-        yield case(f"whole rows of numbers {name}", random.integers(0, 2**16, (rows, cols), np.uint16), chosen[0])
+        yield case(
+            f"whole rows of numbers {name}",
+            random.integers(0, 2**16, (rows, cols), np.uint16),
+            chosen[0],
+        )
 
 
 def bench(rows, cols):
     """Twelve windows of 64 x 64 from a 31-band cube, which has their samples and no others: all of it is read."""
     chosen = np.arange(12 * 64, dtype=np.int32).reshape(12, 64)
-    return {"content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32), "rows": chosen % 64,
-            "cols": chosen}
+    return {
+        "content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32),
+        "rows": chosen % 64,
+        "cols": chosen,
+    }

@@ -22,7 +22,13 @@ def take(
     # out:
     out: wp.array4d[float],
     # sizes:
-    entries: int, rows: int, cols: int, lines: int, height: int, width: int, whole: int,
+    entries: int,
+    rows: int,
+    cols: int,
+    lines: int,
+    height: int,
+    width: int,
+    whole: int,
 ):
     entry, line, x = wp.tid()
     window = line // height
@@ -40,7 +46,13 @@ def take_half(
     # out:
     out: wp.array4d[float],
     # sizes:
-    entries: int, rows: int, cols: int, lines: int, height: int, width: int, whole: int,
+    entries: int,
+    rows: int,
+    cols: int,
+    lines: int,
+    height: int,
+    width: int,
+    whole: int,
 ):
     entry, line, x = wp.tid()
     window = line // height
@@ -58,7 +70,13 @@ def take_numbers(
     # out:
     out: wp.array4d[wp.uint16],
     # sizes:
-    entries: int, rows: int, cols: int, lines: int, height: int, width: int, whole: int,
+    entries: int,
+    rows: int,
+    cols: int,
+    lines: int,
+    height: int,
+    width: int,
+    whole: int,
 ):
     entry, line, x = wp.tid()
     window = line // height

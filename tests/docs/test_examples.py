@@ -25,15 +25,36 @@ for number in pyplot.get_fignums():
 def test_example_runs(path, tmp_path):
     """Processor time, which other work on the machine does not change."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-W", "error::DeprecationWarning:__main__",
-                           "-c", RUN, str(path)], cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-W",
+            "error::RuntimeWarning",
+            "-W",
+            "error::DeprecationWarning:__main__",
+            "-c",
+            RUN,
+            str(path),
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
     assert done.returncode == 0, done.stderr
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert sum(getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime")) <= CORES * SECONDS
+    assert (
+        sum(getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime"))
+        <= CORES * SECONDS
+    )
     figures = sorted(tmp_path.glob("*.png"))
-    assert figures and [file.suffix for file in tmp_path.iterdir()] == [".png"] * len(figures)  # and leaves no files
+    assert figures and [file.suffix for file in tmp_path.iterdir()] == [".png"] * len(
+        figures
+    )  # and leaves no files
 
 
 def test_every_example_has_its_place_in_the_gallery():
-    order = (Path(__file__).parents[2] / "docs" / "conf.py").read_text().partition("class InTurn")[2]
+    order = (
+        (Path(__file__).parents[2] / "docs" / "conf.py").read_text().partition("class InTurn")[2]
+    )
     assert [path.stem for path in EXAMPLES if f'"{path.stem}"' not in order] == []

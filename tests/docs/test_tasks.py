@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'gpusim[plot]'")
-TASKS = {path.stem: path for path in sorted((Path(__file__).parents[2] / "docs" / "tasks").glob("*.py"))}
+TASKS = {
+    path.stem: path for path in sorted((Path(__file__).parents[2] / "docs" / "tasks").glob("*.py"))
+}
 LINES = 15
 
 
@@ -43,7 +45,11 @@ def test_own_camera():
     assert 0.9 * low < np.interp(-0.5, -green.get_ydata(), green.get_xdata()) < 1.1 * high
     # a full well without fixed patterns: sqrt(9000 + 2.5^2); read noise and the converter's 9000 / 4032 steps of
     # 1 / sqrt(12) are less than 0.01 dB, DSNU of 1 e- as well
-    best = max(np.nanmax(line.get_ydata()) for line in made["right"].lines if "channel" in str(line.get_label()))
+    best = max(
+        np.nanmax(line.get_ydata())
+        for line in made["right"].lines
+        if "channel" in str(line.get_label())
+    )
     assert best == pytest.approx(10 * np.log10(9000), abs=0.05)
 
 
@@ -60,7 +66,11 @@ def test_pairs(photographs):
         part = (noisy - clean)[below] / sigma
         # 1500 pixels or more: the mean scatters by 0.026 of sigma, dark current adds 0.05 e-, DSNU and PRNU a
         # thousandth; the standard deviation by 2 %, and rounding of 0.17 DN/e- at gain 4 (1.5 e- a step) adds less
-        assert below.sum() > 1500 and abs(part.mean()) < 0.12 and part.std() == pytest.approx(1, abs=0.1)
+        assert (
+            below.sum() > 1500
+            and abs(part.mean()) < 0.12
+            and part.std() == pytest.approx(1, abs=0.1)
+        )
 
 
 @pytest.fixture
@@ -82,7 +92,9 @@ def test_mitsubas_render():
     _write_as_mitsuba_does("render.exr", bands)
     made = runpy.run_path(str(TASKS["3_mitsuba"]))
     near, far = (axis.images[0].get_array()[20:76].astype(float) for axis in made["axes"])
-    contrast = [[part.std() for part in (picture[:, 10:54], picture[:, 74:118])] for picture in (near, far)]
+    contrast = [
+        [part.std() for part in (picture[:, 10:54], picture[:, 74:118])] for picture in (near, far)
+    ]
     assert contrast[0][0] > 2 * contrast[1][0] and contrast[1][1] > 2 * contrast[0][1], contrast
     assert {path.name for path in Path().glob("*.dng")} == {"focus-0.5m.dng", "focus-3.0m.dng"}
 
@@ -94,9 +106,13 @@ def _write_as_mitsuba_does(path, bands):
     y, x = np.mgrid[:96, :128]
     stripes = np.where(x // 4 % 2, 0.3, 0.03).astype(np.float32)
     step = 2 * np.tan(np.radians(20)) / 128
-    distance = np.where(x < 64, 0.5, 3.0) * np.sqrt(1 + ((x - 63.5) * step) ** 2 + ((y - 47.5) * step) ** 2)
+    distance = np.where(x < 64, 0.5, 3.0) * np.sqrt(
+        1 + ((x - 63.5) * step) ** 2 + ((y - 47.5) * step) ** 2
+    )
     channels = {f"band{nm}": stripes for nm in bands} | {"depth.T": distance.astype(np.float32)}
-    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(path)
+    OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
+    ).write(path)
 
 
 def test_two_pixel_sizes():

@@ -48,7 +48,10 @@ def test_an_actor_is_where_its_path_says(time):
     path, place = gs.Motion(pan=(3.3, -7.7), roll=2.0, zooming=1.3), (4.25, 3.5)
     dark = replace(BACK, content=basis(np.full((3, 60, 80), 0.5)))
     content, alpha = spot()
-    found = gs.Animation(dark, [gs.Actor(content, alpha, place, path)]).at(time).content.coefficients[0] - 0.5
+    found = (
+        gs.Animation(dark, [gs.Actor(content, alpha, place, path)]).at(time).content.coefficients[0]
+        - 0.5
+    )
     y, x = np.indices(found.shape) - np.array([29.5, 39.5])[:, None, None]
     zoom = path.at(time).zoom
     radius = np.hypot(y - place[0] - 3.3 * time, x - place[1] + 7.7 * time) / zoom
@@ -58,18 +61,27 @@ def test_an_actor_is_where_its_path_says(time):
 
 
 def test_the_nearest_actor_hides_the_others():
-    white, black = (gs.Actor(basis(np.full((3, 9, 9), value)), np.ones((9, 9)), (0.5, 0.5)) for value in (1.0, 0.0))
+    white, black = (
+        gs.Actor(basis(np.full((3, 9, 9), value)), np.ones((9, 9)), (0.5, 0.5))
+        for value in (1.0, 0.0)
+    )
     for front, back, value in ((white, black, 1), (black, white, 0)):
         seen = gs.Animation(BACK, [front, back]).at(0).content.coefficients[:, 30, 40]
         np.testing.assert_allclose(seen, value, atol=1e-6)
     half = replace(white, alpha=np.full((9, 9), 0.25))
-    np.testing.assert_allclose(gs.Animation(BACK, [half, black]).at(0).content.coefficients[:, 30, 40], 0.25, atol=1e-6)
+    np.testing.assert_allclose(
+        gs.Animation(BACK, [half, black]).at(0).content.coefficients[:, 30, 40], 0.25, atol=1e-6
+    )
 
 
 def test_an_actor_outside_the_frame_is_not_there():
     away = gs.Actor(*spot(), (500, 0), gs.Motion(pan=(-100, 0)))
-    assert np.array_equal(gs.Animation(BACK, [away]).at(0).content.coefficients, BACK.content.coefficients)
-    assert not np.array_equal(gs.Animation(BACK, [away]).at(5).content.coefficients, BACK.content.coefficients)
+    assert np.array_equal(
+        gs.Animation(BACK, [away]).at(0).content.coefficients, BACK.content.coefficients
+    )
+    assert not np.array_equal(
+        gs.Animation(BACK, [away]).at(5).content.coefficients, BACK.content.coefficients
+    )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -77,7 +89,9 @@ def test_motion_blur_is_that_of_many_instants(device):
     """Against a mean of 200 instants; the camera moves, too, and rows open one after the other."""
     seconds, start = 0.02, 0.3
     camera = replace(PHONE, sensor=replace(PHONE.sensor, row_time=1e-4))
-    animation = gs.Animation(BACK, [gs.Actor(*spot(value=3.0), (0, -20), gs.Motion(pan=(-40, 300), roll=1.0))])
+    animation = gs.Animation(
+        BACK, [gs.Actor(*spot(value=3.0), (0, -20), gs.Motion(pan=(-40, 300), roll=1.0))]
+    )
     motion = gs.Motion(pan=(60, 0))
     simulator = gs.Simulator(camera, device=device, tolerance=0.02)
     exposure = gs.expose_motion(simulator, animation, motion, seconds, start)
@@ -86,9 +100,15 @@ def test_motion_blur_is_that_of_many_instants(device):
     program, total, opened = None, 0.0, np.zeros(60)
     for time in start + (np.arange(200) + 0.5) * whole / 200:
         view = animation.at(time).viewed(motion.at(time))
-        program = program.update(scene=view) if program else simulator.program(view, exposure_time=seconds)
+        program = (
+            program.update(scene=view)
+            if program
+            else simulator.program(view, exposure_time=seconds)
+        )
         is_open = (time >= start + rows * 1e-4) & (time < start + rows * 1e-4 + seconds)
-        total = total + is_open[:, None] * np.array(simulator.device.numpy(program.exposure.mean), np.float64)
+        total = total + is_open[:, None] * np.array(
+            simulator.device.numpy(program.exposure.mean), np.float64
+        )
         opened += is_open
     truth = total / opened[:, None]
     error = np.array(simulator.device.numpy(exposure.mean)) - truth
@@ -98,11 +118,18 @@ def test_motion_blur_is_that_of_many_instants(device):
     assert 1.5 * stated <= 0.5 * 0.02
 
 
-@pytest.mark.parametrize(("changes", "error", "words"), [
-    ({"content": gs.chart("flat").content}, BadData, "wanted a Basis or a Cube"),
-    ({"alpha": np.ones((3, 3))}, BadData, "does not match"), ({"alpha": np.full((41, 41), 1.5)}, OutOfRange, "0 .. 1"),
-    ({"alpha": np.full((41, 41), np.nan)}, OutOfRange, "0 .. 1"), ({"place": (0, np.inf)}, BadData, "two finite"),
-    ({"place": 3}, BadData, "two finite"), ({"path": gs.View()}, BadData, "wanted a Motion")])
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"content": gs.chart("flat").content}, BadData, "wanted a Basis or a Cube"),
+        ({"alpha": np.ones((3, 3))}, BadData, "does not match"),
+        ({"alpha": np.full((41, 41), 1.5)}, OutOfRange, "0 .. 1"),
+        ({"alpha": np.full((41, 41), np.nan)}, OutOfRange, "0 .. 1"),
+        ({"place": (0, np.inf)}, BadData, "two finite"),
+        ({"place": 3}, BadData, "two finite"),
+        ({"path": gs.View()}, BadData, "wanted a Motion"),
+    ],
+)
 def test_actors_that_cannot_be(changes, error, words):
     content, alpha = spot()
     with pytest.raises(error, match=words):
@@ -125,8 +152,14 @@ def pictures(tmp_path):
     back = np.full((48, 64, 3), (90, 100, 120), np.uint8)
     Image.fromarray(back).save(tmp_path / "back.png")
     y, x = np.indices((17, 17)) - 8
-    disc = np.dstack([np.full((17, 17), 230), np.full((17, 17), 20), np.full((17, 17), 20),
-                      255 * (np.hypot(y, x) < 7)]).astype(np.uint8)
+    disc = np.dstack(
+        [
+            np.full((17, 17), 230),
+            np.full((17, 17), 20),
+            np.full((17, 17), 20),
+            255 * (np.hypot(y, x) < 7),
+        ]
+    ).astype(np.uint8)
     Image.fromarray(disc).save(tmp_path / "disc.png")
     return tmp_path
 
@@ -134,9 +167,28 @@ def pictures(tmp_path):
 @pytest.mark.parametrize("more", [[], ["--blur"]])
 def test_a_picture_moves_before_a_photograph(more, pictures):
     """A red disc goes to the right, 8 pixels a frame; parts of the video are those of one run."""
-    asked = ["video", str(pictures / "back.png"), "--camera", "phone", "--frames", "4", "--fps", "10", "--segment", "2",
-             "--actor", f"{pictures / 'disc.png'},at=-4:-16,pan=0:80", "--exposure", "1/100", "--luminance", "2000",
-             "--tolerance", "video", *more, "-o"]
+    asked = [
+        "video",
+        str(pictures / "back.png"),
+        "--camera",
+        "phone",
+        "--frames",
+        "4",
+        "--fps",
+        "10",
+        "--segment",
+        "2",
+        "--actor",
+        f"{pictures / 'disc.png'},at=-4:-16,pan=0:80",
+        "--exposure",
+        "1/100",
+        "--luminance",
+        "2000",
+        "--tolerance",
+        "video",
+        *more,
+        "-o",
+    ]
     assert main([*asked, str(pictures / "a.png")]) == 0
     for number in range(4):
         seen = np.asarray(Image.open(pictures / f"a_{number:04d}.png")).astype(float)
@@ -147,16 +199,35 @@ def test_a_picture_moves_before_a_photograph(more, pictures):
     for shard in ("1/2", "0/2"):
         assert main([*asked, str(pictures / "b.png"), "--shard", shard]) == 0
     for number in range(4):
-        assert (pictures / f"a_{number:04d}.png").read_bytes() == (pictures / f"b_{number:04d}.png").read_bytes()
+        assert (pictures / f"a_{number:04d}.png").read_bytes() == (
+            pictures / f"b_{number:04d}.png"
+        ).read_bytes()
 
 
-@pytest.mark.parametrize(("actor", "words"), [
-    ("none.png", "none.png"), ("disc.png,at=1", "wanted at=ROW:COL"), ("disc.png,pan=0:1,pan=0:1", "each once"),
-    ("disc.png,zoom=0.5", "zoom"), ("disc.png,at=0:nan", "wanted at=ROW:COL")])
+@pytest.mark.parametrize(
+    ("actor", "words"),
+    [
+        ("none.png", "none.png"),
+        ("disc.png,at=1", "wanted at=ROW:COL"),
+        ("disc.png,pan=0:1,pan=0:1", "each once"),
+        ("disc.png,zoom=0.5", "zoom"),
+        ("disc.png,at=0:nan", "wanted at=ROW:COL"),
+    ],
+)
 def test_pictures_that_cannot_move_are_refused_in_a_line(actor, words, pictures, capsys):
     try:
-        status = main(["video", str(pictures / "back.png"), "--camera", "phone", "--actor", f"{pictures / actor}", "-o",
-                       str(pictures / "a.png")])
+        status = main(
+            [
+                "video",
+                str(pictures / "back.png"),
+                "--camera",
+                "phone",
+                "--actor",
+                f"{pictures / actor}",
+                "-o",
+                str(pictures / "a.png"),
+            ]
+        )
     except SystemExit as stopped:
         status = stopped.code
     said = capsys.readouterr().err

@@ -40,20 +40,35 @@ def test_what_the_api_gives_is_an_array_to_others(device):
     shown, device = scene(cube()), simulator.device
     exposure, program = simulator.expose(shown), simulator.program(shown)
     draws = simulator.draw(exposure, frames=3)
-    for found, shape in ((program.raw(), SHAPE), (program.codes(), (*SHAPE, 3)), (simulator.draw(exposure), SHAPE),
-                         (draws, (3, *SHAPE)), (simulator.codes(simulator.draw(exposure), exposure), (*SHAPE, 3)),
-                         (simulator.develop(simulator.draw(exposure), exposure)[0], (3, *SHAPE)),
-                         (exposure.mean, SHAPE), (exposure.chip_mean, SHAPE),
-                         (next(simulator.stream([shown])), (*SHAPE, 3)),
-                         (next(simulator.stream([shown], "raw")), SHAPE)):
+    for found, shape in (
+        (program.raw(), SHAPE),
+        (program.codes(), (*SHAPE, 3)),
+        (simulator.draw(exposure), SHAPE),
+        (draws, (3, *SHAPE)),
+        (simulator.codes(simulator.draw(exposure), exposure), (*SHAPE, 3)),
+        (simulator.develop(simulator.draw(exposure), exposure)[0], (3, *SHAPE)),
+        (exposure.mean, SHAPE),
+        (exposure.chip_mean, SHAPE),
+        (next(simulator.stream([shown])), (*SHAPE, 3)),
+        (next(simulator.stream([shown], "raw")), SHAPE),
+    ):
         values = np.asarray(found)
         assert tuple(found.shape) == values.shape == shape and len(found) == shape[0]
         assert type_of(found) == values.dtype and values.dtype.kind in "fu"
         np.testing.assert_array_equal(values, device.numpy(found))
         assert address(found) == address(found) or not device.on_host  # a view each time
         assert values.any()
-        for key in (0, -1, np.int64(1), slice(1, None), slice(0, 2), slice(2, 2), slice(None, None, 2),
-                    slice(None, None, -1), slice(-2, 99)):
+        for key in (
+            0,
+            -1,
+            np.int64(1),
+            slice(1, None),
+            slice(0, 2),
+            slice(2, 2),
+            slice(None, None, 2),
+            slice(None, None, -1),
+            slice(-2, 99),
+        ):
             np.testing.assert_array_equal(np.asarray(found[key]), values[key])
         for wrong in (shape[0], -shape[0] - 1):
             with pytest.raises(IndexError):
@@ -65,8 +80,10 @@ def test_what_the_api_gives_is_an_array_to_others(device):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize(("shape", "dtype"), [((5, 7, 64), np.float32), ((9, 3), np.uint8), ((6, 5), np.uint16),
-                                              ((4, 1, 3), np.float32)])
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((5, 7, 64), np.float32), ((9, 3), np.uint8), ((6, 5), np.uint16), ((4, 1, 3), np.float32)],
+)
 def test_parts_are_of_the_same_memory_where_that_can_be(device, shape, dtype):
     """Kernels take parts at any place as they take whole arrays; views live longer than what they are of."""
     device = open_device(device)
@@ -113,9 +130,17 @@ def test_what_an_opencl_array_refuses():
     with pytest.raises(TypeError, match="first axis"):
         array[0, 1]
     assert "(2, 3)" in repr(array) and array.ndim == 2 and array.size == 6
-    elsewhere = OpenCLArray(array.device, array.buffer, (2, 3), np.float32)  # as on a GPU: no memory of the host
-    for ask in (elsewhere.__dlpack__, elsewhere.__dlpack_device__, lambda: np.from_dlpack(elsewhere)):
-        with pytest.raises(BufferError, match=r"cannot be shared: use np.asarray\(x\), or device warp"):
+    elsewhere = OpenCLArray(
+        array.device, array.buffer, (2, 3), np.float32
+    )  # as on a GPU: no memory of the host
+    for ask in (
+        elsewhere.__dlpack__,
+        elsewhere.__dlpack_device__,
+        lambda: np.from_dlpack(elsewhere),
+    ):
+        with pytest.raises(
+            BufferError, match=r"cannot be shared: use np.asarray\(x\), or device warp"
+        ):
             ask()
     with pytest.raises(ValueError, match="without a copy"):
         np.asarray(elsewhere, copy=False)
@@ -126,9 +151,15 @@ def test_what_an_opencl_array_refuses():
 def test_a_warp_array_converts_in_cuda_memory_too():
     """NumPy calls `__array__` where there is no array interface; Warp's own refuses then."""
     array = open_device("warp:cpu").array(np.arange(6, dtype=np.float32).reshape(2, 3))
-    for part, wanted in ((array, [[0, 1, 2], [3, 4, 5]]), (array[1], [3, 4, 5]), (array[0:1], [[0, 1, 2]])):
+    for part, wanted in (
+        (array, [[0, 1, 2], [3, 4, 5]]),
+        (array[1], [3, 4, 5]),
+        (array[0:1], [[0, 1, 2]]),
+    ):
         np.testing.assert_array_equal(part.__array__(np.float64), np.array(wanted, float))
-    np.testing.assert_array_equal(open_device("warp:cpu").reshape(array, (3, 2)).__array__(), [[0, 1], [2, 3], [4, 5]])
+    np.testing.assert_array_equal(
+        open_device("warp:cpu").reshape(array, (3, 2)).__array__(), [[0, 1], [2, 3], [4, 5]]
+    )
 
 
 # ---- in
@@ -142,7 +173,12 @@ def test_memory_of_the_host_is_used_where_it_is(device, of):
     found = device.array(of(values))
     np.testing.assert_array_equal(np.asarray(found), values)
     assert (address(found) == address(values)) == device.on_host
-    for other in (values.astype(np.float64), np.asfortranarray(values), values[:, ::2], values[..., 1:].astype(">f4")):
+    for other in (
+        values.astype(np.float64),
+        np.asfortranarray(values),
+        values[:, ::2],
+        values[..., 1:].astype(">f4"),
+    ):
         found = device.array(of(other) if of is ByNumpy or other.dtype.isnative else ByNumpy(other))
         assert type_of(found) == np.float32
         np.testing.assert_array_equal(np.asarray(found), other.astype(np.float32))
@@ -171,7 +207,9 @@ def test_arrays_of_one_device_are_taken_by_others(device, other):
 @pytest.mark.parametrize("device", ALL)
 def test_cuda_memory_is_copied_by_its_owner(device):
     device, values = open_device(device), cube()
-    np.testing.assert_array_equal(np.asarray(device.array(Tensor(values, kind=10))), values)  # ROCm's
+    np.testing.assert_array_equal(
+        np.asarray(device.array(Tensor(values, kind=10))), values
+    )  # ROCm's
     if not device.name.startswith("warp:cuda"):
         np.testing.assert_array_equal(np.asarray(device.array(Tensor(values, kind=2))), values)
 
@@ -181,7 +219,9 @@ def test_cuda_memory_is_copied_by_its_owner(device):
 def test_memory_that_cannot_be_read_is_refused(device, of):
     device, values = open_device(device), of()
     for use in (device.array, device.numpy):
-        with pytest.raises(BadData, match=f"^{device.name}: cannot read an array of .*warp:cuda:0$") as caught:
+        with pytest.raises(
+            BadData, match=f"^{device.name}: cannot read an array of .*warp:cuda:0$"
+        ) as caught:
             use(values)
         assert "\n" not in str(caught.value)
     with pytest.raises(BadData, match="cannot read"):
@@ -191,16 +231,26 @@ def test_memory_that_cannot_be_read_is_refused(device, of):
 def test_a_library_says_why_it_refuses():
     class Gradient(Tensor):
         def __dlpack__(self, **_):
-            raise BufferError("Can't export tensors that require gradient, use tensor.detach()\nand more")
+            raise BufferError(
+                "Can't export tensors that require gradient, use tensor.detach()\nand more"
+            )
 
     with pytest.raises(BadData, match=r"require gradient, use tensor.detach\(\)\): give"):
         open_device("numpy").array(Gradient(cube()))
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("of", [ByDlpack, Tensor, ByNumpy, lambda values: open_device("warp:cpu").array(values),
-                                lambda values: open_device("opencl").array(values)],
-                         ids=["dlpack", "tensor", "array", "warp", "opencl"])
+@pytest.mark.parametrize(
+    "of",
+    [
+        ByDlpack,
+        Tensor,
+        ByNumpy,
+        lambda values: open_device("warp:cpu").array(values),
+        lambda values: open_device("opencl").array(values),
+    ],
+    ids=["dlpack", "tensor", "array", "warp", "opencl"],
+)
 def test_scenes_of_foreign_samples(device, of):
     """The frame is that of the same values in NumPy, bit for bit: programs, streams, scenes with a margin."""
     first, second = aligned(cube(1)), aligned(cube(2))
@@ -212,29 +262,49 @@ def test_scenes_of_foreign_samples(device, of):
         shown = scene(of(values))
         same_bits(device, program.update(scene=shown).codes(seed=3), wanted.rgb)
         same_bits(device, next(simulator.stream([shown], "raw", seed=3)), wanted.raw)
-        np.testing.assert_array_equal(np.asarray(simulator.expose(shown).mean, np.float32), wanted.mean)
+        np.testing.assert_array_equal(
+            np.asarray(simulator.expose(shown).mean, np.float32), wanted.mean
+        )
         assert 100 < wanted.mean.mean() < 3000 and len(np.unique(wanted.raw)) > 100
     around = {"border": "scene", "margin": 4}
-    same_bits(device, simulator.expose(scene(of(first), **around)).mean,
-              simulator.expose(scene(first, **around)).mean)
+    same_bits(
+        device,
+        simulator.expose(scene(of(first), **around)).mean,
+        simulator.expose(scene(first, **around)).mean,
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("of", [Tensor, lambda values: open_device("opencl").array(values, values.dtype)],
-                         ids=["tensor", "opencl"])
+@pytest.mark.parametrize(
+    "of",
+    [Tensor, lambda values: open_device("opencl").array(values, values.dtype)],
+    ids=["tensor", "opencl"],
+)
 def test_all_forms_take_foreign_samples(device, of):
     random = np.random.default_rng(4)
     ids, shading = random.integers(0, 5, SHAPE).astype(np.uint16), random.random(SHAPE, np.float32)
     spectra = random.random((5, 7))
     simulator = gs.Simulator(CAMERA, device=device)
     for one, other in (
-            (gs.Materials(WAVELENGTHS, of(ids), of(shading), spectra),
-             gs.Materials(WAVELENGTHS, ids, shading, spectra)),
-            (gs.Materials(WAVELENGTHS, of(ids.astype(np.int64)), of(shading.astype(np.float16)), spectra),
-             gs.Materials(WAVELENGTHS, ids, shading.astype(np.float16).astype(np.float32), spectra)),
-            (gs.Basis(WAVELENGTHS, of(cube()[:5]), spectra), gs.Basis(WAVELENGTHS, cube()[:5], spectra)),
-            (gs.Cube(WAVELENGTHS, of(cube(dtype=np.float64))), gs.Cube(WAVELENGTHS, cube()))):
-        found, wanted = (simulator.expose(gs.Scene(content, LIGHT)).mean for content in (one, other))
+        (
+            gs.Materials(WAVELENGTHS, of(ids), of(shading), spectra),
+            gs.Materials(WAVELENGTHS, ids, shading, spectra),
+        ),
+        (
+            gs.Materials(
+                WAVELENGTHS, of(ids.astype(np.int64)), of(shading.astype(np.float16)), spectra
+            ),
+            gs.Materials(WAVELENGTHS, ids, shading.astype(np.float16).astype(np.float32), spectra),
+        ),
+        (
+            gs.Basis(WAVELENGTHS, of(cube()[:5]), spectra),
+            gs.Basis(WAVELENGTHS, cube()[:5], spectra),
+        ),
+        (gs.Cube(WAVELENGTHS, of(cube(dtype=np.float64))), gs.Cube(WAVELENGTHS, cube())),
+    ):
+        found, wanted = (
+            simulator.expose(gs.Scene(content, LIGHT)).mean for content in (one, other)
+        )
         same_bits(simulator.device, found, wanted)
 
 
@@ -243,7 +313,11 @@ def test_own_arrays_of_another_type_or_layout(device):
     simulator = gs.Simulator(CAMERA, device=device)
     device, values = simulator.device, cube()
     wanted = simulator.expose(scene(values)).mean
-    same_bits(device, simulator.expose(scene(device.array(values.astype(np.float64), np.float64))).mean, wanted)
+    same_bits(
+        device,
+        simulator.expose(scene(device.array(values.astype(np.float64), np.float64))).mean,
+        wanted,
+    )
     if device.kind == "warp":
         wide = device.array(np.repeat(values, 2, axis=2))
         assert not wide[:, :, ::2].is_contiguous
@@ -259,19 +333,39 @@ def test_the_values_of_a_scene_are_those_of_its_memory(of):
     values *= np.float32(0.5)
     np.testing.assert_array_equal(np.asarray(program.raw()), before)
     again = program.update(scene=scene(of(values))).raw()
-    np.testing.assert_array_equal(np.asarray(again), gs.Simulator(CAMERA, device="opencl")(scene(values.copy())).raw)
+    np.testing.assert_array_equal(
+        np.asarray(again), gs.Simulator(CAMERA, device="opencl")(scene(values.copy())).raw
+    )
 
 
-@pytest.mark.parametrize(("content", "words"), [
-    (lambda: gs.Cube(WAVELENGTHS, Tensor(cube(), dtype="torch.bfloat16")), "values of type torch.bfloat16, wanted"),
-    (lambda: gs.Cube(WAVELENGTHS, ByInterface(typestr="<c8")), "values of type complex64, wanted float32"),
-    (lambda: gs.Cube(WAVELENGTHS, cube().astype(complex)), "values of type complex128"),
-    (lambda: gs.Cube(WAVELENGTHS, ByInterface((7, 4))), r"cube of shape \(7, 4\), wanted \(7, rows, cols\)"),
-    (lambda: gs.Cube(WAVELENGTHS, ByInterface((7, 0, 4))), r"zero-size scene \(7, 0, 4\)"),
-    (lambda: gs.Cube(WAVELENGTHS, cube().tolist()), "cube values: builtins.list, wanted an array"),
-    (lambda: gs.Materials(WAVELENGTHS, Tensor(cube()[0]), cube()[0], np.ones((2, 7))),
-     "ids of type float32, wanted uint16"),
-], ids=["bfloat16", "complex", "complex NumPy", "flat", "empty", "list", "ids"])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            lambda: gs.Cube(WAVELENGTHS, Tensor(cube(), dtype="torch.bfloat16")),
+            "values of type torch.bfloat16, wanted",
+        ),
+        (
+            lambda: gs.Cube(WAVELENGTHS, ByInterface(typestr="<c8")),
+            "values of type complex64, wanted float32",
+        ),
+        (lambda: gs.Cube(WAVELENGTHS, cube().astype(complex)), "values of type complex128"),
+        (
+            lambda: gs.Cube(WAVELENGTHS, ByInterface((7, 4))),
+            r"cube of shape \(7, 4\), wanted \(7, rows, cols\)",
+        ),
+        (lambda: gs.Cube(WAVELENGTHS, ByInterface((7, 0, 4))), r"zero-size scene \(7, 0, 4\)"),
+        (
+            lambda: gs.Cube(WAVELENGTHS, cube().tolist()),
+            "cube values: builtins.list, wanted an array",
+        ),
+        (
+            lambda: gs.Materials(WAVELENGTHS, Tensor(cube()[0]), cube()[0], np.ones((2, 7))),
+            "ids of type float32, wanted uint16",
+        ),
+    ],
+    ids=["bfloat16", "complex", "complex NumPy", "flat", "empty", "list", "ids"],
+)
 def test_wrong_samples_are_refused_in_one_line(content, words):
     with pytest.raises(BadData, match=words) as caught:
         gs.Scene(content(), LIGHT)
@@ -307,7 +401,10 @@ def test_warp_is_told_of_cuda_memory_rightly(monkeypatch):
 
         array = wp.array
         from_dlpack = staticmethod(lambda values: calls.append(("dlpack", values)) or real)
-        dtype_from_numpy, dtype_to_numpy = staticmethod(wp.dtype_from_numpy), staticmethod(wp.dtype_to_numpy)
+        dtype_from_numpy, dtype_to_numpy = (
+            staticmethod(wp.dtype_from_numpy),
+            staticmethod(wp.dtype_to_numpy),
+        )
         synchronize_device = staticmethod(lambda of: calls.append("waited"))
 
     monkeypatch.setattr(device, "_wp", Spy)
@@ -323,7 +420,10 @@ def test_warp_is_told_of_cuda_memory_rightly(monkeypatch):
     monkeypatch.setattr(Spy, "array", Made)
     values = ByInterface()
     assert device.array(values) is real
-    assert calls == ["waited", (values, {"dtype": wp.float32, "device": host.wp_device, "copy": False})]
+    assert calls == [
+        "waited",
+        (values, {"dtype": wp.float32, "device": host.wp_device, "copy": False}),
+    ]
     calls.clear()
     device.array(ByInterface(stream=None))
     assert len(calls) == 1
@@ -357,10 +457,20 @@ def test_parts_of_memory_apart_from_the_host(apart):
 def test_streams_of_foreign_samples_to_memory_apart(apart):
     """What is in host memory is sent while the frame before is computed; what changes its type gets other memory."""
     simulator = gs.Simulator(CAMERA, device=apart)
-    scenes = [scene(of(cube(number, dtype))) for number, (of, dtype) in enumerate(
-        [(np.array, np.float32), (Tensor, np.float16), (open_device("warp:cpu").array, np.float32),
-         (lambda values: apart.array(values, values.dtype), np.float16), (Tensor, np.float32), (np.array, np.float16),
-         (ByNumpy, np.float64)])]
+    scenes = [
+        scene(of(cube(number, dtype)))
+        for number, (of, dtype) in enumerate(
+            [
+                (np.array, np.float32),
+                (Tensor, np.float16),
+                (open_device("warp:cpu").array, np.float32),
+                (lambda values: apart.array(values, values.dtype), np.float16),
+                (Tensor, np.float32),
+                (np.array, np.float16),
+                (ByNumpy, np.float64),
+            ]
+        )
+    ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5)):
         wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, frame=number)
         np.testing.assert_array_equal(np.asarray(raw), wanted.raw)
@@ -384,7 +494,10 @@ def test_facts_are_read_from_arrays_of_all_kinds():
 def test_the_example_of_the_documentation_runs():
     text = (Path(__file__).parents[2] / "docs" / "python.md").read_text()
     names = {"gs": gs}
-    exec(text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0], names)
+    exec(
+        text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0],
+        names,
+    )
     assert names["picture"].shape == names["codes"].shape == (480, 640, 3)
     assert names["picture"].std() > 10 and names["half"].content.values.dtype == np.float16
     assert names["again"].content.codes is names["codes"]
@@ -395,7 +508,9 @@ def test_kinds_of_memory():
     assert to_host([1, 2], "test").tolist() == [1, 2]
 
 
-@pytest.mark.parametrize("device", [name for name in ALL if name not in GPUS or not name.startswith("warp")])
+@pytest.mark.parametrize(
+    "device", [name for name in ALL if name not in GPUS or not name.startswith("warp")]
+)
 def test_streams_are_cudas_alone(device):
     with pytest.raises(BadData, match="has no CUDA streams; wanted device warp:cuda:0"):
         open_device(device).on_stream(0).__enter__()

@@ -18,8 +18,14 @@ def as_arrays(device):
     frame, exposure = simulate(CHECKER, seed=1), simulate.expose(CHECKER)
     cube = gs.Cube(NODES, np.random.default_rng(1).random((31, 6, 8), np.float32))
     spread, light = gs.PointSpread(NODES, np.ones((31, 9, 9)), 1e-6), CHECKER.illuminant
-    return [(frame, frame.rgb), (exposure, simulate.device.numpy(exposure.mean)), (light, light.values),
-            (cube, cube.values), (spread, spread.values), (gs.picture(codes).content, codes)]
+    return [
+        (frame, frame.rgb),
+        (exposure, simulate.device.numpy(exposure.mean)),
+        (light, light.values),
+        (cube, cube.values),
+        (spread, spread.values),
+        (gs.picture(codes).content, codes),
+    ]
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -33,7 +39,9 @@ def test_what_is_one_array_is_one_to_numpy(device):
             with pytest.raises(ValueError, match="without a copy"):
                 np.array(one, copy=False)
         else:
-            assert np.shares_memory(found, values) and np.shares_memory(np.array(one, copy=False), values)
+            assert np.shares_memory(found, values) and np.shares_memory(
+                np.array(one, copy=False), values
+            )
         assert not np.shares_memory(np.array(one), values)
         other = np.asarray(one, np.float64 if values.dtype == np.float32 else np.float32)
         assert other.dtype != values.dtype
@@ -43,8 +51,13 @@ def test_what_is_one_array_is_one_to_numpy(device):
 
 
 def test_a_frame_is_a_picture_and_a_cube_may_be_a_devices():
-    device, values = gs.open_device("opencl"), np.random.default_rng(2).random((31, 4, 5), np.float32)
+    device, values = (
+        gs.open_device("opencl"),
+        np.random.default_rng(2).random((31, 4, 5), np.float32),
+    )
     np.testing.assert_array_equal(gs.Cube(NODES, device.array(values)), values)
     frame = gs.Simulator(PHONE, device="opencl")(CHECKER)
     np.testing.assert_array_equal(gs.picture(frame).content.codes, frame.rgb)
-    np.testing.assert_array_equal(gs.scene_from(frame).content.planes, gs.scene_from(frame.rgb).content.planes)
+    np.testing.assert_array_equal(
+        gs.scene_from(frame).content.planes, gs.scene_from(frame.rgb).content.planes
+    )

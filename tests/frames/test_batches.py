@@ -28,22 +28,38 @@ def host(device, array):
 def test_items_of_several_scenes(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the batch's."""
     simulator, scenes = gs.Simulator(PHONE, device=device, tolerance=4e-4), cubes()
-    batch, programs = simulator.batch(COUNT, output), [simulator.program(scene, 0.01) for scene in scenes]
+    batch, programs = (
+        simulator.batch(COUNT, output),
+        [simulator.program(scene, 0.01) for scene in scenes],
+    )
     for first in (0, 5, 9):
         order = [(first + item) % COUNT for item in range(COUNT)]
-        found = host(simulator.device, batch([scenes[n] for n in order], seed=3, frame=first, exposure_time=0.01))
+        found = host(
+            simulator.device,
+            batch([scenes[n] for n in order], seed=3, frame=first, exposure_time=0.01),
+        )
         for item, n in enumerate(order):
             own = programs[n].output(output, seed=3, frame=first + item)
             np.testing.assert_array_equal(found[item], host(simulator.device, own))
 
 
 CAMERAS = {
-    "noise": [camera_with(noise={"read": read, "prnu": 0.01, "seed": chip}) for read, chip in ((1, 0), (9, 0), (1, 3))],
-    "white point": [camera_with(processor={"white_balance": way}) for way in ("illuminant", "gray-world", "none")],
+    "noise": [
+        camera_with(noise={"read": read, "prnu": 0.01, "seed": chip})
+        for read, chip in ((1, 0), (9, 0), (1, 3))
+    ],
+    "white point": [
+        camera_with(processor={"white_balance": way})
+        for way in ("illuminant", "gray-world", "none")
+    ],
     "lens": [camera_with(optics={"f_number": n}) for n in (2.0, 4.0, 2.0)],
-    "pixels": [camera_with(sensor={"binning": (2, 2), "binning_mode": mode}) for mode in (
-        "charge", "digital", "charge")],
-    "tone": [camera_with(processor={"tone": ((0, 0), (0.4, top), (1, 1))}) for top in (0.4, 0.5, 0.6)],
+    "pixels": [
+        camera_with(sensor={"binning": (2, 2), "binning_mode": mode})
+        for mode in ("charge", "digital", "charge")
+    ],
+    "tone": [
+        camera_with(processor={"tone": ((0, 0), (0.4, top), (1, 1))}) for top in (0.4, 0.5, 0.6)
+    ],
 }
 
 
@@ -57,12 +73,24 @@ def test_items_of_several_settings(device, what):
     batch = simulator.batch(count, "codes")
     times, gains, seeds = [0.01, 0.03, 0.005][:count], [1.0, 1.0, 2.0][:count], [4, 4, 7][:count]
     for turn, scene in enumerate([scenes[0], scenes[1], scenes[1], scenes[0]]):
-        found = host(simulator.device, batch(scene, camera=cameras, exposure_time=times, gain=gains, seed=seeds,
-                                             frame=[turn] * count))
+        found = host(
+            simulator.device,
+            batch(
+                scene,
+                camera=cameras,
+                exposure_time=times,
+                gain=gains,
+                seed=seeds,
+                frame=[turn] * count,
+            ),
+        )
         for item, camera in enumerate(cameras):
-            own = gs.Simulator(camera, device=device, tolerance=4e-4).program(scene, times[item], gains[item])
-            np.testing.assert_array_equal(found[item], host(own.simulator.device,
-                                                            own.codes(seed=seeds[item], frame=turn)))
+            own = gs.Simulator(camera, device=device, tolerance=4e-4).program(
+                scene, times[item], gains[item]
+            )
+            np.testing.assert_array_equal(
+                found[item], host(own.simulator.device, own.codes(seed=seeds[item], frame=turn))
+            )
         if turn == 2:
             cameras, times = cameras[::-1], times[::-1]
 
@@ -89,7 +117,10 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
             batch(what, exposure_time=seconds, seed=seed)
         return {*ms}
 
-    anew, blurs = replace(scenes[0], name="again"), {"optics.mosaic", "optics.tiles"}  # by what devices are fast at
+    anew, blurs = (
+        replace(scenes[0], name="again"),
+        {"optics.mosaic", "optics.tiles"},
+    )  # by what devices are fast at
     made = stages(anew, seed=9)
     assert {"spectral.integrate", "sensor.noise"} <= made and len(blurs & made) == 1
     assert stages(anew, seed=9) == set()
@@ -97,7 +128,11 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
     assert "sensor.noise" in drawn
     assert not {"spectral.integrate", *blurs, "sensor.collect", "sensor.chip"} & drawn
     is_gpu = simulator.device.is_gpu
-    for kept in (batch._kept, *(program.kept for program in batch._items), batch._items[0].before.kept):
+    for kept in (
+        batch._kept,
+        *(program.kept for program in batch._items),
+        batch._items[0].before.kept,
+    ):
         assert undeclared(kept.on_host(), is_gpu) == []
     assert len({id(program.before) for program in batch._items}) == 1
 
@@ -107,7 +142,9 @@ def test_light_that_is_not_finite_is_named(device):
     simulator, scenes = gs.Simulator(PHONE, device=device), cubes()
     values = scenes[1].content.values.view(gs.domain.memory.Pinned)
     values[3, 20, 30] = np.nan
-    scenes[1] = replace(scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second")
+    scenes[1] = replace(
+        scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second"
+    )
     batch = simulator.batch(COUNT, "raw")
     batch(scenes, exposure_time=0.01)
     with pytest.raises(BadData, match=r"the second: .* NaN or infinite light"):
@@ -175,6 +212,8 @@ def test_refuses(monkeypatch):
     binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
         batch(scenes, camera=[PHONE, binned, PHONE], exposure_time=0.01)
-    monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000)
+    monkeypatch.setattr(
+        type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000
+    )
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)

@@ -49,9 +49,15 @@ def test_circle_of_confusion_is_the_thin_lens():
         by_hand = f / n * (sensor - image) / image
         # exact in both: only rounding, of differences of lengths near 5 mm
         assert circle_of_confusion(LENS, distance) == pytest.approx(by_hand, abs=1e-15, rel=1e-10)
-        assert distance_of(LENS, circle_of_confusion(LENS, distance, PITCH), PITCH) == pytest.approx(distance, rel=1e-9)
-    moved = replace(LENS, defocus=20e-6)  # behind the image, as for things beyond the focus: 20 um over N s / f
-    assert circle_of_confusion(moved, 0.4) == pytest.approx(20e-6 / LENS.working_f_number, rel=1e-12)
+        assert distance_of(
+            LENS, circle_of_confusion(LENS, distance, PITCH), PITCH
+        ) == pytest.approx(distance, rel=1e-9)
+    moved = replace(
+        LENS, defocus=20e-6
+    )  # behind the image, as for things beyond the focus: 20 um over N s / f
+    assert circle_of_confusion(moved, 0.4) == pytest.approx(
+        20e-6 / LENS.working_f_number, rel=1e-12
+    )
 
 
 def test_circle_of_confusion_is_that_of_the_wavefront():
@@ -71,15 +77,21 @@ def through_the_pupil(front, alpha, back, near, far, points=1500):
     u = (np.arange(points) + 0.5) / points * 2 - 1
     y, x = np.meshgrid(u, u, indexing="ij")
     inside = y * y + x * x <= 1
-    shifts = [np.rint(c / 2 * axis[inside]).astype(int) + 50 for c in (near, far) for axis in (y, x)]
+    shifts = [
+        np.rint(c / 2 * axis[inside]).astype(int) + 50 for c in (near, far) for axis in (y, x)
+    ]
     codes, counts = np.unique(np.ravel_multi_index(shifts, (100,) * 4), return_counts=True)
     front, alpha, back = (np.pad(a, PAD, mode="edge") for a in (front, alpha, back))
     total = np.zeros((SIZE, SIZE))
-    for shift, count in zip(np.transpose(np.unravel_index(codes, (100,) * 4)) - 50, counts, strict=True):
+    for shift, count in zip(
+        np.transpose(np.unravel_index(codes, (100,) * 4)) - 50, counts, strict=True
+    ):
         fy, fx, by, bx = shift + PAD
         there = alpha[fy : fy + SIZE, fx : fx + SIZE]
-        total += count * (there * front[fy : fy + SIZE, fx : fx + SIZE]
-                          + (1 - there) * back[by : by + SIZE, bx : bx + SIZE])
+        total += count * (
+            there * front[fy : fy + SIZE, fx : fx + SIZE]
+            + (1 - there) * back[by : by + SIZE, bx : bx + SIZE]
+        )
     return total / counts.sum()
 
 
@@ -117,7 +129,9 @@ def executed(made, light):
             lights.append(spread(own * share, made.kernels[kernel]))
             alphas.append(spread(share, made.kernels[kernel]))
             layers.append(layer)
-    return composite(np.array(lights)[:, None], np.array(alphas)[:, None], layers, device="numpy")[0]
+    return composite(np.array(lights)[:, None], np.array(alphas)[:, None], layers, device="numpy")[
+        0
+    ]
 
 
 def edge_scene():
@@ -163,7 +177,9 @@ def test_hard_case_16_without_layers_it_is_reported(order):
     assert 1 / 1.5 < predicted / error < 1.5
 
 
-@pytest.mark.parametrize(("near", "far"), [(0.0, 8.0), (-8.0, 0.0), (-4.0, 4.0), (-8.0, 8.0), (-8.0, -3.0), (3.0, 8.0)])
+@pytest.mark.parametrize(
+    ("near", "far"), [(0.0, 8.0), (-8.0, 0.0), (-4.0, 4.0), (-8.0, 8.0), (-8.0, -3.0), (3.0, 8.0)]
+)
 def test_layers_cut_from_one_picture_carry_the_predicted_error(near, far):
     """What is hidden is guessed, and with both out of focus the product is approximate: no 1e-3, and it says so."""
     disc, front, back = edge_scene()
@@ -175,7 +191,9 @@ def test_layers_cut_from_one_picture_carry_the_predicted_error(near, far):
     assert made.layers == 2
     # asked of every prediction: within a factor 2.5
     assert 1 / 2.5 < made.predicted["depth, in layers (what they hide is continued)"] / error < 2.5
-    assert error < relative(executed(plan_depth(LENS, PITCH, depth, picture, layered=False), picture), truth)
+    assert error < relative(
+        executed(plan_depth(LENS, PITCH, depth, picture, layered=False), picture), truth
+    )
 
 
 def test_one_layer_is_enough_where_nothing_jumps():
@@ -191,7 +209,12 @@ def test_slopes_carry_the_predicted_error(start, slope):
     """A slanted surface seen through the pupil: y = x + r(y) u. Blurred row by row, without kernels between kernels."""
     light = natural(3)
     radius = start + slope * np.arange(SIZE)
-    made = plan_depth(LENS, PITCH, distance_of(LENS, np.broadcast_to(2 * radius[:, None], light.shape), PITCH), light)
+    made = plan_depth(
+        LENS,
+        PITCH,
+        distance_of(LENS, np.broadcast_to(2 * radius[:, None], light.shape), PITCH),
+        light,
+    )
     u = (np.arange(200) + 0.5) / 100 - 1
     y, x = np.meshgrid(u, u, indexing="ij")
     y, x = y[y * y + x * x <= 1], x[y * y + x * x <= 1]
@@ -203,8 +226,10 @@ def test_slopes_carry_the_predicted_error(start, slope):
         for code, count in zip(codes, counts, strict=True):
             at, by = np.clip(code // 1000 - 50 + PAD, 0, SIZE + 2 * PAD - 1), code % 1000 - 50 + PAD
             truth[row] += count / len(y) * wide[at, by : by + SIZE]
-    strips = [(spread(light * here, c), spread(here, c)) for c, here in zip(
-        2 * radius, np.eye(SIZE)[:, :, None] * np.ones(SIZE), strict=True)]
+    strips = [
+        (spread(light * here, c), spread(here, c))
+        for c, here in zip(2 * radius, np.eye(SIZE)[:, :, None] * np.ones(SIZE), strict=True)
+    ]
     result = sum(one for one, _ in strips) / sum(two for _, two in strips)
     inner = slice(20, -20)
     ratio = made.predicted["depth, slopes of surfaces"] / relative(result[inner], truth[inner])
@@ -224,16 +249,30 @@ def test_kernels_between_kernels_keep_what_is_asked(low, high):
         total = 0
         for kernel, share in made.shares(np.ones((n, n)), made.confusion):
             waves = LENS.waves([550.0], distance=made.distances[kernel])
-            table = pupil(LENS.pupil, waves, np.array([550e-9 * LENS.working_f_number / PITCH]), 1.0, *period,
-                          device="numpy")
-            total = total + blur(np.stack([light * share, share]), np.repeat(table[None], 2, 1), np.eye(2), "edge",
-                                 period, device="numpy")
+            table = pupil(
+                LENS.pupil,
+                waves,
+                np.array([550e-9 * LENS.working_f_number / PITCH]),
+                1.0,
+                *period,
+                device="numpy",
+            )
+            total = total + blur(
+                np.stack([light * share, share]),
+                np.repeat(table[None], 2, 1),
+                np.eye(2),
+                "edge",
+                period,
+                device="numpy",
+            )
         return total[0] / total[1]
 
     made = plan_depth(LENS, PITCH, depth, light, 4e-3)
     error = relative(image(made), image(plan_depth(LENS, PITCH, depth, light, 1e-5)))
     assert error < 1e-3  # a quarter of the tolerance is theirs
-    assert 1 / 2.5 < made.predicted["depth, kernels between those computed"] / error < 4  # geometrical optics is coarse
+    assert (
+        1 / 2.5 < made.predicted["depth, kernels between those computed"] / error < 4
+    )  # geometrical optics is coarse
     assert len(made.kernels) <= 12
 
 
@@ -243,19 +282,29 @@ BANDS = np.array([450.0, 550.0, 650.0])
 def scene_of(pictures, depth, **more):
     """A scene of radiance, some contrast between its bands."""
     tint = np.array([0.7, 1.0, 0.8])[:, None, None]
-    return Scene(Cube(BANDS, (1e15 * tint * pictures).astype(np.float32)), unit_light(BANDS), depth=depth, **more)
+    return Scene(
+        Cube(BANDS, (1e15 * tint * pictures).astype(np.float32)),
+        unit_light(BANDS),
+        depth=depth,
+        **more,
+    )
 
 
 def camera(distance=0.4, **more):
     made = open_camera("mono")
-    return replace(made, optics=replace(LENS, object_distance=distance, relative_illumination="none"),
-                   sensor=replace(made.sensor, pixel_pitch=PITCH, **more))
+    return replace(
+        made,
+        optics=replace(LENS, object_distance=distance, relative_illumination="none"),
+        sensor=replace(made.sensor, pixel_pitch=PITCH, **more),
+    )
 
 
 def two_layers(alpha=None):
     disc, front, back = edge_scene()
     near, far = (float(distance_of(LENS, c, PITCH)) for c in (-8.0, 0.0))
-    front = Layer(scene_of(front, None).content, disc.astype(np.float32) if alpha is None else alpha, near)
+    front = Layer(
+        scene_of(front, None).content, disc.astype(np.float32) if alpha is None else alpha, near
+    )
     return scene_of(back, np.full(back.shape, far), layers=(front,))
 
 
@@ -270,17 +319,28 @@ def test_layers_that_a_scene_gives(device):
     layer, weights = scene.layers[0], plan.weights[0]
     alpha, total = layer.alpha.astype(float), 0.0
     for band, weight, q in zip(range(3), weights, plan.q, strict=True):
-        disc = pupil(LENS.pupil, LENS.waves(BANDS[[band]], distance=layer.depth), np.array([q]), 1.0, 256, 256,
-                     device="numpy")[0]
-        clear = pupil(LENS.pupil, LENS.waves(BANDS[[band]]), np.array([q]), 1.0, 256, 256, device="numpy")[0]
+        disc = pupil(
+            LENS.pupil,
+            LENS.waves(BANDS[[band]], distance=layer.depth),
+            np.array([q]),
+            1.0,
+            256,
+            256,
+            device="numpy",
+        )[0]
+        clear = pupil(
+            LENS.pupil, LENS.waves(BANDS[[band]]), np.array([q]), 1.0, 256, 256, device="numpy"
+        )[0]
 
         def by(picture, table):
             fold = np.minimum(np.arange(256), 256 - np.arange(256))
             whole = np.fft.rfft2(np.pad(picture, (256 - SIZE) // 2, mode="edge"))
             return np.fft.irfft2(table[fold] * whole)[80:-80, 80:-80]
 
-        total = total + weight * (by(alpha * layer.content.values[band].astype(float), disc)
-                                  + (1 - by(alpha, disc)) * by(scene.content.values[band].astype(float), clear))
+        total = total + weight * (
+            by(alpha * layer.content.values[band].astype(float), disc)
+            + (1 - by(alpha, disc)) * by(scene.content.values[band].astype(float), clear)
+        )
     # coverage is blurred by each band's own kernel here, by the channel's mean kernel there: even in the centre of an
     # edge, what passes differs by less than the discs' rims, lambda N / pitch = 0.1 px of 8 between bands, so 1e-2, and
     # that only in as far as colours of front and back differ, which they do not: 1e-3 is asked for
@@ -291,13 +351,20 @@ def test_layers_that_a_scene_gives(device):
 def test_a_frame_by_depth(device, tmp_path):
     """From a file to the report, on every device: which way, with what error, and nothing about depth left out."""
     disc, front, back = edge_scene()
-    depth = np.where(disc > 0, *(distance_of(LENS, c, PITCH) for c in (-6.0, 2.0))).astype(np.float32)
+    depth = np.where(disc > 0, *(distance_of(LENS, c, PITCH) for c in (-6.0, 2.0))).astype(
+        np.float32
+    )
     write_npz(tmp_path / "near_far.npz", scene_of(np.where(disc > 0, front, back), depth))
     scene = gpusim.open_scene(tmp_path / "near_far.npz")
     frame = Simulator(camera(), device=device, tolerance=1e-3)(scene, verify=True)
-    assert "layers by depth" in next(stage.model for stage in frame.report.stages if stage.stage == "optics.composite")
-    assert frame.report.beside["depth, if without layers"] > frame.report.account.bounds[
-        "depth, in layers (what they hide is continued)"].rms > 1e-3
+    assert "layers by depth" in next(
+        stage.model for stage in frame.report.stages if stage.stage == "optics.composite"
+    )
+    assert (
+        frame.report.beside["depth, if without layers"]
+        > frame.report.account.bounds["depth, in layers (what they hide is continued)"].rms
+        > 1e-3
+    )
     assert not any("depth" in line for line in frame.report.left_out)
     assert frame.report.error.rms < 1e-3  # the tolerance; the reference has the same layers
 
@@ -305,13 +372,22 @@ def test_a_frame_by_depth(device, tmp_path):
 def test_depth_that_cannot_be_used_is_named():
     scene = scene_of(natural(2), np.full((SIZE, SIZE), 1.0))
     blind = replace(camera(), optics=replace(camera().optics, model="none"))
-    assert any("depth: there is no blur" in line for line in Simulator(blind, device="numpy").plan(scene).left_out)
+    assert any(
+        "depth: there is no blur" in line
+        for line in Simulator(blind, device="numpy").plan(scene).left_out
+    )
 
 
-@pytest.mark.parametrize(("depth", "text"), [
-    (np.full((SIZE, SIZE), np.inf), "infinite"), (np.full((SIZE, SIZE), np.nan), "NaN"),
-    (np.full((SIZE, SIZE), 0.005), "focal length"), (np.full((SIZE, 7), 1.0), "does not match"),
-    (1 / np.linspace(0.01, 40, SIZE * SIZE).reshape(SIZE, SIZE), "kernels")])
+@pytest.mark.parametrize(
+    ("depth", "text"),
+    [
+        (np.full((SIZE, SIZE), np.inf), "infinite"),
+        (np.full((SIZE, SIZE), np.nan), "NaN"),
+        (np.full((SIZE, SIZE), 0.005), "focal length"),
+        (np.full((SIZE, 7), 1.0), "does not match"),
+        (1 / np.linspace(0.01, 40, SIZE * SIZE).reshape(SIZE, SIZE), "kernels"),
+    ],
+)
 def test_bad_depth_is_refused(depth, text):
     with pytest.raises(GpusimError, match=text):
         plan_depth(replace(LENS, f_number=0.5), PITCH, depth, natural(1), 1e-7)
@@ -329,9 +405,13 @@ def test_depth_beyond_the_wavefront_is_refused_before_any_work():
 def test_bad_layers_are_refused(tmp_path):
     scene = two_layers()
     (layer,) = scene.layers
-    for changes, text in (({"alpha": layer.alpha * 2}, "0 .. 1"), ({"alpha": layer.alpha[:5]}, "match"),
-                          ({"depth": -1.0}, "positive"), ({"alpha": layer.alpha * np.nan}, "nan"),
-                          ({"content": chart("flat", size=(SIZE, SIZE)).content}, "kind")):
+    for changes, text in (
+        ({"alpha": layer.alpha * 2}, "0 .. 1"),
+        ({"alpha": layer.alpha[:5]}, "match"),
+        ({"depth": -1.0}, "positive"),
+        ({"alpha": layer.alpha * np.nan}, "nan"),
+        ({"content": chart("flat", size=(SIZE, SIZE)).content}, "kind"),
+    ):
         with pytest.raises(GpusimError, match=text):
             replace(scene, layers=(replace(layer, **changes),))
     with pytest.raises(BadData, match="depth"):
@@ -358,12 +438,22 @@ def test_autofocus_finds_the_distance(name, distance):
     assert abs(1 / focus.object_distance - 1 / distance) < focus.depth_of_focus
     best = focus.distances[focus.contrasts.argmax()]
     assert abs(1 / best - 1 / distance) < 1.5 * focus.depth_of_focus  # trials are half of it apart
-    assert focus.optics.object_distance == focus.object_distance and focus.contrasts.min() < focus.contrasts.max() / 2
+    assert (
+        focus.optics.object_distance == focus.object_distance
+        and focus.contrasts.min() < focus.contrasts.max() / 2
+    )
 
 
-@pytest.mark.parametrize("changes", [
-    {"binning": (2, 2)}, {"binning": (2, 2), "binning_mode": "digital"}, {"analog_offset": 300.0},
-    {"auto_exposure": AutoExposure(longest=1e-3, most_gain=8.0)}], ids=["charge", "digital", "offset", "gain"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"binning": (2, 2)},
+        {"binning": (2, 2), "binning_mode": "digital"},
+        {"analog_offset": 300.0},
+        {"auto_exposure": AutoExposure(longest=1e-3, most_gain=8.0)},
+    ],
+    ids=["charge", "digital", "offset", "gain"],
+)
 def test_autofocus_of_an_operated_sensor(changes):
     """Binning, a pedestal and a gain that metering chose change neither what is in focus nor how exact it is."""
     camera = open_camera("mono")
@@ -376,8 +466,13 @@ def test_autofocus_of_a_region():
     """Leaves at two distances: focused are those that are asked for."""
     made = target("deadleaves", 0.6, size=(60, 24))
     made = replace(made, depth=np.where(np.arange(60) < 30, 0.6, 1.1) * np.ones((24, 1)))
-    focus = gpusim.autofocus(Simulator(open_camera("mono"), device=FAST), made, region=(slice(3, 21), slice(38, 58)),
-                             nearest=0.5, farthest=2.0)
+    focus = gpusim.autofocus(
+        Simulator(open_camera("mono"), device=FAST),
+        made,
+        region=(slice(3, 21), slice(38, 58)),
+        nearest=0.5,
+        farthest=2.0,
+    )
     assert abs(1 / focus.object_distance - 1 / 1.1) < focus.depth_of_focus
 
 
@@ -396,7 +491,9 @@ def test_autofocus_refuses_what_has_no_focus():
 def test_depth_survives_a_file(tmp_path):
     scene = scene_of(natural(1), np.full((SIZE, SIZE), 2.0, np.float32))
     write_npz(tmp_path / "one.npz", scene)
-    np.testing.assert_array_equal(read_npz(tmp_path / "one.npz", scene.illuminant).depth, scene.depth)
+    np.testing.assert_array_equal(
+        read_npz(tmp_path / "one.npz", scene.illuminant).depth, scene.depth
+    )
 
 
 @pytest.mark.parametrize("tolerance", [None, 1e-3])
@@ -408,18 +505,43 @@ def test_flat_fields_are_as_bright_at_every_distance(q, fill, tolerance):
     of another sum than those in focus made it 8 and 45 % darker.
     """
     own = open_camera("mono")
-    camera = replace(own, sensor=replace(own.sensor, fill_factor=fill), optics=Optics(
-        q * own.sensor.pixel_pitch / 550e-9, own.optics.focal_length, object_distance=2.0,
-        relative_illumination="none"))
+    camera = replace(
+        own,
+        sensor=replace(own.sensor, fill_factor=fill),
+        optics=Optics(
+            q * own.sensor.pixel_pitch / 550e-9,
+            own.optics.focal_length,
+            object_distance=2.0,
+            relative_illumination="none",
+        ),
+    )
     wavelengths, light = np.linspace(400.0, 700.0, 4), 1e16
-    flat = Scene(Cube(wavelengths, np.ones((4, 24, 32), np.float32)), gpusim.Spectrum(wavelengths[[0, -1]],
-                                                                                   np.full(2, light)))
+    flat = Scene(
+        Cube(wavelengths, np.ones((4, 24, 32), np.float32)),
+        gpusim.Spectrum(wavelengths[[0, -1]], np.full(2, light)),
+    )
     grid = np.linspace(400, 700, 30001)
     qe = np.interp(grid, own.sensor.qe.wavelengths, own.sensor.qe.values[0])
-    working = camera.optics.f_number * (1 + own.optics.focal_length / (2.0 - own.optics.focal_length))
-    wanted = (0.01 * light * np.trapezoid(qe, grid) * fill * own.sensor.pixel_pitch**2
-              * np.pi / (1 + 4 * working**2))
-    for depth in (np.full((24, 32), 2.0), np.full((24, 32), 2.1), np.where(np.arange(32) > 15, 2.0, 2.1) + np.zeros(
-            (24, 1))):
-        mean = Simulator(camera, device="numpy", tolerance=tolerance).expose(replace(flat, depth=depth), 0.01).mean
+    working = camera.optics.f_number * (
+        1 + own.optics.focal_length / (2.0 - own.optics.focal_length)
+    )
+    wanted = (
+        0.01
+        * light
+        * np.trapezoid(qe, grid)
+        * fill
+        * own.sensor.pixel_pitch**2
+        * np.pi
+        / (1 + 4 * working**2)
+    )
+    for depth in (
+        np.full((24, 32), 2.0),
+        np.full((24, 32), 2.1),
+        np.where(np.arange(32) > 15, 2.0, 2.1) + np.zeros((24, 1)),
+    ):
+        mean = (
+            Simulator(camera, device="numpy", tolerance=tolerance)
+            .expose(replace(flat, depth=depth), 0.01)
+            .mean
+        )
         np.testing.assert_allclose(mean, wanted, rtol=1e-4)

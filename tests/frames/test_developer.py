@@ -16,24 +16,49 @@ from gpusim.pipeline.shots import Shots
 from gpusim.pipeline.simulator import Simulator
 
 # by default on one device: the stages' own tests run on all, and whole pictures take long to build
-FIRST = [KINDS[0], *(kind if hasattr(kind, "marks") else pytest.param(kind, marks=pytest.mark.slow)
-                     for kind in KINDS[1:])]
+FIRST = [
+    KINDS[0],
+    *(
+        kind if hasattr(kind, "marks") else pytest.param(kind, marks=pytest.mark.slow)
+        for kind in KINDS[1:]
+    ),
+]
 TONE = ((0, 0), (0.3, 0.2), (0.7, 0.8), (1, 1))
 SETTINGS = {
-    "malvar": {"demosaic": "malvar"}, "adaptive": {"demosaic": "adaptive"}, "best": {"demosaic": "best"},
-    "learned": {"demosaic": "learned"}, "detected": {"defects": "detect"}, "known": {"defects": "known"},
-    "shaded": {"shading": True}, "denoised": {"denoise": 1.0},
-    "all": {"defects": "known", "shading": True, "denoise": 0.5, "demosaic": "malvar", "tone": TONE},
-    "gray world": {"white_balance": "gray-world"}, "red-blue": {"white_balance": "red-blue", "color": "ridge"},
-    "uncorrected": {"white_balance": "shades-of-gray", "color": "none"}, "tone": {"tone": TONE},
+    "malvar": {"demosaic": "malvar"},
+    "adaptive": {"demosaic": "adaptive"},
+    "best": {"demosaic": "best"},
+    "learned": {"demosaic": "learned"},
+    "detected": {"defects": "detect"},
+    "known": {"defects": "known"},
+    "shaded": {"shading": True},
+    "denoised": {"denoise": 1.0},
+    "all": {
+        "defects": "known",
+        "shading": True,
+        "denoise": 0.5,
+        "demosaic": "malvar",
+        "tone": TONE,
+    },
+    "gray world": {"white_balance": "gray-world"},
+    "red-blue": {"white_balance": "red-blue", "color": "ridge"},
+    "uncorrected": {"white_balance": "shades-of-gray", "color": "none"},
+    "tone": {"tone": TONE},
 }
 
 
 def camera_with(noise=None, sensor=None, name="phone", **settings):
     camera = open_camera(name)
-    made = replace(camera.sensor, **(sensor or {}), noise=replace(camera.sensor.noise, **(noise or {})))
-    return replace(camera, sensor=made, processor=replace(camera.processor, demosaic="bilinear") if not settings else
-                   replace(camera.processor, **({"demosaic": "bilinear"} | settings)))
+    made = replace(
+        camera.sensor, **(sensor or {}), noise=replace(camera.sensor.noise, **(noise or {}))
+    )
+    return replace(
+        camera,
+        sensor=made,
+        processor=replace(camera.processor, demosaic="bilinear")
+        if not settings
+        else replace(camera.processor, **({"demosaic": "bilinear"} | settings)),
+    )
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=list(SETTINGS))
@@ -54,7 +79,10 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
     wanted, wanted_codes = reference.develop(raw, exposure)
     simulator = Simulator(camera, device=device)
     ours = simulator.expose(scene)
-    linear, codes = (simulator.device.numpy(a) for a in simulator.develop(simulator.device.array(raw, np.uint16), ours))
+    linear, codes = (
+        simulator.device.numpy(a)
+        for a in simulator.develop(simulator.device.array(raw, np.uint16), ours)
+    )
     np.testing.assert_allclose(linear, wanted, atol=1.7e-4 * max(1.0, np.abs(wanted).max()))
     # a code is 3295 codes per unit of light at the steepest (sRGB at black), the tone curve no steeper
     assert np.abs(codes.astype(int) - wanted_codes).max() <= 1
@@ -65,13 +93,20 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
 @pytest.mark.parametrize("device", FIRST)
 def test_shading_makes_a_flat_scene_flat(device):
     """cos^4 of a lens and a vignetting sensor, without noise: the corner is at half; after it, flat to 1e-3."""
-    camera = camera_with({"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
-                         {"bits": 16, "vignetting": ((0.5, 0.8), (0.7, 1))}, shading=True)
-    camera = replace(camera, optics=replace(camera.optics, focal_length=100 * camera.sensor.pixel_pitch))
+    camera = camera_with(
+        {"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
+        {"bits": 16, "vignetting": ((0.5, 0.8), (0.7, 1))},
+        shading=True,
+    )
+    camera = replace(
+        camera, optics=replace(camera.optics, focal_length=100 * camera.sensor.pixel_pitch)
+    )
     scene = chart("flat", size=(60, 40))
     simulator = Simulator(camera, device=device)
     corrected = simulator(scene).linear
-    plain = Simulator(replace(camera, processor=replace(camera.processor, shading=False)), device=device)(scene).linear
+    plain = Simulator(
+        replace(camera, processor=replace(camera.processor, shading=False)), device=device
+    )(scene).linear
     assert plain[..., 1].min() < 0.6 * plain[..., 1].max()
     # numbers of 16 bits at a fifth of white or more: roundings of 1 / 13000; gains err by 2e-4 of themselves at most
     assert np.ptp(corrected[..., 1]) < 1e-3 * corrected[..., 1].mean()
@@ -80,13 +115,23 @@ def test_shading_makes_a_flat_scene_flat(device):
 @pytest.mark.parametrize("device", FIRST)
 def test_known_defects_leave_no_trace_in_a_flat_field(device):
     """Without other noise every pixel of a channel has the same number, and so have the replaced ones."""
-    noise = {"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0, "dead_pixels": 0.01,
-             "hot_pixels": 0.01, "hot_current": 1e5}
+    noise = {
+        "photon": "none",
+        "read": 0.0,
+        "prnu": 0.0,
+        "dsnu": 0.0,
+        "dark_current": 0.0,
+        "dead_pixels": 0.01,
+        "hot_pixels": 0.01,
+        "hot_current": 1e5,
+    }
     camera = camera_with(noise, {"exposure_time": 0.01, "vignetting": None}, defects="known")
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     scene = chart("flat", size=(60, 40))
     frame = Simulator(camera, device=device)(scene)
-    plain = Simulator(replace(camera, processor=replace(camera.processor, defects="none")), device=device)(scene)
+    plain = Simulator(
+        replace(camera, processor=replace(camera.processor, defects="none")), device=device
+    )(scene)
     assert np.ptp(plain.linear[..., 1]) > 0.1
     assert np.ptp(frame.linear[..., 1]) <= 1e-6  # equal numbers, in sums of different order
 
@@ -123,9 +168,14 @@ def test_report_names_the_steps_in_order():
     simulator = Simulator(camera_with(**SETTINGS["all"]), device="opencl")
     report = simulator(chart("colorchecker", size=(72, 48))).report
     stages = [stage.stage for stage in report.stages]
-    assert stages[stages.index("sensor.noise") + 1:] == [
-        "processor.defects", "processor.denoise", "processor.shade", "processor.malvar", "processor.color",
-        "display.encode"]
+    assert stages[stages.index("sensor.noise") + 1 :] == [
+        "processor.defects",
+        "processor.denoise",
+        "processor.shade",
+        "processor.malvar",
+        "processor.color",
+        "display.encode",
+    ]
     assert "with a tone curve" in report.stages[-1].model
 
 
@@ -137,7 +187,9 @@ def test_a_display_of_its_own_primaries_shows_the_same_colours():
         camera = replace(camera_with(), display=open_display(name))
         frame = Simulator(camera, device="opencl")(scene)
         found.append(frame.linear.astype(float) @ camera.display.xyz_from_rgb.T)
-    np.testing.assert_allclose(found[0], found[1], atol=2e-6 * np.abs(found[0]).max())  # float32 matrices and pictures
+    np.testing.assert_allclose(
+        found[0], found[1], atol=2e-6 * np.abs(found[0]).max()
+    )  # float32 matrices and pictures
     gamma = replace(camera_with(), display=replace(open_display("srgb"), curve=1.0))
     codes = Simulator(gamma, device="opencl")(scene)
     np.testing.assert_array_equal(codes.rgb, np.rint(255 * np.clip(codes.linear, 0, 1)))
@@ -152,7 +204,9 @@ def test_float_raw_values_keep_noise_below_black():
 
 
 def test_mosaics_that_a_method_does_not_know():
-    with pytest.raises(OutOfRange, match=r'"best" of the mosaic .* "bilinear", or "learned" with a table'):
+    with pytest.raises(
+        OutOfRange, match=r'"best" of the mosaic .* "bilinear", or "learned" with a table'
+    ):
         camera_with(sensor={"cfa": ("RGB", "GBR", "BRG")}, demosaic="best")
     with pytest.raises(OutOfRange, match=r'"learned" of the mosaic'):
         camera_with(sensor={"cfa": ("RGB", "GBR", "BRG")}, demosaic="learned")
@@ -168,10 +222,19 @@ def test_table_of_another_mosaic():
 # ------------------------------------------------------------------------------- what the processor knows of the noise
 
 
-@pytest.mark.parametrize(("noise", "sensor"), [
-    ({}, {}), ({"photon": "none"}, {}), ({"dsnu": 0.0, "row": 4.0, "read": 9.0}, {}), ({}, {"bits": FLOAT_BITS}),
-    ({}, {"binning": (2, 2)}), ({}, {"binning": (2, 2), "binning_mode": "digital"}), ({}, {"analog_gain": 4.0}),
-], ids=["plain", "no photons", "rows", "float", "charge", "digital", "gain"])
+@pytest.mark.parametrize(
+    ("noise", "sensor"),
+    [
+        ({}, {}),
+        ({"photon": "none"}, {}),
+        ({"dsnu": 0.0, "row": 4.0, "read": 9.0}, {}),
+        ({}, {"bits": FLOAT_BITS}),
+        ({}, {"binning": (2, 2)}),
+        ({}, {"binning": (2, 2), "binning_mode": "digital"}),
+        ({}, {"analog_gain": 4.0}),
+    ],
+    ids=["plain", "no photons", "rows", "float", "charge", "digital", "gain"],
+)
 def test_noise_model_is_that_of_the_raw_values(noise, sensor):
     """Variance of 24 frames of a flat field against gain (DN - dark) + read^2.
 
@@ -179,11 +242,15 @@ def test_noise_model_is_that_of_the_raw_values(noise, sensor):
     of 1200 pixels or more scatter by sqrt(2 / 28800) = 0.8 %, rows' noise of 40 rows by sqrt(2 / 960) = 4.6 % of its
     part, a fifth here.
     """
-    camera = camera_with({"prnu": 0.0, "dsnu": 0.0, "read": 4.0} | noise, sensor, demosaic="bilinear")
+    camera = camera_with(
+        {"prnu": 0.0, "dsnu": 0.0, "read": 4.0} | noise, sensor, demosaic="bilinear"
+    )
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("flat", size=(120, 80)))
-    raws = simulator.device.numpy(simulator.draw(exposure, seed=5, frames=24)).astype(float)[:, ::2, ::2]  # one colour
+    raws = simulator.device.numpy(simulator.draw(exposure, seed=5, frames=24)).astype(float)[
+        :, ::2, ::2
+    ]  # one colour
     developer = Shots(simulator, exposure).developer
     gain, read = developer.noise
     measured = raws.var(axis=0, ddof=1).mean()
@@ -194,9 +261,15 @@ def test_noise_model_is_that_of_the_raw_values(noise, sensor):
 def test_denoising_without_photon_noise_sees_the_read_noise():
     camera = camera_with({"photon": "none", "read": 60.0, "prnu": 0.0, "dsnu": 0.0})
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
-    plain, denoised = (Simulator(replace(camera, processor=replace(camera.processor, denoise=strength)),
-                                 device="opencl")(chart("flat", size=(96, 64))).linear for strength in (0.0, 1.0))
-    assert denoised[..., 1].std() < 0.5 * plain[..., 1].std()  # its variance falls 16 times and more on flat fields
+    plain, denoised = (
+        Simulator(
+            replace(camera, processor=replace(camera.processor, denoise=strength)), device="opencl"
+        )(chart("flat", size=(96, 64))).linear
+        for strength in (0.0, 1.0)
+    )
+    assert (
+        denoised[..., 1].std() < 0.5 * plain[..., 1].std()
+    )  # its variance falls 16 times and more on flat fields
 
 
 @pytest.mark.parametrize("sigma", [0.45, 0.9, 1.6])
@@ -228,20 +301,33 @@ def test_estimated_white_keeps_the_brightness(color):
     of the light's own white, whose noise is 0.1 %.
     """
     # half a well: where values scatter about the clipping level, leaving out clipped ones would bias the means
-    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color,
-                         scaling="normalised")
+    camera = camera_with(
+        sensor={"auto_exposure": AutoExposure(level=0.5)},
+        white_balance="gray-world",
+        color=color,
+        scaling="normalised",
+    )
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
-    frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), light="A", reflectance=0.4))
+    frame = Simulator(camera, device="opencl")(
+        chart("flat", size=(80, 60), light="A", reflectance=0.4)
+    )
     np.testing.assert_allclose(frame.linear.mean(axis=(0, 1)), 0.4, rtol=5e-3)
 
 
 def test_one_simulator_is_as_good_as_new_ones():
     """What is kept from frame to frame follows field of view, time and gain."""
     noise = {"hot_pixels": 0.02, "hot_current": 2e4}
-    camera = camera_with(noise, {"exposure_time": 0.02}, shading=True, defects="known", demosaic="best")
+    camera = camera_with(
+        noise, {"exposure_time": 0.02}, shading=True, defects="known", demosaic="best"
+    )
     one = Simulator(camera, device="opencl")
     small, large = (replace(chart("colorchecker", size=(72, 48)), fov=fov) for fov in (0.3, 1.4))
-    for scene, time, gain in ((small, 0.02, 1.0), (large, 0.02, 1.0), (large, 0.2, 1.0), (large, 0.02, 8.0)):
+    for scene, time, gain in (
+        (small, 0.02, 1.0),
+        (large, 0.02, 1.0),
+        (large, 0.2, 1.0),
+        (large, 0.02, 8.0),
+    ):
         pictures = []
         for simulator in (one, Simulator(camera, device="opencl")):
             exposure = simulator.expose(scene, time, gain)
@@ -256,7 +342,9 @@ def test_one_simulator_is_as_good_as_new_ones():
 def test_layers_of_stacked_pixels_do_not_meet():
     """Every layer is corrected as if it were alone: the other layers' values change nothing in it."""
     letters = ("R", "G", "B")
-    camera = camera_with({"dead_pixels": 0.02}, {"stacked": True}, shading=True, denoise=1.0, defects="known")
+    camera = camera_with(
+        {"dead_pixels": 0.02}, {"stacked": True}, shading=True, denoise=1.0, defects="known"
+    )
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("colorchecker", size=(60, 40)))
     raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=1)))
@@ -264,9 +352,16 @@ def test_layers_of_stacked_pixels_do_not_meet():
     changed[40:] = 1000 - changed[40:] // 2  # all but the first layer
     developer = Shots(simulator, exposure).developer
     known = Shots(simulator, exposure).defects
-    planes = [np.array(simulator.device.numpy(developer.demosaicked(simulator.device.array(values, np.uint16),
-                                                                    known=known, shading=exposure.shading)))
-              for values in (raw, changed)]
+    planes = [
+        np.array(
+            simulator.device.numpy(
+                developer.demosaicked(
+                    simulator.device.array(values, np.uint16), known=known, shading=exposure.shading
+                )
+            )
+        )
+        for values in (raw, changed)
+    ]
     assert planes[0].shape == (len(letters), 40, 60)
     np.testing.assert_array_equal(planes[0][0], planes[1][0])
     assert not np.array_equal(planes[0][1], planes[1][1])
@@ -280,8 +375,11 @@ def test_shading_of_binned_pixels(binning):
     120)^2 / 8 times second derivatives up to 8, 1e-3, both ways and twice that in the range. The smallest of 16-bit
     numbers are a quarter of white. The matrix's rows, of absolute sum 3, may triple it where channels differ.
     """
-    camera = camera_with({"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
-                         {"bits": 16, "binning": binning}, shading=True)
+    camera = camera_with(
+        {"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
+        {"bits": 16, "binning": binning},
+        shading=True,
+    )
     scene = replace(chart("flat", size=(243, 179)), fov=np.radians(70))
     linear = Simulator(camera, device="opencl")(scene).linear
     assert max(np.ptp(plane) / plane.mean() for plane in np.moveaxis(linear, -1, 0)) < 6e-3

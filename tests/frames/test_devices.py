@@ -48,9 +48,16 @@ for size in sys.argv[2:]:
 
 def run(code, *arguments, **environment):
     """Python in a process of its own, with variables set, or with those unset that are None."""
-    variables = {name: text for name, text in (os.environ | environment).items() if text is not None}
-    return subprocess.run([sys.executable, "-W", "ignore", "-c", code, *arguments], env=variables, capture_output=True,
-                          text=True, timeout=300)
+    variables = {
+        name: text for name, text in (os.environ | environment).items() if text is not None
+    }
+    return subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code, *arguments],
+        env=variables,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
 
 
 @pytest.fixture
@@ -72,11 +79,29 @@ def test_what_was_found_is_kept(probed):
     assert len(probed) == 4
 
 
-@pytest.mark.parametrize("content", [
-    "", "{", "null", "1", "[]", "{}", "[1]", "[null]", "[{}]", '"text"', "\xff\xfe", "\0\0\0", "[" * 10**5,
-    '{"name": "numpy"}', json.dumps([{**GOOD, "copy_gbps": "fast"}]), json.dumps([{**GOOD, "more": 1}]),
-    json.dumps([GOOD])[:-9]],
-    ids=lambda content: ascii(content[:20]))
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{",
+        "null",
+        "1",
+        "[]",
+        "{}",
+        "[1]",
+        "[null]",
+        "[{}]",
+        '"text"',
+        "\xff\xfe",
+        "\0\0\0",
+        "[" * 10**5,
+        '{"name": "numpy"}',
+        json.dumps([{**GOOD, "copy_gbps": "fast"}]),
+        json.dumps([{**GOOD, "more": 1}]),
+        json.dumps([GOOD])[:-9],
+    ],
+    ids=lambda content: ascii(content[:20]),
+)
 def test_a_corrupt_record_is_made_anew(content, probed):
     assert probe.devices() == [GOOD, SLOW]
     probe._cache_path().write_text(content, "latin-1")
@@ -107,8 +132,14 @@ def test_a_record_that_cannot_be_read_or_written_is_done_without(probed, monkeyp
 def test_devices_of_one_make_and_driver_make_the_same_whatever_their_number():
     first = open_device("opencl:pocl")
     assert probe.made_by(first) == probe.made_by(OpenCLDevice(first.cl_device, "opencl:7"))
-    assert first.cl_device.name.strip() in probe.made_by(first) and "opencl:" not in probe.made_by(first)[7:]
-    assert len({probe.made_by(open_device(name)) for name in ("opencl:pocl", "warp:cpu", "numpy")}) == 3
+    assert (
+        first.cl_device.name.strip() in probe.made_by(first)
+        and "opencl:" not in probe.made_by(first)[7:]
+    )
+    assert (
+        len({probe.made_by(open_device(name)) for name in ("opencl:pocl", "warp:cpu", "numpy")})
+        == 3
+    )
 
 
 def test_a_broken_device_is_kept_for_a_while(probed, monkeypatch):
@@ -151,7 +182,9 @@ def test_a_device_that_has_gone_is_not_chosen(probed, monkeypatch):
     gone = {**GOOD, "name": "opencl:99", "gpu": True}
     found = [gone, SLOW]
     monkeypatch.setattr(probe, "_names", lambda: ([entry["name"] for entry in found], ""))
-    monkeypatch.setattr(probe, "_try", lambda name: next(entry for entry in found if entry["name"] == name))
+    monkeypatch.setattr(
+        probe, "_try", lambda name: next(entry for entry in found if entry["name"] == name)
+    )
     assert probe.best()["name"] == "opencl:99"
     del found[0]
     open_device.__globals__["_opened"].cache_clear()
@@ -164,19 +197,38 @@ def test_where_no_opencl_works_one_line_says_so(probed, monkeypatch, caplog):
     monkeypatch.setattr(probe, "devices", lambda refresh=False: found)
     assert probe.best()["name"] == "warp:cpu"
     (line,) = (record.getMessage() for record in caplog.records)
-    assert "opencl:0: unknown target CPU" in line and "install" in line and "\n" not in line and len(line) < 500
+    assert (
+        "opencl:0: unknown target CPU" in line
+        and "install" in line
+        and "\n" not in line
+        and len(line) < 500
+    )
     caplog.clear()
     assert probe.best("warp")["name"] == "warp:cpu"  # asked for
     assert not caplog.records
 
 
-@pytest.mark.parametrize("package, device", [("pyopencl", "opencl:0"), ("pyopencl", "opencl"), ("warp", "warp:cpu")])
+@pytest.mark.parametrize(
+    "package, device", [("pyopencl", "opencl:0"), ("pyopencl", "opencl"), ("warp", "warp:cpu")]
+)
 def test_a_package_that_is_missing_is_said_in_one_line(package, device, tmp_path):
     (tmp_path / package).mkdir()
-    (tmp_path / package / "__init__.py").write_text(f"raise ModuleNotFoundError('No module named {package}')\n")
-    found = run("from gpusim.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))", "simulate", "flat",
-                "--camera", "phone", "--size", "16x16", "--device", device, PYTHONPATH=str(tmp_path),
-                XDG_CACHE_HOME=str(tmp_path))
+    (tmp_path / package / "__init__.py").write_text(
+        f"raise ModuleNotFoundError('No module named {package}')\n"
+    )
+    found = run(
+        "from gpusim.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))",
+        "simulate",
+        "flat",
+        "--camera",
+        "phone",
+        "--size",
+        "16x16",
+        "--device",
+        device,
+        PYTHONPATH=str(tmp_path),
+        XDG_CACHE_HOME=str(tmp_path),
+    )
     assert found.returncode == 2
     (line,) = found.stderr.splitlines()
     assert package in line and "pip install" in line and len(line) < 500
@@ -189,18 +241,26 @@ def damage(file, way):
     """A file cut off, overwritten, with a bit flipped in its middle, or with something else in its place."""
     content = file.read_bytes()
     middle = len(content) // 2
-    flipped = content[:middle] + bytes([content[middle] ^ 16]) + content[middle + 1:] if content else b""
+    flipped = (
+        content[:middle] + bytes([content[middle] ^ 16]) + content[middle + 1 :] if content else b""
+    )
     file.unlink()
     if way == "folder":
         file.mkdir()
     elif way == "unreadable":
         file.symlink_to("/no/such file")  # for root, too
     else:
-        file.write_bytes({"half": content[:middle], "zeros": bytes(len(content)), "flipped": flipped}.get(way, b""))
+        file.write_bytes(
+            {"half": content[:middle], "zeros": bytes(len(content)), "flipped": flipped}.get(
+                way, b""
+            )
+        )
 
 
 def kept_in(folder):
-    return {name: str(folder / name) for name in ("POCL_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME")}
+    return {
+        name: str(folder / name) for name in ("POCL_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME")
+    }
 
 
 def compiled(device, folder):
@@ -215,14 +275,21 @@ def compiled(device, folder):
 def require_mended(folder, device, what):
     """The kernels of damaged caches are right, after one line at most, and nothing is said the next time."""
     first, second = (run(COPY, device, **kept_in(folder)) for _ in range(2))
-    assert first.returncode == 0 and len(first.stderr.splitlines()) <= 1, f"{what}: {first.returncode} {first.stderr}"
+    assert first.returncode == 0 and len(first.stderr.splitlines()) <= 1, (
+        f"{what}: {first.returncode} {first.stderr}"
+    )
     assert "Traceback" not in first.stderr
     assert (second.returncode, second.stderr) == (0, ""), what
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("way", [way if way in ("flipped", "unreadable") else pytest.param(way, marks=pytest.mark.slow)
-                                 for way in WAYS])
+@pytest.mark.parametrize(
+    "way",
+    [
+        way if way in ("flipped", "unreadable") else pytest.param(way, marks=pytest.mark.slow)
+        for way in WAYS
+    ],
+)
 def test_corrupt_kernels_are_built_anew(device, way, tmp_path):
     """All files of all caches at once."""
     files = compiled(device, tmp_path)
@@ -262,7 +329,8 @@ def test_what_was_compiled_is_known_by_its_checksum(tmp_path, caplog):
     assert not caches.is_sound(copied)
     assert caches.keep_sound([program, copied]) and not copied.exists()
     assert [record.getMessage() for record in caplog.records] == [
-        f"gpusim: 1 compiled program in {tmp_path / 'AB'} was damaged, and built again"]
+        f"gpusim: 1 compiled program in {tmp_path / 'AB'} was damaged, and built again"
+    ]
     (program / caches.SUMS).write_text("[[")
     assert not caches.is_sound(program)
 
@@ -284,7 +352,9 @@ def test_a_full_disk_is_done_without_or_said_in_one_line(tmp_path, monkeypatch):
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**20, hard))
     try:
         assert not caches.has_room(tmp_path)
-        with pytest.raises(DeviceError, match="no room for compiled kernels: wanted 32 MiB") as failure:
+        with pytest.raises(
+            DeviceError, match="no room for compiled kernels: wanted 32 MiB"
+        ) as failure:
             caches.lent_folder()
         assert "\n" not in str(failure.value)
     finally:
@@ -295,7 +365,9 @@ def test_a_full_disk_is_done_without_or_said_in_one_line(tmp_path, monkeypatch):
 @pytest.mark.parametrize("device", KINDS)
 def test_a_cache_on_a_full_disk(device, tmp_path):
     """Kernels are kept elsewhere for the process."""
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True
+    ).returncode:
         pytest.skip("a small disk can be mounted by root alone")
     try:
         folders = kept_in(tmp_path)
@@ -313,7 +385,9 @@ def test_a_cpu_does_a_grid_once_in_groups_of_few_sizes(grid):
     done = np.zeros(grid, int)
     for size, group, offset in OpenCLDevice._pieces(SimpleNamespace(is_gpu=False), grid, None):
         assert group[-1] in CPU_GROUPS and prod(group) == group[-1] and size[-1] % group[-1] == 0
-        done[tuple(slice(first, first + count) for first, count in zip(offset, size, strict=True))] += 1
+        done[
+            tuple(slice(first, first + count) for first, count in zip(offset, size, strict=True))
+        ] += 1
     assert (done == 1).all()
 
 
@@ -327,7 +401,9 @@ def test_nothing_is_compiled_for_another_size(device, tmp_path):
     folders = kept_in(tmp_path)
 
     def kernels():
-        return {path for kind in ("*.so", "*.o", "*.cubin", "*.ptx") for path in tmp_path.rglob(kind)}
+        return {
+            path for kind in ("*.so", "*.o", "*.cubin", "*.ptx") for path in tmp_path.rglob(kind)
+        }
 
     assert run(FRAMES, device, "203x131", "331x260", **folders).returncode == 0
     before = kernels()
@@ -344,10 +420,15 @@ def driver_that_sees(folder, **makers):
     if platform.machine() != "x86_64" or not drivers:
         pytest.skip("pip's PoCL is not installed: its wheels are for Linux on x86-64")
     shutil.copytree(package, folder / "pyopencl")
-    (folder / "pocl_binary_distribution").symlink_to(Path(package).with_name("pocl_binary_distribution"))
+    (folder / "pocl_binary_distribution").symlink_to(
+        Path(package).with_name("pocl_binary_distribution")
+    )
     driver = folder / "pyopencl" / ".libs" / drivers[0].name
-    changed, places = re.subn(rb"(?<=\x81\xfe)(Genu|Auth)",  # compared with what the processor says of itself
-                              lambda found: makers[found[1].decode()].encode(), driver.read_bytes())
+    changed, places = re.subn(
+        rb"(?<=\x81\xfe)(Genu|Auth)",  # compared with what the processor says of itself
+        lambda found: makers[found[1].decode()].encode(),
+        driver.read_bytes(),
+    )
     driver.write_bytes(changed)
     assert places
     (folder / "vendors").mkdir()
@@ -368,33 +449,53 @@ def mistaken_processor(tmp_path_factory):
 
 def test_pocl_does_not_build_for_an_unknown_processor_by_itself(unknown_processor):
     """What the mend is for: it says "generic", and then refuses that."""
-    found = run("import pyopencl as cl; device, = cl.get_platforms()[0].get_devices(); print(device.version)\n"
-                "cl.Program(cl.Context([device]), '__kernel void nothing() {}').build()", **unknown_processor)
-    assert found.stdout.strip().endswith("-generic") and "unknown target CPU 'generic'" in found.stderr
+    found = run(
+        "import pyopencl as cl; device, = cl.get_platforms()[0].get_devices(); print(device.version)\n"
+        "cl.Program(cl.Context([device]), '__kernel void nothing() {}').build()",
+        **unknown_processor,
+    )
+    assert (
+        found.stdout.strip().endswith("-generic") and "unknown target CPU 'generic'" in found.stderr
+    )
 
 
 def test_pocl_builds_for_an_unknown_processor(unknown_processor):
     """The device that pip brings is usable, and the one that is chosen."""
-    found = run("from gpusim.backends import open_device; device = open_device('auto')\n"
-                "print(device.name, device.cl_device.version, device.processor)", **unknown_processor)
+    found = run(
+        "from gpusim.backends import open_device; device = open_device('auto')\n"
+        "print(device.name, device.cl_device.version, device.processor)",
+        **unknown_processor,
+    )
     name, *version, processor = found.stdout.split()
-    assert name == "opencl:0" and version[-1].endswith("-generic") and processor in ("skylake-avx512", "haswell",
-                                                                                     "sandybridge", "x86-64")
+    assert (
+        name == "opencl:0"
+        and version[-1].endswith("-generic")
+        and processor in ("skylake-avx512", "haswell", "sandybridge", "x86-64")
+    )
     found = run(COPY, "opencl:0", **unknown_processor)
     assert found.returncode == 0, found.stderr
 
 
 def test_a_processors_name_is_set_in_its_own_place_alone():
     """What lies behind PoCL's structure may name the processor, too: it is another's."""
-    names = [ctypes.create_string_buffer(text) for text in (b"other", b"znver3", b"znver3", b"skylake-avx512")]
+    names = [
+        ctypes.create_string_buffer(text)
+        for text in (b"other", b"znver3", b"znver3", b"skylake-avx512")
+    ]
     memory = (ctypes.c_void_p * 256)()
     for place, name in zip((3, 80, 140, 150), names, strict=True):
         memory[place] = ctypes.addressof(name)
     for _ in range(2):  # the second time it is there
         assert pocl._renamed(ctypes.addressof(memory), b"znver3", b"skylake-avx512")
         assert [ctypes.string_at(memory[place]) for place in (3, 80, 140, 150)] == [
-            b"other", b"skylake-avx512", b"znver3", b"skylake-avx512"]
-    assert not pocl._renamed(ctypes.addressof((ctypes.c_void_p * 256)()), b"znver3", b"skylake-avx512")
+            b"other",
+            b"skylake-avx512",
+            b"znver3",
+            b"skylake-avx512",
+        ]
+    assert not pocl._renamed(
+        ctypes.addressof((ctypes.c_void_p * 256)()), b"znver3", b"skylake-avx512"
+    )
 
 
 @pytest.mark.parametrize("environment", ["unknown_processor", "mistaken_processor", ""])
@@ -404,18 +505,28 @@ def test_kernels_of_wide_vectors_are_found_again(environment, request, tmp_path)
     for folder in folders.values():
         Path(folder).mkdir()
     settings = (request.getfixturevalue(environment) if environment else {}) | folders
-    found = [run("from gpusim.backends import open_device; from gpusim.kernels.sensor.pattern import pattern\n"
-                 "device = open_device('opencl:0'); values = pattern(4, 17, 'dark', pixel=1.0, seed=3, device=device)\n"
-                 "print(device.numpy(values).tobytes().hex())", **settings) for _ in range(2)]
-    expected = np.asarray(pattern(4, 17, "dark", pixel=1.0, seed=3, device=open_device("numpy")), np.float32)
+    found = [
+        run(
+            "from gpusim.backends import open_device; from gpusim.kernels.sensor.pattern import pattern\n"
+            "device = open_device('opencl:0'); values = pattern(4, 17, 'dark', pixel=1.0, seed=3, device=device)\n"
+            "print(device.numpy(values).tobytes().hex())",
+            **settings,
+        )
+        for _ in range(2)
+    ]
+    expected = np.asarray(
+        pattern(4, 17, "dark", pixel=1.0, seed=3, device=open_device("numpy")), np.float32
+    )
     for once in found:
         assert once.stdout.strip() == expected.tobytes().hex(), once.stderr
 
 
 @pytest.mark.slow
 def test_every_stage_is_right_on_an_unknown_processor(unknown_processor):
-    found = run("from gpusim.cli.main import main; import sys; sys.exit(main(['verify', '--device', 'opencl:0']))",
-                **unknown_processor)
+    found = run(
+        "from gpusim.cli.main import main; import sys; sys.exit(main(['verify', '--device', 'opencl:0']))",
+        **unknown_processor,
+    )
     assert found.returncode == 0 and " 0 failed" in found.stdout
 
 

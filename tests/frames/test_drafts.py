@@ -38,8 +38,10 @@ def numpy(program):
     return np.array(program.simulator.device.numpy(program.exposure.mean), np.float64)
 
 
-@pytest.mark.parametrize(("name", "kind"), [*((name, "deadleaves") for name in TURNS), ("wider", "points"),
-                                            ("nearer", "points")])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [*((name, "deadleaves") for name in TURNS), ("wider", "points"), ("nearer", "points")],
+)
 def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.
 
@@ -56,18 +58,25 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     assert wrong <= (2 * TOLERANCE * truth.mean() if kind == "deadleaves" else turned / 5)
     settled = numpy(program.update(camera=after))
     assert not program.plan.is_draft
-    assert np.array_equal(settled, numpy(gs.Simulator(after, device="opencl", tolerance=TOLERANCE).program(scene)))
+    assert np.array_equal(
+        settled, numpy(gs.Simulator(after, device="opencl", tolerance=TOLERANCE).program(scene))
+    )
     again = numpy(program.update(camera=before))
-    assert np.array_equal(again, numpy(gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene)))
+    assert np.array_equal(
+        again, numpy(gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene))
+    )
 
 
-@pytest.mark.parametrize("change", [
-    {"optics": {"f_number": 8.0}},  # too wide for the tiles
-    {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
-    {"optics": zernike(coma=0.1)},  # no longer the same at every angle
-    {"optics": {"model": "none"}},
-    {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
-])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"optics": {"f_number": 8.0}},  # too wide for the tiles
+        {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
+        {"optics": zernike(coma=0.1)},  # no longer the same at every angle
+        {"optics": {"model": "none"}},
+        {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
+    ],
+)
 def test_what_has_no_draft_is_planned(change):
     scene = gs.chart("deadleaves", size=(120, 96))
     program = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).program(scene)
@@ -76,8 +85,10 @@ def test_what_has_no_draft_is_planned(change):
     found = numpy(program.update(camera=camera, drafts=True))
     assert not program.plan.is_draft or not camera.optics.is_symmetric
     program.update(camera=camera)
-    assert np.array_equal(numpy(program), numpy(
-        gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).program(scene)))
+    assert np.array_equal(
+        numpy(program),
+        numpy(gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).program(scene)),
+    )
     assert found.shape == scene.shape
 
 

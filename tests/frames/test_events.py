@@ -55,13 +55,19 @@ def test_a_wave():
     amplitude, threshold, frequency, instants = 0.93, 0.2, 7.0, 20_001
     expected, signs = crossings(amplitude, threshold, 5)
     times = np.linspace(0, (2 * 5 - 0.5) / 2 / frequency, instants)
-    found = of_function(gs.EventSensor(on=threshold, off=threshold, **QUIET), lambda time: 2 + amplitude * np.sin(
-        2 * np.pi * frequency * time), times)
+    found = of_function(
+        gs.EventSensor(on=threshold, off=threshold, **QUIET),
+        lambda time: 2 + amplitude * np.sin(2 * np.pi * frequency * time),
+        times,
+    )
     np.testing.assert_array_equal(found["p"], signs)
     step = times[1]
     least = np.abs(np.cos(2 * np.pi * expected)).min() * amplitude * 2 * np.pi * frequency
-    np.testing.assert_allclose(found["t"], expected / frequency,
-                               atol=(np.pi * frequency * step) ** 2 * amplitude / 2 / least + 1e-12)
+    np.testing.assert_allclose(
+        found["t"],
+        expected / frequency,
+        atol=(np.pi * frequency * step) ** 2 * amplitude / 2 / least + 1e-12,
+    )
 
 
 def test_leak_makes_events_of_steady_light():
@@ -73,7 +79,9 @@ def test_leak_makes_events_of_steady_light():
 
 def test_mismatch_scatters_thresholds():
     sensor = gs.EventSensor(on=0.3, **QUIET | {"mismatch": 0.05})
-    found = of_function(sensor, lambda time: time, [0.0, 0.45], (100, 100))  # one event each: 0.3 (1 +- 0.05)
+    found = of_function(
+        sensor, lambda time: time, [0.0, 0.45], (100, 100)
+    )  # one event each: 0.3 (1 +- 0.05)
     assert len(found) == 10_000
     assert found["t"].mean() == pytest.approx(0.3, abs=5 * 0.015 / 100)
     assert found["t"].std() == pytest.approx(0.015, rel=5 / np.sqrt(2 * 10_000))
@@ -100,7 +108,9 @@ def chain_rate(sigma, threshold, offset, count=12):
     return float(stationary / stationary.sum() @ (chance @ np.abs(number)))
 
 
-@pytest.mark.parametrize("electrons, threshold", [(400.0, 0.1), (2500.0, 0.05), (10_000.0, 0.025), (10_000.0, 0.05)])
+@pytest.mark.parametrize(
+    "electrons, threshold", [(400.0, 0.1), (2500.0, 0.05), (10_000.0, 0.025), (10_000.0, 0.05)]
+)
 def test_the_rate_of_noise_is_that_of_theory(electrons, threshold):
     """Poisson's scatter of the logarithm is 1 / sqrt(N), normal but for terms of 1 / N; its skewness falls out of both
     signs together. Counts scatter from pixel to pixel as their levels' beginnings do, and in time by about four times
@@ -108,11 +118,15 @@ def test_the_rate_of_noise_is_that_of_theory(electrons, threshold):
     """
     sensor = gs.EventSensor(on=threshold, off=threshold, **QUIET | {"window": 0.001})
     shape, instants = (60, 60), 120
-    found = sensor.events(np.arange(instants) * 0.01, (np.full(shape, electrons / 0.001) for _ in range(instants)))
+    found = sensor.events(
+        np.arange(instants) * 0.01, (np.full(shape, electrons / 0.001) for _ in range(instants))
+    )
     settled = found[found["t"] > 0.19]  # the level begins at a scattered light
     rates, seen = noise_rates(1 / np.sqrt(electrons), threshold), instants - 20
     count = rates.mean() * 3600 * seen
-    assert len(settled) == pytest.approx(count, abs=3.5 * np.sqrt(3600 * seen**2 * rates.var() + 4 * count))
+    assert len(settled) == pytest.approx(
+        count, abs=3.5 * np.sqrt(3600 * seen**2 * rates.var() + 4 * count)
+    )
     assert abs((settled["p"] == 1).mean() - 0.5) < 0.05
 
 
@@ -121,7 +135,10 @@ def test_a_still_camera_sees_noise(device):
     """As much as at instants a window apart: what is seen does not depend on how fast the camera moves."""
     simulator, scene = gs.Simulator(PHONE, device=device), gs.chart("flat", size=(24, 16))
     sensor = gs.EventSensor(on=0.02, off=0.02, mismatch=0.0, leak=0.0, window=0.002)
-    own, asked = (gs.events_of(simulator, scene, gs.Motion(), 0.1, sensor, instants=count) for count in (None, 51))
+    own, asked = (
+        gs.events_of(simulator, scene, gs.Motion(), 0.1, sensor, instants=count)
+        for count in (None, 51)
+    )
     np.testing.assert_array_equal(own, asked)
     assert len(own) > 100
 
@@ -136,12 +153,23 @@ def test_an_edge_that_passes(device):
     motion = gs.Motion(pan=(0, 100.0))
     found = gs.events_of(simulator, scene, motion, 0.08, sensor)
     assert found.dtype == EVENT and (np.diff(found["t"]) >= 0).all() and len(found)
-    first, last = (np.log(np.array(simulator.device.numpy(simulator.program(
-        scene.viewed(motion.at(time)), 1.0).output("mean"))).astype(float) + sensor.dark) for time in (0.0, 0.08))
+    first, last = (
+        np.log(
+            np.array(
+                simulator.device.numpy(
+                    simulator.program(scene.viewed(motion.at(time)), 1.0).output("mean")
+                )
+            ).astype(float)
+            + sensor.dark
+        )
+        for time in (0.0, 0.08)
+    )
     signed = np.zeros((32, 48))
     np.add.at(signed, (found["y"], found["x"]), found["p"])
     change = last - first
-    assert np.abs(signed * 0.3 - change).max() < 0.3 + 1e-3  # the level ends within a threshold of the light
+    assert (
+        np.abs(signed * 0.3 - change).max() < 0.3 + 1e-3
+    )  # the level ends within a threshold of the light
     assert np.abs(signed).max() >= 2
 
 
@@ -181,11 +209,20 @@ def test_the_noise_has_the_variance_of_its_spectrum(electrons, noise):
     20,000 pixels tell a variance to 1 %; steps lose .5 % of it, and the first stage 1 % where it is faster than they.
     """
     sensor = gs.EventSensor(noise=noise, mismatch=0.0)
-    pixels = Photoreceptor(sensor, np.random.default_rng(2)).begin(np.full(20_000, np.log(electrons)))
+    pixels = Photoreceptor(sensor, np.random.default_rng(2)).begin(
+        np.full(20_000, np.log(electrons))
+    )
     frequencies = np.linspace(-3000, 3000, 600_001)
-    shot, own = (np.trapezoid(np.abs(gain) ** 2, frequencies) for gain in transfers(sensor, electrons, frequencies))
-    density = 4 * noise_deviation(noise, 30.0, 0.2, 0.0) ** 2 / (2 * np.pi * 30 / np.sqrt(np.sqrt(2) - 1))
-    assert np.mean(pixels) == pytest.approx(np.log(electrons), abs=5 * pixels.std() / np.sqrt(20_000))
+    shot, own = (
+        np.trapezoid(np.abs(gain) ** 2, frequencies)
+        for gain in transfers(sensor, electrons, frequencies)
+    )
+    density = (
+        4 * noise_deviation(noise, 30.0, 0.2, 0.0) ** 2 / (2 * np.pi * 30 / np.sqrt(np.sqrt(2) - 1))
+    )
+    assert np.mean(pixels) == pytest.approx(
+        np.log(electrons), abs=5 * pixels.std() / np.sqrt(20_000)
+    )
     assert pixels.var() == pytest.approx(2 / electrons * shot + density * own, rel=0.055)
 
 
@@ -202,11 +239,19 @@ def test_dim_light_is_followed_slowly():
         front.begin(light)
         for _ in front.seen(light + 0.01, 1e-9):
             pass
-        seen = [(part * 0.3, float(output[0] - light[0]) / 0.01) for part, output in front.seen(light + 0.01, 0.3)]
+        seen = [
+            (part * 0.3, float(output[0] - light[0]) / 0.01)
+            for part, output in front.seen(light + 0.01, 0.3)
+        ]
         time, response = np.array(seen).T
         slow, fast = np.exp(-first * time), np.exp(-follower * time)
         share = (follower / (follower - first)) ** 2
-        known = 1 - share * slow + (share - 1) * fast - first * follower / (first - follower) * time * fast
+        known = (
+            1
+            - share * slow
+            + (share - 1) * fast
+            - first * follower / (first - follower) * time * fast
+        )
         np.testing.assert_allclose(response, known, atol=0.012)
 
 
@@ -217,7 +262,9 @@ def test_rates_are_those_asked_for_and_do_not_depend_on_the_instants():
         for instants in (2, 300):
             times = np.linspace(0, 1.5, instants)
             found = sensor.events(times, (np.full((20, 30), 1e5) for _ in times))
-            assert len(found) / 600 / 1.5 == pytest.approx(noise, rel=0.25)  # thresholds of 600 pixels, begun anywhere
+            assert len(found) / 600 / 1.5 == pytest.approx(
+                noise, rel=0.25
+            )  # thresholds of 600 pixels, begun anywhere
 
 
 def test_moving_light_does_not_depend_on_the_instants():
@@ -229,15 +276,23 @@ def test_moving_light_does_not_depend_on_the_instants():
     counts = []
     for instants in (101, 401):
         times = np.linspace(0, 1, instants)
-        counts.append(len(of_function(sensor, lambda time: np.log(1e10) + np.sin(6 * np.pi * time), times, (3, 3))))
+        counts.append(
+            len(
+                of_function(
+                    sensor, lambda time: np.log(1e10) + np.sin(6 * np.pi * time), times, (3, 3)
+                )
+            )
+        )
     assert counts == [9 * (4 + 5 * 8 + 4 - 1)] * 2  # the last is 7 ms late
 
 
 def test_events_are_written_and_depend_on_the_seed_alone(tmp_path):
     times = np.linspace(0, 0.1, 21)
     rates = [np.full((8, 9), 3000.0 * (1 + time)) for time in times]
-    one, again, other = (gs.EventSensor(window=0.01, on=0.05, off=0.05, seed=seed).events(times, rates)
-                         for seed in (1, 1, 2))
+    one, again, other = (
+        gs.EventSensor(window=0.01, on=0.05, off=0.05, seed=seed).events(times, rates)
+        for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one, again)
     assert len(one) and not np.array_equal(one, other)
     gs.write_events(tmp_path / "a.npz", one, (8, 9))
@@ -247,11 +302,20 @@ def test_events_are_written_and_depend_on_the_seed_alone(tmp_path):
             np.testing.assert_array_equal(file[name], one[name])
 
 
-@pytest.mark.parametrize("asked, words", [({"on": 0}, "events.on = 0"), ({"dark": 0}, "events.dark"),
-                                          ({"refractory": -1}, "events.refractory"), ({"leak": np.nan}, "events.leak"),
-                                          ({"seed": -1}, "events.seed"),
-                                          ({"cutoff": 0}, "events.cutoff"), ({"charge": 0}, "events.charge"),
-                                          ({"noise": 300}, "events.noise"), ({"seed": 1.5}, "events.seed")])
+@pytest.mark.parametrize(
+    "asked, words",
+    [
+        ({"on": 0}, "events.on = 0"),
+        ({"dark": 0}, "events.dark"),
+        ({"refractory": -1}, "events.refractory"),
+        ({"leak": np.nan}, "events.leak"),
+        ({"seed": -1}, "events.seed"),
+        ({"cutoff": 0}, "events.cutoff"),
+        ({"charge": 0}, "events.charge"),
+        ({"noise": 300}, "events.noise"),
+        ({"seed": 1.5}, "events.seed"),
+    ],
+)
 def test_sensors_that_are_none(asked, words):
     with pytest.raises(OutOfRange, match=words):
         gs.EventSensor(**asked)
@@ -259,9 +323,13 @@ def test_sensors_that_are_none(asked, words):
 
 def test_bad_times_and_rates():
     sensor, flat = gs.EventSensor(), np.ones((3, 4))
-    for times, rates, words in (([0.0], [flat], "two or more"), ([0.0, 0.0], [flat] * 2, "rising"),
-                                ([0.0, 1.0, 2.0], [flat, flat], "2, wanted one for each of 3"),
-                                ([0.0, 1.0], [flat, -flat], "finite light"), ([0.0, 1.0], [flat, flat.T], "as before")):
+    for times, rates, words in (
+        ([0.0], [flat], "two or more"),
+        ([0.0, 0.0], [flat] * 2, "rising"),
+        ([0.0, 1.0, 2.0], [flat, flat], "2, wanted one for each of 3"),
+        ([0.0, 1.0], [flat, -flat], "finite light"),
+        ([0.0, 1.0], [flat, flat.T], "as before"),
+    ):
         with pytest.raises(BadData, match=words):
             sensor.events(times, rates)
     simulator, scene = gs.Simulator(PHONE, device="numpy"), gs.chart("flat", size=(8, 8))

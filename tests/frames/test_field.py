@@ -64,12 +64,20 @@ def test_strong_lens_by_overlap_add():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("waves", "grid", "terms"),
-                         [(MILD, None, 12), (MILD, (9, 13), None), (STRONG, (13, 17), None)])
+@pytest.mark.parametrize(
+    ("waves", "grid", "terms"), [(MILD, None, 12), (MILD, (9, 13), None), (STRONG, (13, 17), None)]
+)
 def test_field_accuracy_at_1080p(waves, grid, terms):
     shape = (1080, 1920)
-    check_accuracy(shape, 200, waves, lambda lens: eigen_kernels(lens, shape, terms=terms) if terms else
-                   overlap_add(lens, shape, grid), 1e-3)
+    check_accuracy(
+        shape,
+        200,
+        waves,
+        lambda lens: (
+            eigen_kernels(lens, shape, terms=terms) if terms else overlap_add(lens, shape, grid)
+        ),
+        1e-3,
+    )
 
 
 def test_the_planner_takes_the_cheapest_that_is_good_enough():
@@ -113,8 +121,7 @@ def test_windows_are_a_partition_of_unity(window):
     assert np.abs(total - 1).max() <= len(blur.coefficients) * 2.0**-25
 
 
-@pytest.mark.parametrize(("waves", "heights", "bound"), [
-    (MILD, 9, 5.5e-4), (STRONG, 33, 3.9e-4)])
+@pytest.mark.parametrize(("waves", "heights", "bound"), [(MILD, 9, 5.5e-4), (STRONG, 33, 3.9e-4)])
 def test_spreads_by_field_height_turn_before_the_pixel(waves, heights, bound):
     """Relative RMS of a natural image, at any angle; the bounds are the goals for tables of so many heights.
 
@@ -155,7 +162,14 @@ def test_transferred_kernels_are_used_again():
     inputs = blur.stage_inputs
     tables = transfer(device, inputs["kernels"], inputs["edges"])
     plane = natural(shape, 2)
-    again = field(plane[None].astype(np.float32), mix=ONE, border="reflect", device=device, tables=tables, **inputs)
+    again = field(
+        plane[None].astype(np.float32),
+        mix=ONE,
+        border="reflect",
+        device=device,
+        tables=tables,
+        **inputs,
+    )
     assert np.array_equal(blurred(plane, blur, device.name), device.numpy(again)[0])
 
 
@@ -165,7 +179,11 @@ def test_bad_lenses_and_grids_are_refused():
     with pytest.raises(OutOfRange, match="field grid = 1 x 4"):
         overlap_add(good, shape, (1, 4))
     with pytest.raises(BadData, match=r"\(0.0, 0.0\) sums to 2, others to 1"):
-        overlap_add(lambda places: good(places) * (2 - (places.sum(axis=1) > 0))[:, None, None, None], shape, (3, 4))
+        overlap_add(
+            lambda places: good(places) * (2 - (places.sum(axis=1) > 0))[:, None, None, None],
+            shape,
+            (3, 4),
+        )
     with pytest.raises(BadData, match="is even"):
         eigen_kernels(lambda places: good(places)[..., :8, :8], shape)
     with pytest.raises(BadData, match=r"wanted shape"):
@@ -184,4 +202,7 @@ def test_kernels_of_the_test_lens():
     fold = np.minimum(np.arange(63), 63 - np.arange(63))
     # the pupil's edge is smooth over one of 29 samples of its radius: of the peak's energy about 1/29 comes from there,
     # half of it spread otherwise
-    assert np.abs(np.fft.fftshift(np.fft.ifft2(table[np.ix_(fold, fold)]).real) - on_axis).max() < 0.02 * on_axis.max()
+    assert (
+        np.abs(np.fft.fftshift(np.fft.ifft2(table[np.ix_(fold, fold)]).real) - on_axis).max()
+        < 0.02 * on_axis.max()
+    )

@@ -12,7 +12,9 @@ from gpusim.io.frame.frames import BITS
 
 
 def openimageio(path, kind):
-    OpenImageIO = pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio")
+    OpenImageIO = pytest.importorskip(
+        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
+    )
     file = OpenImageIO.ImageInput.open(str(path))
     try:
         return file.read_image(kind)
@@ -21,7 +23,9 @@ def openimageio(path, kind):
 
 
 @pytest.mark.parametrize("display", ["srgb", "display-p3", "crt-dell"])
-@pytest.mark.parametrize("tone", [(), ((0, 0), (0.25, 0.2), (0.75, 0.85), (1, 1))], ids=["plain", "tone"])
+@pytest.mark.parametrize(
+    "tone", [(), ((0, 0), (0.25, 0.2), (0.75, 0.85), (1, 1))], ids=["plain", "tone"]
+)
 def test_16_bits_are_the_8_bits_and_what_lies_between(tmp_path, display, tone):
     """Both round to the nearest: a code of 8 bits is at most half its step, and half a fine one, from that of 16."""
     camera = camera_with(display=vars(gs.open_display(display)), processor={"tone": tone})
@@ -44,11 +48,15 @@ def test_linear_light_as_floats(tmp_path):
     np.testing.assert_array_equal(openimageio(tmp_path / "a.tiff", "float"), linear)
     for bits, kind in ((32, np.float32), (16, np.float16), (None, np.float32)):
         frame.save(tmp_path / "a.exr", bits=bits)
-        np.testing.assert_array_equal(openimageio(tmp_path / "a.exr", "float"), linear.astype(kind).astype(np.float32))
+        np.testing.assert_array_equal(
+            openimageio(tmp_path / "a.exr", "float"), linear.astype(kind).astype(np.float32)
+        )
 
 
 def test_not_finite_light_has_a_code():
-    frame = gs.Simulator(gs.open_camera("phone"), device="opencl")(gs.chart("flat", size=(16, 16))).complete()
+    frame = gs.Simulator(gs.open_camera("phone"), device="opencl")(
+        gs.chart("flat", size=(16, 16))
+    ).complete()
     frame.linear[0, :4] = np.array([np.nan, -np.inf, np.inf, 1.0])[:, None]
     assert frame.codes(16)[0, :4, 0].tolist() == [0, 0, 65535, 65535]
     assert frame.codes() is frame.rgb
@@ -56,7 +64,9 @@ def test_not_finite_light_has_a_code():
         frame.codes(10)
 
 
-@pytest.mark.parametrize(("suffix", "bits"), [(".png", 32), (".png", 10), (".tif", 12), (".exr", 8)])
+@pytest.mark.parametrize(
+    ("suffix", "bits"), [(".png", 32), (".png", 10), (".tif", 12), (".exr", 8)]
+)
 def test_bits_that_a_format_has_not(tmp_path, suffix, bits):
     frame = gs.Simulator(gs.open_camera("phone"), device="opencl")(gs.chart("flat", size=(16, 16)))
     with pytest.raises(OutOfRange, match=rf"bits of a \{suffix} output = {bits}: allowed is "):
@@ -66,8 +76,23 @@ def test_bits_that_a_format_has_not(tmp_path, suffix, bits):
 
 def test_bits_from_the_command_line(tmp_path, capsys):
     outs = [tmp_path / f"a{suffix}" for suffix in (".png", ".tif", ".exr", ".npz")]
-    status = main(["simulate", "flat", "--camera", "phone", "--size", "32x24", "--device", "opencl", "--bits", "16",
-                   *(part for out in outs for part in ("-o", str(out)))])
+    status = main(
+        [
+            "simulate",
+            "flat",
+            "--camera",
+            "phone",
+            "--size",
+            "32x24",
+            "--device",
+            "opencl",
+            "--bits",
+            "16",
+            *(part for out in outs for part in ("-o", str(out))),
+        ]
+    )
     assert status == 0, capsys.readouterr().err
-    assert openimageio(outs[0], "uint16").max() > 255 and tifffile.imread(outs[1]).dtype == np.uint16
+    assert (
+        openimageio(outs[0], "uint16").max() > 255 and tifffile.imread(outs[1]).dtype == np.uint16
+    )
     assert set(BITS) >= {".png", ".tif", ".exr"}

@@ -46,8 +46,10 @@ def test_the_derivative_is_that_of_the_mapping(lens):
     random = np.random.default_rng(1)
     x, y = random.uniform(-0.5, 0.5, (2, 500))
     h = 1e-5
-    along_x, along_y = (np.subtract(lens.distorted(x + dx, y + dy), lens.distorted(x - dx, y - dy)) / (2 * h)
-                        for dx, dy in ((h, 0), (0, h)))
+    along_x, along_y = (
+        np.subtract(lens.distorted(x + dx, y + dy), lens.distorted(x - dx, y - dy)) / (2 * h)
+        for dx, dy in ((h, 0), (0, h))
+    )
     wanted = np.array([along_x[0], along_y[0], along_x[1], along_y[1]])
     assert np.abs(np.array(lens.derivative(x, y)) - wanted).max() < 1e-5
 
@@ -59,9 +61,13 @@ def test_the_grid_keeps_the_error_that_it_states(lens):
 
     shape = (301, 403)
     grid = distortion_grid(lens, shape, 4e-6)
-    y, x = ((np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2) * (4e-6 / lens.radius))
+    y, x = (np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2) * (4e-6 / lens.radius)
     u, v = ideal(lens, x, y)
-    wanted = np.array([v, u]) * (lens.radius / 4e-6) + (np.array(shape)[:, None, None] - 1) / 2 - np.indices(shape)
+    wanted = (
+        np.array([v, u]) * (lens.radius / 4e-6)
+        + (np.array(shape)[:, None, None] - 1) / 2
+        - np.indices(shape)
+    )
     found = _lagrange(grid.nodes, shape, np.arange(shape[0]), np.arange(shape[1]))[:2]
     assert grid.error[0] <= 1e-3
     # the product polynomial errs most half-way between the nodes, up to slopes of the fourth derivative: a tenth more,
@@ -90,8 +96,14 @@ def test_case_30_energy_per_solid_angle_at_100_degrees(device):
     assert grid.ratio[1] > 1.5 and "samples per pixel" in grid.report
     sub_r = np.hypot(*((np.indices((8 * n, 8 * n)) - (8 * n - 1) / 2) * (pitch / 8)))
     for method in ("cubic", "area"):
-        image = distort(plane[None].astype(np.float32), grid.nodes[None].astype(np.float32), (n, n), "zero",
-                        method, device=open_device(device))[0].astype(np.float64)
+        image = distort(
+            plane[None].astype(np.float32),
+            grid.nodes[None].astype(np.float32),
+            (n, n),
+            "zero",
+            method,
+            device=open_device(device),
+        )[0].astype(np.float64)
         assert image.min() > 0  # no holes
         previous = 0.0, 0.0
         for degrees in (10, 20, 30, 34):
@@ -118,8 +130,14 @@ def test_area_weighting_conserves_every_point(device):
     plane = np.zeros(shape, np.float32)
     plane[30:-30, 40:-40] = random.random((60, 80))
     plane[40, 50] = plane[77, 90] = 1e6
-    image = distort(plane[None], grid.nodes[None].astype(np.float32), shape, "zero", "area",
-                    device=open_device(device))
+    image = distort(
+        plane[None],
+        grid.nodes[None].astype(np.float32),
+        shape,
+        "zero",
+        "area",
+        device=open_device(device),
+    )
     assert image.min() >= 0
     assert image.sum(dtype=np.float64) == pytest.approx(plane.sum(dtype=np.float64), rel=1e-6)
 
@@ -133,9 +151,18 @@ def test_lateral_colour_moves_planes_apart(device, method):
     y, x = np.indices(shape) - middle[:, None, None]
     plane = np.exp(-((y - spot[0]) ** 2 + (x - spot[1]) ** 2) / (2 * 2.5**2))
     planes = np.stack([plane, plane]).astype(np.float32)
-    grids = [distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=scale), shape, PITCH) for scale in (1.0, 1.02)]
-    image = distort(planes, np.stack([grid.nodes for grid in grids]).astype(np.float32), shape, "zero",
-                    method, device=open_device(device)).astype(np.float64)
+    grids = [
+        distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=scale), shape, PITCH)
+        for scale in (1.0, 1.02)
+    ]
+    image = distort(
+        planes,
+        np.stack([grid.nodes for grid in grids]).astype(np.float32),
+        shape,
+        "zero",
+        method,
+        device=open_device(device),
+    ).astype(np.float64)
     for moved, scale in zip(image, (1.0, 1.02), strict=True):
         # a Gaussian of sigma 2.5 is band-limited to e^-31 at Nyquist: Keys' cubic errs by (pi^4 / ...) < 1e-3
         assert moved.sum() == pytest.approx(plane.sum(), rel=1e-4)
@@ -165,10 +192,13 @@ def test_a_grid_ratio_above_two_is_reported():
     assert grid.reach == pytest.approx(0.75 * 64, abs=1e-9)
 
 
-@pytest.mark.parametrize(("lens", "message"), [
-    (RadialPolynomial(-0.5, -0.2, PITCH * 40), "turns back at ideal field height"),
-    (RadialTable([0, 1e-5, 2e-5, 3e-5], [0, 1e-5, 2e-5, 3e-5]), "as far as the frame's corner"),
-])
+@pytest.mark.parametrize(
+    ("lens", "message"),
+    [
+        (RadialPolynomial(-0.5, -0.2, PITCH * 40), "turns back at ideal field height"),
+        (RadialTable([0, 1e-5, 2e-5, 3e-5], [0, 1e-5, 2e-5, 3e-5]), "as far as the frame's corner"),
+    ],
+)
 def test_a_mapping_that_does_not_cover_the_frame_is_refused(lens, message):
     with pytest.raises(OutOfRange, match=message):
         distortion_grid(lens, (64, 64), PITCH)
@@ -197,11 +227,15 @@ def test_falloff_of_lens_and_microlenses(device):
     angles = np.radians(np.linspace(0, 60, 241))
     micro = microlens_gain(Microlens(angles, np.cos(angles), 0.5), shape, PITCH, pupil)
     r = np.hypot(*((np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2) * PITCH))
-    wanted = (1 - 0.4 * (r / (PITCH * np.hypot(*shape) / 2)) ** 2) * np.cos(np.arctan(r / pupil)
-                                                                          - np.arctan(0.5 * r / pupil))
+    wanted = (1 - 0.4 * (r / (PITCH * np.hypot(*shape) / 2)) ** 2) * np.cos(
+        np.arctan(r / pupil) - np.arctan(0.5 * r / pupil)
+    )
     # linear interpolation of a cosine every quarter degree: (0.25 deg)^2 / 8 = 2.4e-6
-    image = falloff(np.ones((2, *shape), np.float32), (lens * micro)[None].astype(np.float32),
-                    device=open_device(device))
+    image = falloff(
+        np.ones((2, *shape), np.float32),
+        (lens * micro)[None].astype(np.float32),
+        device=open_device(device),
+    )
     assert np.abs(image - wanted).max() < 3e-6
 
 
@@ -210,10 +244,16 @@ def test_falloff_of_lens_and_microlenses(device):
 def test_light_beside_an_edge_is_not_negative(device, model):
     """Cubics overshoot by 7 % next to a step, before any blur; bright squares on black have many. Float32: 1e-6."""
     camera = open_camera("phone")
-    optics = replace(camera.optics, model=model, f_number=1.2, distortion=RadialPolynomial(-0.12, 0.02, 1e-3))
+    optics = replace(
+        camera.optics, model=model, f_number=1.2, distortion=RadialPolynomial(-0.12, 0.02, 1e-3)
+    )
     y, x = np.indices((64, 64)) // 8
     values = np.where((y + x) % 2, 0, 1e15).astype(np.float32)
-    scene = Scene(Cube(np.array([400.0, 500, 600, 700]), np.stack([values] * 4)), illuminant("D65"), border="zero")
+    scene = Scene(
+        Cube(np.array([400.0, 500, 600, 700]), np.stack([values] * 4)),
+        illuminant("D65"),
+        border="zero",
+    )
     simulate = Simulator(replace(camera, optics=optics), device=device)
     mean = np.array(simulate.device.numpy(simulate.expose(scene, 0.01).mean))
     plan = simulate.plan(scene)
@@ -236,9 +276,18 @@ def looked_at(shape, move):
     return factor * y * corner, factor * x * corner, factor / (1 + 3 * k * u * u)
 
 
-@pytest.mark.parametrize(("waves", "move"), [
-    ((0.11, 0.13, 0.17), 3.0), ((0.11, 0.13, 0.17), -3.0), ((0.11, 0.13, 0.17), 0.4), ((0.11, 0.13, 0.17), 0.1),
-    ((0.05,), 3.0), ((0.3,), 3.0), ((0.4, 0.1), 3.0)])
+@pytest.mark.parametrize(
+    ("waves", "move"),
+    [
+        ((0.11, 0.13, 0.17), 3.0),
+        ((0.11, 0.13, 0.17), -3.0),
+        ((0.11, 0.13, 0.17), 0.4),
+        ((0.11, 0.13, 0.17), 0.1),
+        ((0.05,), 3.0),
+        ((0.3,), 3.0),
+        ((0.4, 0.1), 3.0),
+    ],
+)
 def test_what_a_distortion_interpolates_is_predicted(waves, move):
     """Cosines by formula, of so many cycles per sample, which a lens moves by up to `move` samples.
 
@@ -250,18 +299,29 @@ def test_what_a_distortion_interpolates_is_predicted(waves, move):
     angles, starts = random.uniform(0, np.pi, len(waves)), random.uniform(0, 2 * np.pi, len(waves))
 
     def light(y, x):
-        return 1 + 0.9 / len(waves) * sum(np.cos(2 * np.pi * f * (np.cos(angle) * y + np.sin(angle) * x) + start)
-                                          for f, angle, start in zip(waves, angles, starts, strict=True))
+        return 1 + 0.9 / len(waves) * sum(
+            np.cos(2 * np.pi * f * (np.cos(angle) * y + np.sin(angle) * x) + start)
+            for f, angle, start in zip(waves, angles, starts, strict=True)
+        )
 
     def scene(values, **options):
-        return Scene(Cube(np.array([540.0, 550.0, 560.0]), np.stack([values] * 3).astype(np.float32)),
-                     illuminant("D65"), **options)
+        return Scene(
+            Cube(np.array([540.0, 550.0, 560.0]), np.stack([values] * 3).astype(np.float32)),
+            illuminant("D65"),
+            **options,
+        )
 
     camera = open_camera("mono")
     corner = np.hypot(*shape) / 2 * camera.sensor.pixel_pitch
-    plain = replace(camera, optics=replace(camera.optics, model="none", relative_illumination="none"))
-    camera = replace(plain, optics=replace(plain.optics, distortion=RadialPolynomial(0.0, move / (np.hypot(*shape) / 2),
-                                                                                    corner)))
+    plain = replace(
+        camera, optics=replace(camera.optics, model="none", relative_illumination="none")
+    )
+    camera = replace(
+        plain,
+        optics=replace(
+            plain.optics, distortion=RadialPolynomial(0.0, move / (np.hypot(*shape) / 2), corner)
+        ),
+    )
     simulator = Simulator(camera, device=KINDS[0], tolerance=3e-5)
     drawn = light(*np.ix_(*(np.arange(n + 2 * margin) - (n + 2 * margin - 1) / 2 for n in shape)))
     exposure = simulator.expose(scene(drawn, border="scene", margin=margin), 1e-3)
@@ -273,8 +333,12 @@ def test_what_a_distortion_interpolates_is_predicted(waves, move):
     rms = np.sqrt(np.mean(error**2) / np.mean(truth**2))
     bound = exposure.plan.account.bounds["distortion"]
     assert rms / 1.5 < bound.rms < 2.5 * rms
-    if waves != (0.05,):  # windows of 64 samples end waves of 20: they leak into shorter ones, which err more
+    if waves != (
+        0.05,
+    ):  # windows of 64 samples end waves of 20: they leak into shorter ones, which err more
         assert sigmas.max() / 2.5 < bound.max_sigma < 2.5 * sigmas.max()
-        assert np.quantile(sigmas, 0.999) / 2.5 < bound.p999_sigma < 2.5 * np.quantile(sigmas, 0.999)
+        assert (
+            np.quantile(sigmas, 0.999) / 2.5 < bound.p999_sigma < 2.5 * np.quantile(sigmas, 0.999)
+        )
     verdict = exposure.plan.verdict
     assert not verdict.met and verdict.by == "distortion" and "drawn finer" in str(verdict)

@@ -34,8 +34,14 @@ def cubes():
     waves = np.linspace(400, 700, 31)
     values = random.random((COUNT, 4, 32, 48)).astype(np.float32)
     bases = np.abs(np.sin(np.outer(random.random(4) + 1, waves / 40)))[:, :, None, None]
-    return [gs.Scene(gs.Cube(waves, 1e14 * (one[:, None] * bases).sum(0).astype(np.float32)), gs.Spectrum(
-        waves[[0, -1]], np.ones(2), "unknown light"), name=f"cube {n}") for n, one in enumerate(values)]
+    return [
+        gs.Scene(
+            gs.Cube(waves, 1e14 * (one[:, None] * bases).sum(0).astype(np.float32)),
+            gs.Spectrum(waves[[0, -1]], np.ones(2), "unknown light"),
+            name=f"cube {n}",
+        )
+        for n, one in enumerate(values)
+    ]
 
 
 def pictures():
@@ -58,6 +64,7 @@ SETTINGS = {  # camera, scenes and tolerance, and whether every scene has a plan
 
 def paths(simulator, scenes, plan):
     """Raw values of every scene by name of the way to them, frame n of SEED each."""
+
     def host(array):
         return np.array(simulator.device.numpy(array))
 
@@ -68,27 +75,57 @@ def paths(simulator, scenes, plan):
     found = {
         "call": [simulator(scene, seed=SEED, frame=n, plan=plan).raw for n, scene in numbered],
         "list": [frame.raw for frame in simulator(scenes, seed=SEED, plan=plan)],
-        "frames": [list(simulator.frames(scene, n + 1, seed=SEED, plan=plan))[n].raw for n, scene in numbered],
-        "draw": [host(simulator.draw(simulator.expose(scene, plan=plan), seed=SEED, frame=n)) for n, scene in numbered],
-        "program": [host(program.update(scene=scene).raw(seed=SEED, frame=n)) for n, scene in numbered],
-        "framed": [program.update(scene=scene).frame(seed=SEED, frame=n).raw for n, scene in numbered],
+        "frames": [
+            list(simulator.frames(scene, n + 1, seed=SEED, plan=plan))[n].raw
+            for n, scene in numbered
+        ],
+        "draw": [
+            host(simulator.draw(simulator.expose(scene, plan=plan), seed=SEED, frame=n))
+            for n, scene in numbered
+        ],
+        "program": [
+            host(program.update(scene=scene).raw(seed=SEED, frame=n)) for n, scene in numbered
+        ],
+        "framed": [
+            program.update(scene=scene).frame(seed=SEED, frame=n).raw for n, scene in numbered
+        ],
         "stream": [host(raw) for raw in stream],
         "batch": list(host(batch(scenes, seed=SEED))),
-        "burst": [gs.burst(simulator, scene, seed=SEED, first=n, plan=plan)[0].raw for n, scene in numbered],
-        "bracket": [gs.bracket(simulator, scene, [0], seed=SEED, first=n, plan=plan)[0].raw for n, scene in numbered],
+        "burst": [
+            gs.burst(simulator, scene, seed=SEED, first=n, plan=plan)[0].raw
+            for n, scene in numbered
+        ],
+        "bracket": [
+            gs.bracket(simulator, scene, [0], seed=SEED, first=n, plan=plan)[0].raw
+            for n, scene in numbered
+        ],
     }
     assert stream.plan.name == program.plan.name == plan.name
     assert [one.name for one in batch.plans] == [plan.name] * len(scenes)
     return found
 
 
-ON_ALL = "leaves, video", "cubes, video"  # the others run on the first device; with `-m slow` on all
+ON_ALL = (
+    "leaves, video",
+    "cubes, video",
+)  # the others run on the first device; with `-m slow` on all
 
 
-@pytest.mark.parametrize(("what", "device"), [
-    pytest.param(what, getattr(device, "values", (device,))[0], marks=[
-        *getattr(device, "marks", ()), *([] if what in ON_ALL or number == 1 else [pytest.mark.slow])])
-    for what in SETTINGS for number, device in enumerate(ALL_KINDS)])
+@pytest.mark.parametrize(
+    ("what", "device"),
+    [
+        pytest.param(
+            what,
+            getattr(device, "values", (device,))[0],
+            marks=[
+                *getattr(device, "marks", ()),
+                *([] if what in ON_ALL or number == 1 else [pytest.mark.slow]),
+            ],
+        )
+        for what in SETTINGS
+        for number, device in enumerate(ALL_KINDS)
+    ],
+)
 def test_all_ways_give_one_frame(what, device):
     camera, made, tolerance, are_apart = SETTINGS[what]
     scenes, simulator = made(), gs.Simulator(camera, device=device, tolerance=tolerance)
@@ -96,7 +133,9 @@ def test_all_ways_give_one_frame(what, device):
     found = paths(simulator, scenes, plan)
     for name, raws in found.items():
         for number, raw in enumerate(raws):
-            np.testing.assert_array_equal(raw, found["call"][number], err_msg=f"{name}, frame {number}")
+            np.testing.assert_array_equal(
+                raw, found["call"][number], err_msg=f"{name}, frame {number}"
+            )
     own = [simulator.plan(scene).name for scene in scenes]
     assert (len(set(own)) == COUNT) is are_apart
     np.testing.assert_array_equal(found["stream"][1], simulator(scenes[1], seed=SEED, frame=1).raw)
@@ -116,7 +155,9 @@ def test_batches_of_pictures(device):
     assert [one.name for one in batch.plans] == [plan.name] * COUNT
     np.testing.assert_array_equal(together[1], single[1])
     for number in range(COUNT):
-        np.testing.assert_array_equal(batch(values[[number]], seed=SEED, first=number)[0], together[number])
+        np.testing.assert_array_equal(
+            batch(values[[number]], seed=SEED, first=number)[0], together[number]
+        )
     simulator = gs.Simulator(PHONE, device=device, tolerance="video")
     scene = first.plans[2].scene
     np.testing.assert_array_equal(simulator(scene, seed=SEED, frame=2, plan=plan).raw, together[2])
@@ -135,7 +176,9 @@ def test_errors_are_those_of_the_scene(tolerance):
         assert report.verdict.state in ("met", "not met")
         assert report.meets_tolerance or not report.verdict.met
     own = simulator.plan(scene)
-    again = simulator(replace(scene), plan=own).report  # of another object, the plan's own account is found anew
+    again = simulator(
+        replace(scene), plan=own
+    ).report  # of another object, the plan's own account is found anew
     for name, bound in own.account.bounds.items():
         assert again.account.bounds[name].rms == pytest.approx(bound.rms, rel=1e-6), name
 
@@ -146,8 +189,10 @@ def test_a_plan_that_does_not_do_is_not_met():
     edges = flat.copy()
     edges[:, :, ::6] = 0.9
     waves, light = np.linspace(400, 700, 31), gs.chart("flat").illuminant
-    calm, steep = (gs.Scene(gs.Cube(waves, values), light, name=name) for values, name in (
-        (flat, "calm"), (edges, "steep")))
+    calm, steep = (
+        gs.Scene(gs.Cube(waves, values), light, name=name)
+        for values, name in ((flat, "calm"), (edges, "steep"))
+    )
     simulator = gs.Simulator(PHONE, device="numpy", tolerance="video")
     plan = simulator.plan(calm)
     assert plan.verdict.met and plan.mix is None
@@ -157,8 +202,11 @@ def test_a_plan_that_does_not_do_is_not_met():
     assert program.frame().report.verdict.met
     assert program.update(scene=steep).frame().report.verdict.state == "not met"
     strict = gs.Simulator(PHONE, device="numpy", tolerance="video", strict=True)
-    for way in (lambda: strict(steep, plan=plan), lambda: list(strict.stream([calm, steep], plan=plan)),
-                lambda: strict.batch(2, plan=plan)([calm, steep])):
+    for way in (
+        lambda: strict(steep, plan=plan),
+        lambda: list(strict.stream([calm, steep], plan=plan)),
+        lambda: strict.batch(2, plan=plan)([calm, steep]),
+    ):
         with pytest.raises(NotMet, match="steep"):
             way()
     assert strict(calm, plan=plan).report.verdict.met
@@ -169,21 +217,38 @@ def test_highlights_that_a_plan_does_not_split_cannot_be_judged():
     values = leaves()[0].content.bands_at(slice(None)).astype(np.float32)
     bright = values.copy()
     bright[:, 16, 24] = 1e5
-    calm, spiky = (replace(leaves()[0], content=gs.Cube(leaves()[0].wavelengths, one)) for one in (values, bright))
+    calm, spiky = (
+        replace(leaves()[0], content=gs.Cube(leaves()[0].wavelengths, one))
+        for one in (values, bright)
+    )
     plan = simulator.plan(calm)
     assert simulator.plan(spiky).highlights is not None
     verdict = simulator(spiky, plan=plan).report.verdict
-    assert not verdict.met and (verdict.state == "not met" or "highlights" in verdict.unknown), str(verdict)
+    assert not verdict.met and (verdict.state == "not met" or "highlights" in verdict.unknown), str(
+        verdict
+    )
 
 
 REFUSED = {  # a camera, a scene, and what the refusal says
-    "size": (PHONE, lambda: gs.chart("deadleaves", size=(40, 32)), r"samples: \(32, 40\), wanted \(32, 48\)"),
+    "size": (
+        PHONE,
+        lambda: gs.chart("deadleaves", size=(40, 32)),
+        r"samples: \(32, 40\), wanted \(32, 48\)",
+    ),
     "light": (PHONE, lambda: gs.chart("deadleaves", size=SIZE, light="A"), "the same light"),
     "content": (PHONE, lambda: gs.picture(CODES[0]), "content of the same kind"),
     "border": (PHONE, lambda: replace(leaves()[0], border="zero"), "border: zero, wanted edge"),
     "view": (PHONE, lambda: viewed()[0], "a view of the same kind"),
-    "lens": (camera_with(optics={"f_number": 5.6}), lambda: leaves()[0], r"another optics\.f_number: "),
-    "mosaic": (camera_with(sensor={"cfa": ("GR", "BG")}), lambda: leaves()[0], r"another sensor\.cfa"),
+    "lens": (
+        camera_with(optics={"f_number": 5.6}),
+        lambda: leaves()[0],
+        r"another optics\.f_number: ",
+    ),
+    "mosaic": (
+        camera_with(sensor={"cfa": ("GR", "BG")}),
+        lambda: leaves()[0],
+        r"another sensor\.cfa",
+    ),
 }
 
 
@@ -192,9 +257,14 @@ def test_other_scenes_and_cameras_are_refused(what):
     camera, made, words = REFUSED[what]
     plan = gs.Simulator(PHONE, device="numpy", tolerance="video").plan(leaves()[0])
     simulator, scene = gs.Simulator(camera, device="numpy", tolerance="video"), made()
-    ways = [lambda: simulator(scene, plan=plan), lambda: list(simulator([scene], plan=plan)),
-            lambda: simulator.expose(scene, plan=plan), lambda: simulator.program(scene, plan=plan),
-            lambda: list(simulator.stream([scene], plan=plan)), lambda: simulator.batch(1, plan=plan)(scene)]
+    ways = [
+        lambda: simulator(scene, plan=plan),
+        lambda: list(simulator([scene], plan=plan)),
+        lambda: simulator.expose(scene, plan=plan),
+        lambda: simulator.program(scene, plan=plan),
+        lambda: list(simulator.stream([scene], plan=plan)),
+        lambda: simulator.batch(1, plan=plan)(scene),
+    ]
     for way in ways:
         with pytest.raises(BadData, match=words) as error:
             way()
@@ -213,7 +283,9 @@ def test_other_plans_are_refused():
     assert program.frame().report.verdict.met  # it is as it was
 
 
-@pytest.mark.parametrize("what", ["depth", "highlights", pytest.param("varying", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "what", ["depth", "highlights", pytest.param("varying", marks=pytest.mark.slow)]
+)
 def test_plans_of_one_scene_alone(what):
     """Depth, highlights and a varying blur serve their own scene, as the same object or with the same values."""
     scene = leaves()[0]
@@ -223,7 +295,9 @@ def test_plans_of_one_scene_alone(what):
     elif what == "highlights":
         scene = gs.chart("points", size=SIZE)
     else:
-        camera = camera_with(optics={"lateral_color": gs.Spectrum(np.array([400.0, 700.0]), np.array([-1e-3, 1e-3]))})
+        camera = camera_with(
+            optics={"lateral_color": gs.Spectrum(np.array([400.0, 700.0]), np.array([-1e-3, 1e-3]))}
+        )
     simulator = gs.Simulator(camera, device="numpy", tolerance="1e-3")
     plan = simulator.plan(scene)
     assert getattr(plan, what) is not None
@@ -231,25 +305,35 @@ def test_plans_of_one_scene_alone(what):
     np.testing.assert_array_equal(frame.raw, own.raw)
     np.testing.assert_array_equal(simulator(replace(scene), plan=plan).raw, own.raw)
     assert frame.report.verdict == own.report.verdict
-    other = replace(leaves()[1], depth=scene.depth) if what != "highlights" else replace(
-        scene, content=scene.content.with_planes(0.5 * scene.content.planes))
+    other = (
+        replace(leaves()[1], depth=scene.depth)
+        if what != "highlights"
+        else replace(scene, content=scene.content.with_planes(0.5 * scene.content.planes))
+    )
     with pytest.raises(BadData, match="does not serve"):
         simulator(other, plan=plan)
-    assert not gs.Simulator(camera, device="numpy", tolerance="2e-3")(scene, plan=plan).report.verdict.met
+    assert not gs.Simulator(camera, device="numpy", tolerance="2e-3")(
+        scene, plan=plan
+    ).report.verdict.met
 
 
 def test_exposures_noise_and_tolerances_may_be_others():
     """A plan is of lens and pixels: the same light with any noise, time, gain and tolerance."""
     scenes = leaves()
     plan = gs.Simulator(PHONE, device="numpy", tolerance="video").plan(scenes[0])
-    for camera, tolerance in ((camera_with(noise={"read": 9.0}), "1e-3"), (PHONE, None), (PHONE, "metrology")):
+    for camera, tolerance in (
+        (camera_with(noise={"read": 9.0}), "1e-3"),
+        (PHONE, None),
+        (PHONE, "metrology"),
+    ):
         simulator = gs.Simulator(camera, device="numpy", tolerance=tolerance)
         for seconds in (0.002, 0.05):
             exposure = simulator.expose(scenes[1], seconds, 1.0, plan)
             assert exposure.plan.name == plan.name
             raw = simulator.draw(exposure, seed=SEED)
-            batch = simulator.batch(2, "raw", plan=plan)([scenes[1]] * 2, exposure_time=[seconds, 0.03], seed=SEED,
-                                                         frame=[0, 1])
+            batch = simulator.batch(2, "raw", plan=plan)(
+                [scenes[1]] * 2, exposure_time=[seconds, 0.03], seed=SEED, frame=[0, 1]
+            )
             np.testing.assert_array_equal(batch[0], raw)
             verdict = exposure.plan.verdict
             if tolerance is None:
@@ -259,8 +343,14 @@ def test_exposures_noise_and_tolerances_may_be_others():
             else:
                 assert verdict.state == "met"
     exact = gs.Simulator(PHONE, device="numpy").plan(scenes[0])
-    report = gs.Simulator(PHONE, device="numpy", tolerance=Tolerance(rms=1e-2))(scenes[1], plan=exact).report
-    assert report.verdict.met and report.account.bounds["border"].rms > 0 and "planes" not in report.account.bounds
+    report = gs.Simulator(PHONE, device="numpy", tolerance=Tolerance(rms=1e-2))(
+        scenes[1], plan=exact
+    ).report
+    assert (
+        report.verdict.met
+        and report.account.bounds["border"].rms > 0
+        and "planes" not in report.account.bounds
+    )
 
 
 CHILD = """
@@ -276,7 +366,9 @@ def test_plans_go_to_other_processes():
     simulator, scenes = gs.Simulator(PHONE, device="numpy", tolerance="video"), leaves()
     plan = simulator.plan(scenes[0])
     given = pickle.dumps((simulator, plan, scenes[1]))
-    done = subprocess.run([sys.executable, "-c", CHILD], input=given, capture_output=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD], input=given, capture_output=True, check=True
+    )
     name, anew, raw = pickle.loads(done.stdout)
     assert name == anew == plan.name
     np.testing.assert_array_equal(raw, simulator(scenes[1], seed=4, frame=2, plan=plan).raw)
@@ -288,10 +380,12 @@ def test_names_follow_decisions():
     name = simulator.plan(scene).name
     assert name == simulator.plan(leaves()[1]).name == simulator.plan(scene, exposure_time=0.5).name
     assert name == gs.Simulator(camera_with(noise={"read": 9.0}), device="numpy").plan(scene).name
-    others = [gs.Simulator(PHONE, device="numpy", tolerance="video").plan(scene).name,
-              gs.Simulator(PHONE, device="numpy", reach=32).plan(scene).name,
-              gs.Simulator(camera_with(optics={"f_number": 4.0}), device="numpy").plan(scene).name,
-              gs.Simulator(PHONE, device="numpy").plan(gs.chart("deadleaves", size=(40, 32))).name]
+    others = [
+        gs.Simulator(PHONE, device="numpy", tolerance="video").plan(scene).name,
+        gs.Simulator(PHONE, device="numpy", reach=32).plan(scene).name,
+        gs.Simulator(camera_with(optics={"f_number": 4.0}), device="numpy").plan(scene).name,
+        gs.Simulator(PHONE, device="numpy").plan(gs.chart("deadleaves", size=(40, 32))).name,
+    ]
     assert len({name, *others}) == 5
 
 
@@ -300,7 +394,10 @@ def test_moving_scenes_by_a_plan():
     motion = gs.Motion(pan=(0.0, 40.0))
     asked = {"exposure_time": 0.01, "instants": 2, "start": 0.02}
     plan = gs.expose_motion(simulator, leaves()[1], motion, **asked).plan
-    first, again = (gs.expose_motion(simulator, one, motion, plan=plan, **asked) for one in (scene, replace(scene)))
+    first, again = (
+        gs.expose_motion(simulator, one, motion, plan=plan, **asked)
+        for one in (scene, replace(scene))
+    )
     assert first.plan.name == again.plan.name == plan.name
     np.testing.assert_array_equal(first.mean, again.mean)
     assert first.plan.verdict.state in ("met", "not met")
@@ -318,25 +415,62 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
     for number, scene in enumerate(scenes):
         pair = Pairs(*asked, plan=plan).pair(number)
         assert pair["told"]["plan"] == plan.name
-        np.testing.assert_array_equal(pair["raw"], simulator(scene, seed=SEED, frame=number, plan=plan).raw)
+        np.testing.assert_array_equal(
+            pair["raw"], simulator(scene, seed=SEED, frame=number, plan=plan).raw
+        )
 
-    asked = ["video", *map(str, files), "--camera", "phone", "--device", "numpy", "--exposure", "0.01", "--tolerance",
-             "video", "--segment", "2", "-o", str(tmp_path / "a.npz")]
+    asked = [
+        "video",
+        *map(str, files),
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--exposure",
+        "0.01",
+        "--tolerance",
+        "video",
+        "--segment",
+        "2",
+        "-o",
+        str(tmp_path / "a.npz"),
+    ]
     assert main([*asked, "--shard", "1/2", "--seed", "4"]) == 0
     assert main([*asked, "--shard", "0/2", "--seed", "4"]) == 0
     said = capsys.readouterr().out
     plans = json.loads((tmp_path / "a_video.json").read_text())["plans"]
-    frames = {number: name for name, runs in plans.items() for first, last in runs
-              for number in range(first, last + 1)}
+    frames = {
+        number: name
+        for name, runs in plans.items()
+        for first, last in runs
+        for number in range(first, last + 1)
+    }
     assert sorted(frames) == [0, 1, 2] and all(name in said for name in plans)
-    fixed = gs.Simulator(camera_with(sensor={"exposure_time": 0.01}), device="numpy", tolerance="video")
+    fixed = gs.Simulator(
+        camera_with(sensor={"exposure_time": 0.01}), device="numpy", tolerance="video"
+    )
     for number, first in enumerate((0, 0, 2)):  # a segment begins with a plan of its first scene
         plan = fixed.plan(scenes[first])
         if plan.name == frames[number]:  # else the segment planned anew
             with np.load(tmp_path / f"a_{number:04}.npz") as file:
-                np.testing.assert_array_equal(file["dn"], fixed(scenes[number], seed=4, frame=number, plan=plan).raw)
+                np.testing.assert_array_equal(
+                    file["dn"], fixed(scenes[number], seed=4, frame=number, plan=plan).raw
+                )
     assert frames[0] == fixed.plan(scenes[0]).name and frames[2] == fixed.plan(scenes[2]).name
 
     told = tmp_path / "plan.json"
-    main(["plan", str(files[0]), "--camera", "phone", "--device", "numpy", "--tolerance", "video", "--json", str(told)])
+    main(
+        [
+            "plan",
+            str(files[0]),
+            "--camera",
+            "phone",
+            "--device",
+            "numpy",
+            "--tolerance",
+            "video",
+            "--json",
+            str(told),
+        ]
+    )
     assert json.loads(told.read_text())["plan"] == own[0]

@@ -23,7 +23,10 @@ def test_a_cube_of_float16_is_that_of_its_values(device, tolerance, border):
     for name in ("mean", "raw", "linear", "rgb"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), name)
     assert found.exposure_time == wanted.exposure_time
-    streamed = [np.array(simulator.device.numpy(raw)) for raw in simulator.stream([half, single, half], "raw", seed=2)]
+    streamed = [
+        np.array(simulator.device.numpy(raw))
+        for raw in simulator.stream([half, single, half], "raw", seed=2)
+    ]
     np.testing.assert_array_equal(streamed[0], found.raw)
     if tolerance is None:
         assert simulator.program(half).plan.table is None  # every wavelength by itself
@@ -33,8 +36,11 @@ def test_a_cube_of_float16_is_that_of_its_values(device, tolerance, border):
 def test_float16_stays_float16_on_a_device(device):
     simulator = gs.Simulator(CAMERA, device=device)
     values = simulator.device.array(cube(dtype=np.float16), np.float16)
-    for content in (gs.Cube(WAVELENGTHS, cube(dtype=np.float16)), gs.Cube(WAVELENGTHS, values),
-                    gs.Cube(WAVELENGTHS, Tensor(cube(dtype=np.float16)))):
+    for content in (
+        gs.Cube(WAVELENGTHS, cube(dtype=np.float16)),
+        gs.Cube(WAVELENGTHS, values),
+        gs.Cube(WAVELENGTHS, Tensor(cube(dtype=np.float16))),
+    ):
         stored, labels = simulator.imaging.stored(content)
         assert type_of(stored) == np.float16 and labels is None
         assert content.nbytes == 2 * cube().size
@@ -47,8 +53,11 @@ def test_highlights_of_float16_are_split_off_as_those_of_float32(device):
     values[:, 20, 30] = 6e4
     simulator = gs.Simulator(CAMERA, device=device)
     assert simulator.plan(scene(values)).highlights is not None
-    same_bits(simulator.device, simulator.expose(scene(values)).mean,
-              simulator.expose(scene(values.astype(np.float32))).mean)
+    same_bits(
+        simulator.device,
+        simulator.expose(scene(values)).mean,
+        simulator.expose(scene(values.astype(np.float32))).mean,
+    )
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -56,7 +65,9 @@ def test_a_survey_of_float16_is_that_of_its_values(device):
     random = np.random.default_rng(3)
     values, table = cube(dtype=np.float16), random.normal(0, 1, (5, 7)).astype(np.float32)
     first = np.array([-3, 0, 7, 46, 47, 99], np.int32)
-    one, other = (survey(array, table, first, device=device) for array in (values, values.astype(np.float32)))
+    one, other = (
+        survey(array, table, first, device=device) for array in (values, values.astype(np.float32))
+    )
     np.testing.assert_array_equal(one, other)
 
 

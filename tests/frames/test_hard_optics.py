@@ -27,16 +27,36 @@ def test_the_kernels_of_points_are_integrals_over_the_pixel():
         kernels = point_kernels([q], aperture, 120)
         half = aperture / 2
         for dy, dx in ((0, 0), (1, 2), (7, 3), (CORE, 5)):
-            exact = dblquad(lambda x, y, q=q: float(airy_density(np.hypot(x, y), q)), dy - half, dy + half, dx - half,
-                            dx + half, epsabs=1e-13)[0] / aperture**2
+            exact = (
+                dblquad(
+                    lambda x, y, q=q: float(airy_density(np.hypot(x, y), q)),
+                    dy - half,
+                    dy + half,
+                    dx - half,
+                    dx + half,
+                    epsabs=1e-13,
+                )[0]
+                / aperture**2
+            )
             # 10 points to a ring integrate it to 1e-9; the airy pattern is 1 at most
             assert abs(kernels.cores[0, dy, dx] - exact) < 1e-9
         points = kernels.spread * (np.arange(kernels.parts) - (kernels.parts - 1) / 2)
         for dy, dx in ((CORE + 1, 0), (60, 31), (118, 117)):
-            exact = dblquad(lambda x, y, q=q: float(airy_density(np.hypot(x, y), q)), dy - half, dy + half, dx - half,
-                            dx + half, epsabs=1e-14)[0] / aperture**2
+            exact = (
+                dblquad(
+                    lambda x, y, q=q: float(airy_density(np.hypot(x, y), q)),
+                    dy - half,
+                    dy + half,
+                    dx - half,
+                    dx + half,
+                    epsabs=1e-14,
+                )[0]
+                / aperture**2
+            )
             radii = np.hypot((dy + points)[:, None], dx + points)
-            far = np.interp(radii, kernels.step * np.arange(kernels.profiles.shape[1]), kernels.profiles[0]).mean()
+            far = np.interp(
+                radii, kernels.step * np.arange(kernels.profiles.shape[1]), kernels.profiles[0]
+            ).mean()
             assert abs(far - exact) < 1e-3 * exact
 
 
@@ -104,13 +124,21 @@ def test_hard_08_monochromatic_sweep_of_a_point():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("cfa", [[[0, 1, 2]], [[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 2, 2], [1, 1, 2, 2]],
-                                 (np.arange(30).reshape(5, 6) % 3).tolist()])
+@pytest.mark.parametrize(
+    "cfa",
+    [
+        [[0, 1, 2]],
+        [[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 2, 2], [1, 1, 2, 2]],
+        (np.arange(30).reshape(5, 6) % 3).tolist(),
+    ],
+)
 def test_hard_17_other_mosaics(device, cfa):
     random = np.random.default_rng(8)
     for rows, cols, margin in ((37, 53, 0), (40, 41, 3), (1, 7, 0)):
         planes = random.random((4, rows, cols), np.float32)
-        wrong, is_folded = sampled_error(planes, np.linspace(0.8, 1.4, 12), cfa, margin, open_device(device))
+        wrong, is_folded = sampled_error(
+            planes, np.linspace(0.8, 1.4, 12), cfa, margin, open_device(device)
+        )
         assert is_folded and wrong <= 1e-6
 
 

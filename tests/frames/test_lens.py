@@ -31,22 +31,34 @@ MILD = Wavefront(seidel=(0.0, 0.7, 0.5, 0.4, 0.0))
 def camera(**optics):
     """A camera with a Bayer mosaic, f/5.6, no fall-off, and the optics given."""
     sensor = dataclasses.replace(MACHINE.sensor, exposure_time=0.01)
-    return dataclasses.replace(MACHINE, sensor=sensor, optics=dataclasses.replace(
-        MACHINE.optics, **{"f_number": 5.6, "relative_illumination": "none"} | optics))
+    return dataclasses.replace(
+        MACHINE,
+        sensor=sensor,
+        optics=dataclasses.replace(
+            MACHINE.optics, **{"f_number": 5.6, "relative_illumination": "none"} | optics
+        ),
+    )
 
 
 def cube(values):
     """Radiance of all bands alike."""
     values = np.asarray(values, np.float32)
-    return Scene(Cube(BANDS, np.broadcast_to(values, (len(BANDS), *values.shape)).copy()),
-                 Spectrum(BANDS[[0, -1]], np.full(2, 1e17)))
+    return Scene(
+        Cube(BANDS, np.broadcast_to(values, (len(BANDS), *values.shape)).copy()),
+        Spectrum(BANDS[[0, -1]], np.full(2, 1e17)),
+    )
 
 
 def mono(**optics):
     """The same without a mosaic."""
     own = camera(**optics)
-    return dataclasses.replace(gs.open_camera("mono"), optics=own.optics, sensor=dataclasses.replace(
-        gs.open_camera("mono").sensor, pixel_pitch=PITCH, exposure_time=0.01, fill_factor=1.0))
+    return dataclasses.replace(
+        gs.open_camera("mono"),
+        optics=own.optics,
+        sensor=dataclasses.replace(
+            gs.open_camera("mono").sensor, pixel_pitch=PITCH, exposure_time=0.01, fill_factor=1.0
+        ),
+    )
 
 
 def few(values):
@@ -75,15 +87,26 @@ def test_kernels_of_a_pupil_are_those_of_its_exact_transfer_function(name):
     N is 6 to a cycle of the pupil's phase at the kernel's end, 3 size / q, and 32 more. Of the exact kernel the light
     beyond its period comes back over it, evenly.
     """
-    optics = {"ideal": Optics(2.8, 4e-3), "field": Optics(2.8, 4e-3, wavefront=MILD),
-              "polygon": Optics(2.8, 4e-3, pupil=Pupil(6, 0.2, 0.3), defocus=20e-6),
-              "low-pass": Optics(2.8, 4e-3, birefringence=(1e-6, 0.5e-6))}[name]
+    optics = {
+        "ideal": Optics(2.8, 4e-3),
+        "field": Optics(2.8, 4e-3, wavefront=MILD),
+        "polygon": Optics(2.8, 4e-3, pupil=Pupil(6, 0.2, 0.3), defocus=20e-6),
+        "low-pass": Optics(2.8, 4e-3, birefringence=(1e-6, 0.5e-6)),
+    }[name]
     place, size, period = (0.5, 0.8), 31, 127
     wavelengths = np.array([450.0, 650.0])
     lens = PupilLens(optics, 1.4e-6, (0.9, 0.9), 100.0)
     waves = optics.waves(wavelengths, np.hypot(*place), np.arctan2(*place))
-    tables = pupil(optics.pupil, waves, wavelengths * 1e-9 * 2.8 / 1.4e-6, 0.9, period, period, device=DEVICES[0],
-                   spots=tuple(np.array(optics.birefringence) / 1.4e-6)).astype(np.float64)
+    tables = pupil(
+        optics.pupil,
+        waves,
+        wavelengths * 1e-9 * 2.8 / 1.4e-6,
+        0.9,
+        period,
+        period,
+        device=DEVICES[0],
+        spots=tuple(np.array(optics.birefringence) / 1.4e-6),
+    ).astype(np.float64)
     if tables.shape[1] == period:
         exact = np.fft.irfft2(np.ascontiguousarray(tables).view(complex), (period, period))
     else:
@@ -92,11 +115,13 @@ def test_kernels_of_a_pupil_are_those_of_its_exact_transfer_function(name):
     exact = exact / exact.sum(axis=(1, 2), keepdims=True)  # of gaps between apertures it knows
     exact = np.fft.fftshift(exact, axes=(1, 2))[:, 48:79, 48:79]
     kernels = lens.kernels(wavelengths, place, size)
-    edge = {"polygon": 1.47}.get(name, 1.0)  # (6 + 2 pi 0.2) / (3 sqrt(3) / 2 - pi 0.2^2), half of it
+    edge = {"polygon": 1.47}.get(
+        name, 1.0
+    )  # (6 + 2 pi 0.2) / (3 sqrt(3) / 2 - pi 0.2^2), half of it
     for q, kernel, wanted in zip(wavelengths * 1e-9 * 2.8 / 1.4e-6, kernels, exact, strict=True):
         lost = edge * 0.75 * (size / 2) / (q * (3 * size / q + 32) ** 2)
         wrapped = edge * 2 * q / (np.pi**2 * 1.12 * period / 2) * (size / period) ** 2
-        print(f'{np.abs(kernel - wanted).max() / wanted.max():.2e} of {lost + wrapped:.2e}')
+        print(f"{np.abs(kernel - wanted).max() / wanted.max():.2e} of {lost + wrapped:.2e}")
         assert np.abs(kernel - wanted).max() < (lost + wrapped) * wanted.max()
 
 
@@ -105,7 +130,9 @@ def test_differences_sum_to_zero_and_mirror():
     rest = Differences(lens, BANDS, np.ones((1, 5)), (64, 96), 60.0, 1e-3)
     kernels = rest(np.array([[3.0, 10.0], [60.0, 10.0], [3.0, 85.0], [31.5, 47.5]]))
     assert np.abs(kernels.sum(axis=(2, 3))).max() < 1e-12
-    assert np.array_equal(kernels[0], kernels[1][:, ::-1]) and np.array_equal(kernels[0], kernels[2][:, :, ::-1])
+    assert np.array_equal(kernels[0], kernels[1][:, ::-1]) and np.array_equal(
+        kernels[0], kernels[2][:, :, ::-1]
+    )
     assert np.abs(kernels[3]).max() < 1e-12  # on the axis there is none
 
 
@@ -120,8 +147,10 @@ def test_a_flat_field_is_the_sum_of_its_points(device):
     """
     waves, excess, shape = 0.7, 0.004, (96, 128)
     lens = {"wavefront": Wavefront(seidel=(0.0, waves, 0.0, 0.0, 0.0)), "lateral_color": excess}
-    mean, plain = (np.array(one.device.numpy(one.expose(few(np.ones(shape))).mean), np.float64) for one in (
-        gs.Simulator(mono(**optics), device=device) for optics in (lens, {})))
+    mean, plain = (
+        np.array(one.device.numpy(one.expose(few(np.ones(shape))).mean), np.float64)
+        for one in (gs.Simulator(mono(**optics), device=device) for optics in (lens, {}))
+    )
     a = -2 * 550e-9 * 5.6 / PITCH * waves / (np.hypot(*shape) / 2)
     squares = (np.arange(1000) + 0.5) / 1000  # of the radius, even over the pupil
     wanted = np.mean(1 / ((1 + excess + a * squares) * (1 + excess + 3 * a * squares)))
@@ -139,14 +168,21 @@ def test_a_star_keeps_its_energy_through_measured_spreads():
     size, heights = 41, np.array([0.0, 0.5, 1.0])
     y, x = np.mgrid[:size, :size] - size // 2
     spreads = [np.exp(-(y**2 + (x - 4 * h) ** 2) / (2 * (2.4 + 2.4 * h) ** 2)) for h in heights]
-    psf = PointSpread(BANDS[[0, -1]], np.stack([[one / one.sum()] * 2 for one in spreads]), PITCH / 6, heights=heights)
+    psf = PointSpread(
+        BANDS[[0, -1]],
+        np.stack([[one / one.sum()] * 2 for one in spreads]),
+        PITCH / 6,
+        heights=heights,
+    )
     simulator, sums = gs.Simulator(mono(model="measured", psf=psf), device=DEVICES[0]), []
     for place in ((64, 64), (109, 109)):
         values = np.zeros((129, 129), np.float32)
         values[place] = 1e4
         exposure = simulator.expose(dataclasses.replace(few(values), border="zero"))
-        sums.append(np.array(simulator.device.numpy(exposure.mean), np.float64).sum() / (
-            exposure.plan.weights.sum() * 1e4 * exposure.exposure_time))
+        sums.append(
+            np.array(simulator.device.numpy(exposure.mean), np.float64).sum()
+            / (exposure.plan.weights.sum() * 1e4 * exposure.exposure_time)
+        )
     assert np.abs(np.array(sums) - 1).max() < 1e-4
 
 
@@ -155,7 +191,8 @@ def test_a_star_keeps_its_energy_through_measured_spreads():
 def test_a_varying_lens_keeps_its_tolerance(device):
     """Coma, astigmatism and curvature against the truth of all pixels; asked for 2e-3."""
     report = gs.Simulator(camera(wavefront=MILD), device=device, tolerance="2e-3")(
-        cube(natural((120, 160))), verify=True).report
+        cube(natural((120, 160))), verify=True
+    ).report
     assert report.error.rms < 2e-3, str(report)
     assert "optics.field" in str(report)
 
@@ -207,8 +244,14 @@ def test_highlights_join_at_the_threshold(fill):
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-3)  # the point kernels' own bound
 
 
-@pytest.mark.parametrize(("more", "says"), [({"reach": 0}, "reach = 0"), ({"reach": -5}, "reach = -5"),
-                                            ({"reach": 10**6}, "whole number of pixels")])
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"reach": 0}, "reach = 0"),
+        ({"reach": -5}, "reach = -5"),
+        ({"reach": 10**6}, "whole number of pixels"),
+    ],
+)
 def test_reaches_that_cannot_be_are_refused(more, says):
     with pytest.raises(OutOfRange, match=says):
         gs.Simulator(camera(), device=DEVICES[0], **more)
@@ -220,8 +263,9 @@ def test_a_varying_lens_for_every_spectrum():
     values = np.zeros((5, 120, 160), np.float32)
     values[3] = natural((120, 160))
     scene = Scene(Cube(BANDS, values), Spectrum(BANDS[[0, -1]], np.full(2, 1e17)))
-    report = gs.Simulator(camera(wavefront=MILD), device=DEVICES[0], tolerance="5e-3", guaranteed=True)(
-        scene, verify=True).report
+    report = gs.Simulator(
+        camera(wavefront=MILD), device=DEVICES[0], tolerance="5e-3", guaranteed=True
+    )(scene, verify=True).report
     assert report.error.rms < 5e-3, str(report)
 
 
@@ -262,7 +306,9 @@ def test_measured_point_spreads_over_the_field(device):
     values = np.stack([np.stack([gaussian(s, 81)] * 5) for s in sigma])
     spread = PointSpread(BANDS, values, spacing, heights=np.array([0.0, 1.0]))
     mono = gs.open_camera("mono")
-    optics = dataclasses.replace(mono.optics, model="measured", psf=spread, relative_illumination="none")
+    optics = dataclasses.replace(
+        mono.optics, model="measured", psf=spread, relative_illumination="none"
+    )
     simulator = gs.Simulator(dataclasses.replace(mono, optics=optics), device=device)
     plane = np.full((64, 96), 1e-9)
     places = [(50, 80), (12, 20)]
@@ -275,8 +321,12 @@ def test_measured_point_spreads_over_the_field(device):
         height = np.hypot(y - 31.5, x - 47.5) / (np.hypot(64, 96) / 2)
         around, offsets = mean[y - 11 : y + 12, x - 11 : x + 12], np.arange(-11, 12)
         variance = (around.sum(axis=0) * offsets**2).sum() / around.sum()
-        own = [(gaussian(s, 81).sum(axis=0) * np.arange(-40, 41) ** 2).sum() / gaussian(s, 81).sum() / ratio**2
-               for s in sigma]
+        own = [
+            (gaussian(s, 81).sum(axis=0) * np.arange(-40, 41) ** 2).sum()
+            / gaussian(s, 81).sum()
+            / ratio**2
+            for s in sigma
+        ]
         wanted = own[0] * (1 - height) + own[1] * height + mono.sensor.fill_factor / 12
         assert variance == pytest.approx(wanted, rel=1e-2)  # the field is interpolated
 
@@ -284,7 +334,9 @@ def test_measured_point_spreads_over_the_field(device):
 def test_measured_grids_take_the_place():
     """Spreads shifted by their column: halfway between two the mean of both, and the kernel's centroid there."""
     values = np.stack([[np.stack([gaussian(1.5, shift=s)] * 5) for s in (-2.0, 0.0, 2.0)]] * 2)
-    spread = PointSpread(BANDS, values, 1e-6, grid=(np.array([-1.0, 1.0]), np.array([-1.0, 0.0, 1.0])))
+    spread = PointSpread(
+        BANDS, values, 1e-6, grid=(np.array([-1.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
+    )
     lens = MeasuredLens(camera().optics, spread, 1e-6, (1.0, 1.0), (1.0, 1.5))
     for x in (-1.0, -0.5, 0.3):
         kernel = lens.kernels(BANDS, (0.2, x), lens.least_size)[0]
@@ -312,15 +364,22 @@ def test_distortion_moves_points_and_keeps_flux(device, model):
     simulator = gs.Simulator(mono, device=device)
     exposure = simulator.expose(cube(plane))
     mean = simulator.device.numpy(exposure.mean).astype(float)
-    straight = simulator.device.numpy(gs.Simulator(camera(model=model), device=device).expose(cube(plane)).mean)
+    straight = simulator.device.numpy(
+        gs.Simulator(camera(model=model), device=device).expose(cube(plane)).mean
+    )
     green = mean[0::2, 1::2]
     rows, cols = np.mgrid[0 : shape[0] : 2, 1 : shape[1] : 2]
     middle = np.array([47.5, 63.5])
-    wanted = middle + 80 * np.array(lens.distorted((at[1] - middle[1]) / 80, (at[0] - middle[0]) / 80))[::-1]
+    wanted = (
+        middle
+        + 80 * np.array(lens.distorted((at[1] - middle[1]) / 80, (at[0] - middle[0]) / 80))[::-1]
+    )
     bound = 0.03 if model == "none" else 0.1
     assert (green * rows).sum() / green.sum() == pytest.approx(wanted[0], abs=bound)
     assert (green * cols).sum() / green.sum() == pytest.approx(wanted[1], abs=bound)
-    assert green.sum() == pytest.approx(straight[0::2, 1::2].sum(), rel=5e-3)  # every ray arrives once
+    assert green.sum() == pytest.approx(
+        straight[0::2, 1::2].sum(), rel=5e-3
+    )  # every ray arrives once
     assert "optics.distort" in exposure.plan.models
 
 
@@ -338,21 +397,32 @@ def test_relative_illumination_and_microlenses(device):
     shape, pitch = (48, 64), PITCH
     angles, response = np.array([0.0, 0.5]), np.array([1.0, 0.5])
     flat = camera(model="none")
-    lossy = dataclasses.replace(camera(model="none", relative_illumination=(0.0, -0.3)),
-                                sensor=dataclasses.replace(flat.sensor, microlens=Microlens(angles, response)))
+    lossy = dataclasses.replace(
+        camera(model="none", relative_illumination=(0.0, -0.3)),
+        sensor=dataclasses.replace(flat.sensor, microlens=Microlens(angles, response)),
+    )
     first, second = (gs.Simulator(one, device=device) for one in (flat, lossy))
     scene = cube(np.ones(shape))
-    ratio = second.device.numpy(second.expose(scene).mean) / first.device.numpy(first.expose(scene).mean)
+    ratio = second.device.numpy(second.expose(scene).mean) / first.device.numpy(
+        first.expose(scene).mean
+    )
     y, x = np.mgrid[:48, :64] - np.array([23.5, 31.5])[:, None, None]
     r = np.hypot(y, x)
-    wanted = (1 - 0.3 * (r / (np.hypot(*shape) / 2)) ** 2) * (1 - np.arctan(r * pitch / lossy.optics.image_distance))
+    wanted = (1 - 0.3 * (r / (np.hypot(*shape) / 2)) ** 2) * (
+        1 - np.arctan(r * pitch / lossy.optics.image_distance)
+    )
     np.testing.assert_allclose(ratio, wanted, rtol=1e-6)
 
 
 def test_camera_files_have_all_of_it(tmp_path):
     bands = np.linspace(380.0, 780.0, 5)
-    np.savez(tmp_path / "psf.npz", wavelengths_nm=bands, heights=[0.0, 1.0], spacing_um=0.7,
-             psf=np.stack([np.stack([gaussian(s, 15)] * 5) for s in (1.5, 2.0)]))
+    np.savez(
+        tmp_path / "psf.npz",
+        wavelengths_nm=bands,
+        heights=[0.0, 1.0],
+        spacing_um=0.7,
+        psf=np.stack([np.stack([gaussian(s, 15)] * 5) for s in (1.5, 2.0)]),
+    )
     text = """
 [optics]
 f_number = 4
@@ -377,43 +447,89 @@ microlens = {angles_deg = [0, 30], response = [1, 0.8], shift = 0.5}
     frame = gs.Simulator(read, device=DEVICES[0])(gs.open_scene("deadleaves", size=(96, 64)))
     stages = [stage.stage for stage in frame.report.stages]
     assert {"optics.distort", "optics.field", "optics.falloff"} <= set(stages)
-    for wrong, says in (("k2 = 0.02", "k1, k2, radius_mm"), ('"psf.npz"', "psf2.npz"), ("[0, 30]", "angles")):
+    for wrong, says in (
+        ("k2 = 0.02", "k1, k2, radius_mm"),
+        ('"psf.npz"', "psf2.npz"),
+        ("[0, 30]", "angles"),
+    ):
         bad = {"k2 = 0.02": "k3 = 0.02", '"psf.npz"': '"psf2.npz"', "[0, 30]": "[0, -30]"}[wrong]
         path.write_text(text.replace(wrong, bad))
         with pytest.raises(BadFile, match=says):
             gs.open_camera(path)
 
 
-@pytest.mark.parametrize(("optics", "error", "says"), [
-    ({"model": "measured"}, BadData, "wants point spreads"),
-    ({"psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-6)}, BadData, 'set model = "measured"'),
-    ({"lateral_color": np.nan}, OutOfRange, "lateral_color"),
-    ({"birefringence": 1e-6}, OutOfRange, "birefringence"),
-    ({"model": "measured", "psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-7), "lateral_color": 0.01}, BadData,
-     "hold it"),
-    ({"model": "measured", "psf": PointSpread(BANDS, np.ones((5, 9, 9)), 2e-6)}, OutOfRange, "half of lambda N"),
-    ({"relative_illumination": (0.0, -3.0)}, OutOfRange, "relative illumination"),
-    ({"model": "measured", "psf": PointSpread(BANDS[1:], np.ones((4, 3, 3)), PITCH, integrated=True)}, OutOfRange,
-     "wavelengths"),
-    ({"model": "measured", "psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-6, integrated=True)}, OutOfRange,
-     "pixel pitch"),
-    ({"model": "measured", "psf": PointSpread(BANDS, np.ones((5, 999, 3)), PITCH, integrated=True)}, OutOfRange,
-     "999 samples"),
-    ({"distortion": RadialPolynomial(-0.9, 0.0, 1e-4)}, OutOfRange, "turns back"),
-])
+@pytest.mark.parametrize(
+    ("optics", "error", "says"),
+    [
+        ({"model": "measured"}, BadData, "wants point spreads"),
+        ({"psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-6)}, BadData, 'set model = "measured"'),
+        ({"lateral_color": np.nan}, OutOfRange, "lateral_color"),
+        ({"birefringence": 1e-6}, OutOfRange, "birefringence"),
+        (
+            {
+                "model": "measured",
+                "psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-7),
+                "lateral_color": 0.01,
+            },
+            BadData,
+            "hold it",
+        ),
+        (
+            {"model": "measured", "psf": PointSpread(BANDS, np.ones((5, 9, 9)), 2e-6)},
+            OutOfRange,
+            "half of lambda N",
+        ),
+        ({"relative_illumination": (0.0, -3.0)}, OutOfRange, "relative illumination"),
+        (
+            {
+                "model": "measured",
+                "psf": PointSpread(BANDS[1:], np.ones((4, 3, 3)), PITCH, integrated=True),
+            },
+            OutOfRange,
+            "wavelengths",
+        ),
+        (
+            {
+                "model": "measured",
+                "psf": PointSpread(BANDS, np.ones((5, 3, 3)), 1e-6, integrated=True),
+            },
+            OutOfRange,
+            "pixel pitch",
+        ),
+        (
+            {
+                "model": "measured",
+                "psf": PointSpread(BANDS, np.ones((5, 999, 3)), PITCH, integrated=True),
+            },
+            OutOfRange,
+            "999 samples",
+        ),
+        ({"distortion": RadialPolynomial(-0.9, 0.0, 1e-4)}, OutOfRange, "turns back"),
+    ],
+)
 def test_lenses_that_cannot_be_are_refused(optics, error, says):
     with pytest.raises(error, match=says):
         gs.Simulator(camera(**optics), device=DEVICES[0]).expose(cube(np.ones((48, 64))))
 
 
-@pytest.mark.parametrize("fields", [
-    {"defocus": 1e-5},
-    pytest.param({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.1))}, marks=pytest.mark.slow),
-    {"birefringence": (1.4e-6, 1.4e-6)}])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"defocus": 1e-5},
+        pytest.param(
+            {"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.1))}, marks=pytest.mark.slow
+        ),
+        {"birefringence": (1.4e-6, 1.4e-6)},
+    ],
+)
 @pytest.mark.parametrize("tolerance", [None, 1e-3])
 def test_a_camera_with_that_lens(fields, tolerance):
     """End to end against float64: exact, 1e-5 and 2.5 times the predicted border; fused, the tolerance."""
     made = gs.open_camera("figure8")
     made = dataclasses.replace(made, optics=dataclasses.replace(made.optics, **fields))
-    frame = gs.Simulator(made, device="auto", tolerance=tolerance)(gs.chart("colorchecker", size=(48, 32)), verify=True)
-    assert frame.report.error.rms < (tolerance or 1e-5 + 2.5 * frame.report.account.bounds["border"].rms)
+    frame = gs.Simulator(made, device="auto", tolerance=tolerance)(
+        gs.chart("colorchecker", size=(48, 32)), verify=True
+    )
+    assert frame.report.error.rms < (
+        tolerance or 1e-5 + 2.5 * frame.report.account.bounds["border"].rms
+    )

@@ -24,7 +24,14 @@ GRAY = replace(PHONE, processor=replace(PHONE.processor, white_balance="gray-wor
 class Sequence:
     """Scenes of a list."""
 
-    is_still, names, flicker, motion, period, actors = False, ["a list"], None, gs.Motion(), PERIOD, ()
+    is_still, names, flicker, motion, period, actors = (
+        False,
+        ["a list"],
+        None,
+        gs.Motion(),
+        PERIOD,
+        (),
+    )
 
     def __init__(self, scenes):
         self.scenes, self.count, self.still = scenes, len(scenes), self
@@ -54,14 +61,20 @@ def test_exposure_follows_in_stops(device, made_by):
     scenes = Sequence([SCENE] * 4 + [bright] * (COUNT - 4))
     longest = gs.Simulator(PHONE, device=device).expose(SCENE).exposure_time / 4
     automatic = replace(PHONE.sensor.auto_exposure, longest=longest, most_gain=16.0)
-    simulator = gs.Simulator(replace(PHONE, sensor=replace(PHONE.sensor, auto_exposure=automatic)), device=device)
+    simulator = gs.Simulator(
+        replace(PHONE, sensor=replace(PHONE.sensor, auto_exposure=automatic)), device=device
+    )
     loops = metered(simulator, scenes, Lags(exposure=0.1), Ramps(), PERIOD)
     made = list(made_by(simulator, scenes, [[0, *range(COUNT)]], loops=loops))
     alone = [np.log(4 * longest), np.log(4 * longest / 10)]
     expected = np.exp(step(*alone, 0.1))
     gains = [one.values.camera.sensor.analog_gain / PHONE.sensor.analog_gain for one in made]
-    np.testing.assert_allclose([one.values.exposure_time for one in made] * np.array(gains), expected, rtol=1e-4)
-    np.testing.assert_allclose([one.values.exposure_time for one in made], np.minimum(expected, longest), rtol=1e-4)
+    np.testing.assert_allclose(
+        [one.values.exposure_time for one in made] * np.array(gains), expected, rtol=1e-4
+    )
+    np.testing.assert_allclose(
+        [one.values.exposure_time for one in made], np.minimum(expected, longest), rtol=1e-4
+    )
 
 
 def test_white_balance_follows_the_light():
@@ -74,19 +87,28 @@ def test_white_balance_follows_the_light():
     alone = [np.log(next(simulator.frames(one, 1)).rendering.neutral) for one in lit]
     expected = np.exp([step(before, after, 0.02) for before, after in zip(*alone, strict=True)]).T
     np.testing.assert_allclose(loops.white, expected, rtol=2e-3)  # digital numbers round
-    made = [one.values.rgb.astype(int) for one in frames(simulator, scenes, [[0, *range(COUNT)]], loops=loops)]
+    made = [
+        one.values.rgb.astype(int)
+        for one in frames(simulator, scenes, [[0, *range(COUNT)]], loops=loops)
+    ]
     spread = [np.ptp(one.reshape(-1, 3).mean(axis=0)) for one in made]
     assert max(spread[:4]) < 2 and spread[4] > 100 and 10 < spread[5] < spread[4] and spread[-1] < 2
 
 
 def test_focus_follows_the_distance_in_dioptres():
-    far, near = (replace(SCENE, depth=np.full(SCENE.content.shape, distance)) for distance in (5.0, 0.5))
+    far, near = (
+        replace(SCENE, depth=np.full(SCENE.content.shape, distance)) for distance in (5.0, 0.5)
+    )
     scenes = Sequence([far] * 4 + [near] * (COUNT - 4))
     loops = metered(gs.Simulator(PHONE, device="numpy"), scenes, Lags(focus=0.1), Ramps(), PERIOD)
     np.testing.assert_allclose(1 / np.array(loops.focus), step(0.2, 2.0, 0.1), rtol=1e-12)
     assert loops.camera(PHONE, 6).optics.object_distance == loops.focus[6]
-    with pytest.raises(gs.GpusimError, match="ramp: no depth, so that a loop of focus has nothing to follow"):
-        metered(gs.Simulator(PHONE, device="numpy"), Sequence([SCENE]), Lags(focus=0.1), Ramps(), PERIOD)
+    with pytest.raises(
+        gs.GpusimError, match="ramp: no depth, so that a loop of focus has nothing to follow"
+    ):
+        metered(
+            gs.Simulator(PHONE, device="numpy"), Sequence([SCENE]), Lags(focus=0.1), Ramps(), PERIOD
+        )
 
 
 @pytest.fixture
@@ -95,7 +117,11 @@ def folder(tmp_path):
     random, made = np.random.default_rng(4), tmp_path / "in"
     made.mkdir()
     for number in range(8):
-        picture = random.random((24, 36, 3)) ** (3 - number / 4) * (1, 1 - number / 20, 1 - number / 10)
+        picture = random.random((24, 36, 3)) ** (3 - number / 4) * (
+            1,
+            1 - number / 20,
+            1 - number / 10,
+        )
         Image.fromarray(np.uint8(255 * picture)).save(made / f"in_{number:03d}.png")
     return made
 
@@ -110,8 +136,21 @@ def camera_file(tmp_path):
 
 
 def test_parts_and_runs_that_go_on_are_those_of_one_run(folder, tmp_path, capsys):
-    asked = ["video", str(folder), "--camera", str(camera_file(tmp_path)), "--segment", "3", "--lag",
-             "exposure=0.1,white=0.2", "--luminance", "9000", "--device", "numpy", "-o"]
+    asked = [
+        "video",
+        str(folder),
+        "--camera",
+        str(camera_file(tmp_path)),
+        "--segment",
+        "3",
+        "--lag",
+        "exposure=0.1,white=0.2",
+        "--luminance",
+        "9000",
+        "--device",
+        "numpy",
+        "-o",
+    ]
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     for name in (whole, parts):
         name.mkdir()
@@ -122,25 +161,44 @@ def test_parts_and_runs_that_go_on_are_those_of_one_run(folder, tmp_path, capsys
     assert main([*asked, str(parts / "a.npz")]) == 0, capsys.readouterr().err
     for name in sorted(whole.glob("*.npz")):
         with np.load(name) as one, np.load(parts / name.name) as other:
-            assert {*one} == {*other} and all(np.array_equal(one[part], other[part]) for part in one), name
+            assert {*one} == {*other} and all(
+                np.array_equal(one[part], other[part]) for part in one
+            ), name
     found = json.loads((whole / "a_video.json").read_text())["loops"]
     assert len(found["seconds"]) == len(found["white"]) == 8 and found["focus"] is None
     assert found == json.loads((parts / "a_video.json").read_text())["loops"]
     assert np.ptp(found["seconds"]) > 0 and np.ptp(np.array(found["white"])[:, 2]) > 0
 
 
-@pytest.mark.parametrize(("asked", "words"), [
-    (["--lag", "iso=1"], "'iso=1': wanted NAME=SECONDS"), (["--lag", "exposure=-1"], "wanted NAME=SECONDS"),
-    (["--lag", "exposure=nan"], "wanted NAME=SECONDS"), (["--lag", "white=1,white=2"], "each NAME once"),
-    (["--lag", "exposure=1", "--exposure", "1/100"], "for a camera that meters"),
-    (["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"], "for a camera that meters"),
-    (["--lag", "focus=1", "--ramp", "focus=1..2"], "without a ramp of the focus"),
-    (["--lag", "white=1"], "one of gray-world, max-rgb, shades-of-gray, red-blue"),
-    (["--lag", "focus=1"], "has nothing to follow")])
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["--lag", "iso=1"], "'iso=1': wanted NAME=SECONDS"),
+        (["--lag", "exposure=-1"], "wanted NAME=SECONDS"),
+        (["--lag", "exposure=nan"], "wanted NAME=SECONDS"),
+        (["--lag", "white=1,white=2"], "each NAME once"),
+        (["--lag", "exposure=1", "--exposure", "1/100"], "for a camera that meters"),
+        (["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"], "for a camera that meters"),
+        (["--lag", "focus=1", "--ramp", "focus=1..2"], "without a ramp of the focus"),
+        (["--lag", "white=1"], "one of gray-world, max-rgb, shades-of-gray, red-blue"),
+        (["--lag", "focus=1"], "has nothing to follow"),
+    ],
+)
 def test_loops_that_cannot_be_are_refused_in_a_line(asked, words, folder, tmp_path, capsys):
     try:
-        status = main(["video", str(folder), "--camera", "phone", "--device", "numpy", "-o", str(tmp_path / "a.png"),
-                       *asked])
+        status = main(
+            [
+                "video",
+                str(folder),
+                "--camera",
+                "phone",
+                "--device",
+                "numpy",
+                "-o",
+                str(tmp_path / "a.png"),
+                *asked,
+            ]
+        )
     except SystemExit as stopped:
         status = stopped.code
     said = capsys.readouterr().err

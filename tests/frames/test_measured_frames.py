@@ -31,8 +31,11 @@ def test_ideal_frames():
     * 1e-7 / .03^(2/3)).
     """
     camera = open_camera("phone")
-    camera = replace(camera, sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
-                     optics=replace(camera.optics, model="none", relative_illumination="none"))
+    camera = replace(
+        camera,
+        sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
+        optics=replace(camera.optics, model="none", relative_illumination="none"),
+    )
     simulate = Simulator(camera)
     flat = chart("flat", size=(32, 24))
     frame = simulate(flat)
@@ -47,21 +50,35 @@ def test_ideal_frames():
     checker = chart("colorchecker", size=(192, 128))
     frame = simulate(checker)
     difference = ciede2000(frame, checker)
-    patches = [difference[y.start + 6 : y.stop - 6, x.start + 6 : x.stop - 6].mean()
-               for y, x in colorchecker_patches((192, 128))]
+    patches = [
+        difference[y.start + 6 : y.stop - 6, x.start + 6 : x.stop - 6].mean()
+        for y, x in colorchecker_patches((192, 128))
+    ]
     print(f"ColorChecker in D65: mean CIEDE2000 {np.mean(patches):.2f}, worst {max(patches):.2f}")
     # electrons of every patch, by the trapezoidal rule over .1 nm (1 nm errs by 1e-5), through the camera's matrix
     nm = np.linspace(400, 700, 3001)
     lit = photons_from_energy(illuminant("D65")).at(nm)
-    surfaces = np.vstack([CubicSpline(NODES, reflectances("colorchecker").at(NODES), axis=-1)(nm), np.ones(len(nm))])
+    surfaces = np.vstack(
+        [CubicSpline(NODES, reflectances("colorchecker").at(NODES), axis=-1)(nm), np.ones(len(nm))]
+    )
     electrons = np.trapezoid(camera.sensor.qe.at(nm)[:, None] * lit * surfaces, nm)
-    matrix = color_matrix(camera.sensor.qe, "D65", camera.processor.training, method=camera.processor.color).matrix
+    matrix = color_matrix(
+        camera.sensor.qe, "D65", camera.processor.training, method=camera.processor.color
+    ).matrix
     shares = electrons[:, :24] / electrons[:, 24].max()
-    rounding = 0.5 / (CORRECTED_WHITE - CORRECTED_BLACK) / (frame.rendering.white * frame.rendering.diffuser)
+    rounding = (
+        0.5
+        / (CORRECTED_WHITE - CORRECTED_BLACK)
+        / (frame.rendering.white * frame.rendering.diffuser)
+    )
     wanted = ideal(checker)
-    wanted = np.stack([wanted[patch].mean(axis=(0, 1)) for patch in colorchecker_patches((192, 128))])
-    known, *others = (ciede2000(np.clip(matrix @ (shares + shift), 0, 1).T @ Display().xyz_from_rgb.T, wanted)
-                      for shift in np.array([(0, 0, 0), *product((-1, 1), repeat=3)])[:, :, None] * rounding)
+    wanted = np.stack(
+        [wanted[patch].mean(axis=(0, 1)) for patch in colorchecker_patches((192, 128))]
+    )
+    known, *others = (
+        ciede2000(np.clip(matrix @ (shares + shift), 0, 1).T @ Display().xyz_from_rgb.T, wanted)
+        for shift in np.array([(0, 0, 0), *product((-1, 1), repeat=3)])[:, :, None] * rounding
+    )
     assert (np.abs(patches - known) <= np.abs(np.array(others) - known).max(0) + 1e-4).all()
 
 
@@ -71,15 +88,20 @@ def test_snr_of_photons(light):
     camera = open_camera("mono")
     sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(prnu=0.05), full_well=10000.0)
     simulate = Simulator(replace(camera, sensor=sensor))
-    first, second = (simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(np.float64)
-                     for number in (0, 1))
-    first, second = ((raw - sensor.dark_level) / sensor.gain_dn_per_electron for raw in (first, second))
+    first, second = (
+        simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(
+            np.float64
+        )
+        for number in (0, 1)
+    )
+    first, second = (
+        (raw - sensor.dark_level) / sensor.gain_dn_per_electron for raw in (first, second)
+    )
     known = 10 * np.log10(light)
     assert snr(first, second) == pytest.approx(known, abs=0.24)  # temporal alone
     both = 20 * np.log10(light / np.sqrt(light + (0.05 * light) ** 2))
     assert snr(first) == pytest.approx(both, abs=0.24)
     assert snr(np.stack([first, 2 * second], axis=-1)) == pytest.approx([snr(first), snr(second)])
-
 
 
 @pytest.mark.parametrize("defocus", figure8.DEFOCUS)
@@ -97,7 +119,9 @@ def test_figure_8(defocus):
     shape = figure8.SIZE[::-1]
     lifted = unseen(700e-9 * frame.camera.optics.f_number / pitch, reach(shape, FIVE))
     found = mtf50(sfr(figure8.luminance(frame), pitch))
-    print(f"{1e6 * defocus:g} um: {found:.2f} cycles/mm, formula {exact:.2f} ({100 * (found / exact - 1):+.2f} %)")
+    print(
+        f"{1e6 * defocus:g} um: {found:.2f} cycles/mm, formula {exact:.2f} ({100 * (found / exact - 1):+.2f} %)"
+    )
     assert abs(found - exact) <= 0.5 * (lifted + EVEN) / slope + 1e-3 * exact
 
 
@@ -128,10 +152,14 @@ def test_a_picture_of_a_picture():
     """The camera takes its own picture off a screen: greys come out grey again, by the same curve."""
     codes = np.zeros((48, 64, 3), np.uint8)
     codes[:, :32], codes[:, 32:] = 255, 128
-    camera = open_camera("phone")  # without blur: diffraction would add 0.5 % of the white half to the grey one
+    camera = open_camera(
+        "phone"
+    )  # without blur: diffraction would add 0.5 % of the white half to the grey one
     camera = replace(camera, optics=replace(camera.optics, model="none"))
     frame = Simulator(camera, device="opencl")(displayed(codes, open_display("lcd-apple")))
-    bright, dark = (frame.linear[12:36, cols].mean(axis=(0, 1)) for cols in (np.s_[4:28], np.s_[36:60]))
+    bright, dark = (
+        frame.linear[12:36, cols].mean(axis=(0, 1)) for cols in (np.s_[4:28], np.s_[36:60])
+    )
     # 576 pixels of 1400 electrons and more, times at most 3 by the matrix: 0.35 % of noise; 3 of these
     np.testing.assert_allclose(dark / bright, (128 / 255) ** 2.01, rtol=0.0105)
     assert np.ptp(bright) < 0.0105 * bright.mean()

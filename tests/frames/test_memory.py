@@ -14,11 +14,19 @@ from gpusim.domain.errors import DoesNotFit, OutOfMemory
 from gpusim.domain.sensor import FLOAT_BITS
 
 SIZE = (330, 250)
-CODES = ["MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY"]  # of OpenCL's drivers
-WARPS = ["Failed to allocate 4294967296 bytes on device 'cuda:0'",
-         "Error launching kernel: k on device cuda:0: Warp CUDA error 2: out of memory"]
-MESSAGE = (r"^(opencl:\S+|warp:cpu) refused memory for {}: [^\n]*; it has [0-9.]+ GiB, which other processes may be "
-           "using: close them, or use a smaller scene, fewer frames in a batch or another device$")
+CODES = [
+    "MEM_OBJECT_ALLOCATION_FAILURE",
+    "OUT_OF_RESOURCES",
+    "OUT_OF_HOST_MEMORY",
+]  # of OpenCL's drivers
+WARPS = [
+    "Failed to allocate 4294967296 bytes on device 'cuda:0'",
+    "Error launching kernel: k on device cuda:0: Warp CUDA error 2: out of memory",
+]
+MESSAGE = (
+    r"^(opencl:\S+|warp:cpu) refused memory for {}: [^\n]*; it has [0-9.]+ GiB, which other processes may be "
+    "using: close them, or use a smaller scene, fewer frames in a batch or another device$"
+)
 
 CAMERAS = {
     "phone": PHONE,
@@ -28,8 +36,16 @@ CAMERAS = {
     "learned": camera_with(processor={"demosaic": "learned"}),
     "corrected": camera_with(processor={"denoise": 1.0, "shading": True, "defects": "detect"}),
     "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
-    "noise of every kind": camera_with(noise={"hot_pixels": 0.01, "hot_current": 10.0, "dsnu": 1.0,
-                                              "telegraph_pixels": 0.01, "telegraph": 5.0, "row": 1.0}),
+    "noise of every kind": camera_with(
+        noise={
+            "hot_pixels": 0.01,
+            "hot_current": 10.0,
+            "dsnu": 1.0,
+            "telegraph_pixels": 0.01,
+            "telegraph": 5.0,
+            "row": 1.0,
+        }
+    ),
     "binned": camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"}),
 }
 
@@ -133,14 +149,18 @@ def test_memory_that_a_driver_refuses(code):
     first = r"(a kernel of [a-z.]+|a copy of an array|an array of \S+ float32)"
     for again, what in ((program, "a kernel of sensor.noise"), (new, first)):
         refuse(True)
-        with pytest.raises(OutOfMemory, match=MESSAGE.format(rf"{what} \([0-9.e-]+ GiB\)")) as caught:
+        with pytest.raises(
+            OutOfMemory, match=MESSAGE.format(rf"{what} \([0-9.e-]+ GiB\)")
+        ) as caught:
             again.raw(seed=1)
         refuse(False)
         assert code in str(caught.value)
         for seed in (1, 2):
             np.testing.assert_array_equal(device.numpy(again.raw(seed=seed)), wanted[seed - 1])
     refuse(True)
-    with pytest.raises(OutOfMemory, match=MESSAGE.format(r"an array of 1024x1024x1024 float32 \(4 GiB\)")):
+    with pytest.raises(
+        OutOfMemory, match=MESSAGE.format(r"an array of 1024x1024x1024 float32 \(4 GiB\)")
+    ):
         device.empty((1024, 1024, 1024))
 
 

@@ -15,7 +15,11 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import Scene
 
 SECONDS, ROW_TIME, START = 0.01, 4e-5, 0.3
-PATHS = (gs.Motion(pan=(80, 250)), gs.Motion(pan=(0, 300), roll=1.5, zoom=1.1, zooming=1.5), gs.Motion(shake=6, seed=3))
+PATHS = (
+    gs.Motion(pan=(80, 250)),
+    gs.Motion(pan=(0, 300), roll=1.5, zoom=1.1, zooming=1.5),
+    gs.Motion(shake=6, seed=3),
+)
 
 
 def camera(row_time=ROW_TIME):
@@ -30,7 +34,11 @@ def brute(simulator, scene, motion, row_time, instants):
     program, total, opened = None, 0.0, np.zeros(len(rows))
     for time in times:
         view = scene.viewed(motion.at(time))
-        program = program.update(scene=view) if program else simulator.program(view, exposure_time=SECONDS)
+        program = (
+            program.update(scene=view)
+            if program
+            else simulator.program(view, exposure_time=SECONDS)
+        )
         mean = np.array(simulator.device.numpy(program.exposure.mean), np.float64)
         is_open = (time >= START + rows * row_time) & (time < START + rows * row_time + SECONDS)
         total = total + is_open[:, None] * mean
@@ -69,7 +77,9 @@ def test_a_wave_is_blurred_as_its_closed_form_says(device):
     wavelengths = np.linspace(420.0, 680.0, 4)
     scene = Scene(gs.Cube(wavelengths, planes), light)
     simulator = gs.Simulator(camera(0.0), device=device)
-    exposure = gs.expose_motion(simulator, scene, gs.Motion(pan=(0, speed)), SECONDS, -SECONDS / 2, instants=17)
+    exposure = gs.expose_motion(
+        simulator, scene, gs.Motion(pan=(0, speed)), SECONDS, -SECONDS / 2, instants=17
+    )
     wave = 1 + 0.5 * np.sinc(f * speed * SECONDS) * np.cos(2 * pi * f * x)
     own = Scene(gs.Cube(wavelengths, np.broadcast_to(wave, (4, 40, 400)).astype(np.float32)), light)
     expected = np.array(simulator.device.numpy(simulator.expose(own, SECONDS).mean), np.float64)
@@ -97,14 +107,21 @@ def test_rows_see_the_camera_where_it_is_then():
 
 
 def test_a_resting_camera_is_one_picture_and_odd_numbers_are_refused():
-    scene, simulator = gs.chart("flat", size=(40, 30)), gs.Simulator(camera(), device="numpy", tolerance=0.1)
+    scene, simulator = (
+        gs.chart("flat", size=(40, 30)),
+        gs.Simulator(camera(), device="numpy", tolerance=0.1),
+    )
     still = gs.expose_motion(simulator, scene, gs.Motion(zoom=1.5), SECONDS)
     assert still.plan.models["sensor.shutter"].startswith("1 pictures")
     with pytest.raises(OutOfRange, match="instants"):
         gs.expose_motion(simulator, scene, PATHS[0], SECONDS, instants=1)
     with pytest.raises(OutOfRange, match="motion during"):
-        gs.expose_motion(gs.Simulator(camera(), device="numpy", tolerance=1e-4), gs.chart("deadleaves", size=(60, 40)),
-                         gs.Motion(pan=(0, 3e4)), SECONDS)
+        gs.expose_motion(
+            gs.Simulator(camera(), device="numpy", tolerance=1e-4),
+            gs.chart("deadleaves", size=(60, 40)),
+            gs.Motion(pan=(0, 3e4)),
+            SECONDS,
+        )
 
 
 def test_blurred_frames_are_those_of_their_times():
@@ -112,8 +129,10 @@ def test_blurred_frames_are_those_of_their_times():
     scene = gs.chart("deadleaves", size=(64, 48))
     simulator = gs.Simulator(camera(), device="opencl:0", tolerance=0.2)
     scenes = Moving(Still(scene, 6), PATHS[0], 25)
-    every = {one.number: one.values for one in blurred_frames(simulator, scenes, [[0, 0, 1, 2], [3, 3, 5]],
-                                                              output="raw")}
+    every = {
+        one.number: one.values
+        for one in blurred_frames(simulator, scenes, [[0, 0, 1, 2], [3, 3, 5]], output="raw")
+    }
     assert list(every) == [0, 1, 2, 3, 5]
     for one in blurred_frames(simulator, scenes, [[3, 5], [0, 1]], output="raw"):
         assert np.array_equal(one.values, every[one.number])

@@ -10,12 +10,21 @@ import pytest
 from devices import KINDS
 from scipy.optimize import brentq
 
-from gpusim.judge.hard.diffraction import ANGLE, mtf50, overshoot, picture, slanted_edge, system_mtf50
+from gpusim.judge.hard.diffraction import (
+    ANGLE,
+    mtf50,
+    overshoot,
+    picture,
+    slanted_edge,
+    system_mtf50,
+)
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize(("q", "fill", "fine"), [(0.5, 1.0, 1), (1.1, 0.5, 1), (2.2, 1.0, 1),
-                                                 (3.14, 0.75, 1), (1.1, 1.0, 2)])
+@pytest.mark.parametrize(
+    ("q", "fill", "fine"),
+    [(0.5, 1.0, 1), (1.1, 0.5, 1), (2.2, 1.0, 1), (3.14, 0.75, 1), (1.1, 1.0, 2)],
+)
 def test_hard_11_mtf50_of_a_slanted_edge(q, fill, fine, device):
     """Within 0.5 % (the hard case's figure); no overshoot beyond 1e-4 of the step.
 
@@ -30,8 +39,10 @@ def test_hard_11_mtf50_of_a_slanted_edge(q, fill, fine, device):
     found, tilt = mtf50(image)
     assert tilt == pytest.approx(-np.tan(ANGLE), rel=1e-3)
     expected, unsampled = (system_mtf50(q, np.sqrt(fill), samples) for samples in (fine, np.inf))
-    print(f"{device}, Q {q:.2f}, fill {fill}, {fine} samples per pixel: MTF50 {found:.5f}, analytic {expected:.5f} "
-          f"({100 * (found / expected - 1):+.3f} %), without the scene's sampling {unsampled:.5f}")
+    print(
+        f"{device}, Q {q:.2f}, fill {fill}, {fine} samples per pixel: MTF50 {found:.5f}, analytic {expected:.5f} "
+        f"({100 * (found / expected - 1):+.3f} %), without the scene's sampling {unsampled:.5f}"
+    )
     assert found == pytest.approx(expected, rel=5e-3)
     assert overshoot(image) <= 1e-4
 
@@ -39,7 +50,9 @@ def test_hard_11_mtf50_of_a_slanted_edge(q, fill, fine, device):
 def test_the_reading_of_a_bare_edge():
     """A square sample seen from the edge is a trapezoid: sinc(f cos) sinc(f sin) = 1/2; spacing as above."""
     found, tilt = mtf50(slanted_edge(160, 420))
-    expected = brentq(lambda f: np.sinc(f * np.cos(ANGLE)) * np.sinc(f * np.sin(ANGLE)) - 0.5, 0.1, 0.9)
+    expected = brentq(
+        lambda f: np.sinc(f * np.cos(ANGLE)) * np.sinc(f * np.sin(ANGLE)) - 0.5, 0.1, 0.9
+    )
     assert found == pytest.approx(expected, rel=2e-4)
     assert tilt == pytest.approx(-np.tan(ANGLE), rel=1e-5)
 

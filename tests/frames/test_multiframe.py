@@ -26,8 +26,9 @@ def camera(scaling="exposure", **sensor):
     """The phone without fixed patterns: what is left varies from frame to frame and averages out."""
     noise = dataclasses.replace(PHONE.sensor.noise, prnu=0.0, dsnu=0.0)
     processor = dataclasses.replace(PHONE.processor, demosaic="bilinear", scaling=scaling)
-    return dataclasses.replace(PHONE, sensor=dataclasses.replace(PHONE.sensor, noise=noise, **sensor),
-                               processor=processor)
+    return dataclasses.replace(
+        PHONE, sensor=dataclasses.replace(PHONE.sensor, noise=noise, **sensor), processor=processor
+    )
 
 
 @functools.cache
@@ -38,7 +39,9 @@ def simulator():
 def grey(levels):
     """A grey scene of these reflectances, (rows, cols)."""
     made = gs.chart("flat", size=np.shape(levels)[::-1])
-    return dataclasses.replace(made, content=dataclasses.replace(made.content, shading=np.float32(levels)))
+    return dataclasses.replace(
+        made, content=dataclasses.replace(made.content, shading=np.float32(levels))
+    )
 
 
 def numbers(exposure, simulate):
@@ -58,17 +61,24 @@ def patches():
     """
     simulate = simulator()
     near = np.array([0.9, 0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 1.0, 1.02, 1.1])
-    levels = np.concatenate([[0], np.geomspace(1e-4, 0.8, 25), near, 4 * near, 15 * near[:4]])  # 1: white, the level
-    levels = np.sort(levels)[:48].reshape(6, 8)                                                 # of automatic exposure
+    levels = np.concatenate(
+        [[0], np.geomspace(1e-4, 0.8, 25), near, 4 * near, 15 * near[:4]]
+    )  # 1: white, the level
+    levels = np.sort(levels)[:48].reshape(6, 8)  # of automatic exposure
     scene = grey(np.repeat(np.repeat(levels, PATCH, 0), PATCH, 1))
     # white at saturation in the longest frame
     white = simulate.expose(grey(np.ones((8, 8))))
     time = white.exposure_time / simulate.camera.sensor.auto_exposure.level
     simulate = Simulator(camera(exposure_time=time), device="opencl:0")
-    merged = [merge_bracket(simulate, gs.bracket(simulate, scene, STOPS, seed=seed)) for seed in range(SEEDS)]
+    merged = [
+        merge_bracket(simulate, gs.bracket(simulate, scene, STOPS, seed=seed))
+        for seed in range(SEEDS)
+    ]
     truth = numbers(simulate.expose(scene), simulate) / time
 
-    def apart(plane):  # the inner part of each patch, green pixels of the red rows: one colour, one noise
+    def apart(
+        plane,
+    ):  # the inner part of each patch, green pixels of the red rows: one colour, one noise
         tiles = plane.reshape(*plane.shape[:-2], 6, PATCH, 8, PATCH).swapaxes(-3, -2)
         return tiles[..., 4:-4:2, 5:-4:2].reshape(*plane.shape[:-2], 48, -1)
 
@@ -81,7 +91,10 @@ def information(rate, times, sensor):
     gain, chip = sensor.gain_dn_per_electron, sensor.noise
     dark = chip.dark_current * chip.warmth
     floor = chip.read**2 + 1 / (12 * gain**2)
-    return sum(time**2 / (rate * time + dark * time + floor) * (rate * time < sensor.full_well) for time in times)
+    return sum(
+        time**2 / (rate * time + dark * time + floor) * (rate * time < sensor.full_well)
+        for time in times
+    )
 
 
 def test_bracket_is_unbiased_over_the_whole_range():
@@ -101,9 +114,20 @@ def test_bracket_is_unbiased_in_the_dark(electrons):
     times, read, gain = np.array([1.0, 4.0, 16.0]), 3.0, 1.0
     mean = electrons * times / times[-1]
     # uneven rounding is none of the merge's business: 3 e- of noise over steps of 1 leave 1e-70 of it
-    raw = np.rint(64 + random.poisson(mean[:, None, None], (3, 1000, 1000)) + random.normal(0, read, (3, 1000, 1000)))
-    rate = merge(raw.astype(np.uint16), dark=[64.0] * 3, gain=[gain] * 3, time=times, floor=[read**2 + 1 / 12] * 3,
-                 ceiling=[4000.0] * 3, device="opencl:0")
+    raw = np.rint(
+        64
+        + random.poisson(mean[:, None, None], (3, 1000, 1000))
+        + random.normal(0, read, (3, 1000, 1000))
+    )
+    rate = merge(
+        raw.astype(np.uint16),
+        dark=[64.0] * 3,
+        gain=[gain] * 3,
+        time=times,
+        floor=[read**2 + 1 / 12] * 3,
+        ceiling=[4000.0] * 3,
+        device="opencl:0",
+    )
     error = rate * times[-1] - electrons
     # neighbours share samples in their weights alone, not in what these weigh: a million independent values
     assert abs(error.mean(dtype=np.float64)) < 4.5 * error.std(dtype=np.float64) / 1000
@@ -117,13 +141,17 @@ def test_bracket_is_as_precise_as_its_frames_allow():
     # where a frame is about to be left out, 3.2 sigma of the pixel and 3 of its neighbours' mean below a full well, the
     # others alone count; 5 sigma of reading lower it too
     full, sigma = sensor.full_well, np.sqrt(sensor.full_well + 30)
-    switching = np.any([(rate * t > full - 4.5 * sigma - 25) & (rate * t < full + sigma) for t in times], axis=0)
+    switching = np.any(
+        [(rate * t > full - 4.5 * sigma - 25) & (rate * t < full + sigma) for t in times], axis=0
+    )
     assert 5 < switching.sum() < 16
     # the sampled deviation scatters by 1 / sqrt(2 2048) = 1.6 %, four times that; the rate that the weights use, of 8
     # neighbours, costs less than 1.5 %
     assert ratio[~switching].max() < 1.07 and ratio[~switching].min() > 0.94, ratio.round(3)
     assert abs(ratio[~switching].mean() - 1) < 0.015
-    assert ratio[switching].max() < 2.3  # sqrt(1 + 4): the shorter of two frames two stops apart alone
+    assert (
+        ratio[switching].max() < 2.3
+    )  # sqrt(1 + 4): the shorter of two frames two stops apart alone
 
 
 def test_bracket_extends_the_dynamic_range_by_its_ratio():
@@ -131,7 +159,9 @@ def test_bracket_extends_the_dynamic_range_by_its_ratio():
     dark = grey(np.full((160, 160), 1e-6))
     frame = merge_bracket(simulate, gs.bracket(simulate, dark, STOPS))
     sensor = simulate.camera.sensor
-    alone = np.sqrt(1 / information(0.0, times[:1], sensor))  # noise of the shortest, which saturates at the same rate
+    alone = np.sqrt(
+        1 / information(0.0, times[:1], sensor)
+    )  # noise of the shortest, which saturates at the same rate
     gained = alone / (frame.mean / frame.exposure_time).std()
     # of 25600 values the deviation scatters by 0.5 %; the shorter frames help by 3 % (1 + 1/16 + 1/256), uneven
     # rounding of 5 e- of noise to steps of 6 e- costs or helps by 1 %
@@ -141,13 +171,27 @@ def test_bracket_extends_the_dynamic_range_by_its_ratio():
 
 def test_bracket_develops_beyond_white_and_far_below():
     exposed = patches()[-1].camera
-    simulate = Simulator(camera("normalised", exposure_time=exposed.sensor.exposure_time), device="opencl:0")
+    simulate = Simulator(
+        camera("normalised", exposure_time=exposed.sensor.exposure_time), device="opencl:0"
+    )
     levels = np.array([1e-3, 0.02, 0.5, 2.0, 6.0, 12.0])
     scene = grey(np.repeat(levels, 40)[None].repeat(60, 0))
     frame = merge_bracket(simulate, gs.bracket(simulate, scene, STOPS))
-    perfect = next(Simulator(dataclasses.replace(simulate.camera, sensor=dataclasses.replace(
-        simulate.camera.sensor, bits=16, full_well=1e5, gain=0.6, noise=gs.Noise(photon="none"))),
-        device="opencl:0").frames(scene, 1))
+    perfect = next(
+        Simulator(
+            dataclasses.replace(
+                simulate.camera,
+                sensor=dataclasses.replace(
+                    simulate.camera.sensor,
+                    bits=16,
+                    full_well=1e5,
+                    gain=0.6,
+                    noise=gs.Noise(photon="none"),
+                ),
+            ),
+            device="opencl:0",
+        ).frames(scene, 1)
+    )
     for k, level in enumerate(levels):
         cut = np.s_[8:-8, 40 * k + 8 : 40 * k + 32]
         found, wanted = frame.linear[cut].mean(axis=(0, 1)), perfect.linear[cut].mean(axis=(0, 1))
@@ -165,10 +209,14 @@ def test_bracket_of_eight_stops_keeps_its_dark_parts_in_16_bits():
     simulate = Simulator(camera(exposure_time=time), device="opencl:0")
     # so dark that photons are none: green would have more of them than red and blue, and all the noise not be green's
     frame = merge_bracket(simulate, gs.bracket(simulate, grey(np.full((96, 96), 1e-6)), (-4, 0, 4)))
-    assert (frame.camera.sensor.full_well / 64511) ** 2 / 12 > 0.9 * frame.camera.sensor.noise.read**2
+    assert (
+        frame.camera.sensor.full_well / 64511
+    ) ** 2 / 12 > 0.9 * frame.camera.sensor.noise.read**2
     dark = frame.linear[8:-8, 8:-8, 1]
     mosaic = frame.mean[8:-8, 8:-8].std() * frame.camera.sensor.gain_dn_per_electron / 64511
-    expected = mosaic * np.sqrt(frame.rendering.display_from_camera[1] ** 2 @ [0.5625, 0.625, 0.5625])
+    expected = mosaic * np.sqrt(
+        frame.rendering.display_from_camera[1] ** 2 @ [0.5625, 0.625, 0.5625]
+    )
     # bilinear leaves 9/16 of the variance of red and blue on average and 5/8 of green's; 1600 independent values
     # scatter by 2 %, four times that. Without the finer scale most of 5.7 e- are rounded to 0: 0.27 less
     assert dark.std() == pytest.approx(expected, rel=0.08)
@@ -181,8 +229,16 @@ def test_bracket_of_any_gains_in_any_order(taken):
     scene = grey(np.geomspace(0.005, 0.9, 64)[None].repeat(64, 0))
     time = simulate.expose(scene).exposure_time
     exposures = [simulate.expose(scene, part * time, gain) for part, gain in taken]
-    frame = merge_bracket(simulate, [next(simulate.shoot(one, seed=k)) for k, one in enumerate(exposures)])
-    error = frame.mean * exposures[0].exposure_time / numbers(exposures[0], simulate) / frame.exposure_time - 1
+    frame = merge_bracket(
+        simulate, [next(simulate.shoot(one, seed=k)) for k, one in enumerate(exposures)]
+    )
+    error = (
+        frame.mean
+        * exposures[0].exposure_time
+        / numbers(exposures[0], simulate)
+        / frame.exposure_time
+        - 1
+    )
     for part in (np.s_[:, :16], np.s_[:, 16:48], np.s_[:, 48:]):
         # about 1000 values each; the wrong frame would be used where it is full: up to half too dark
         assert abs(error[part].mean()) < 4.5 * error[part].std() / np.sqrt(error[part].size) < 0.03
@@ -212,7 +268,9 @@ def test_merged_pictures_are_as_bright_as_one_of_their_frames(stops, middle):
             assert frames[middle].linear[cut].mean() == pytest.approx(wanted, rel=0.02)
     burst = merge_burst(simulate, list(simulate.frames(scene, COUNT)))
     assert burst.linear[8:-8, 88:-8].mean() == pytest.approx(1, rel=0.02)
-    assert burst.rgb[8:-8, 88:-8].mean() > 252  # white has 0.6 % of noise, 2 codes where it does not clip
+    assert (
+        burst.rgb[8:-8, 88:-8].mean() > 252
+    )  # white has 0.6 % of noise, 2 codes where it does not clip
 
 
 def test_single_full_pixels_are_left_out():
@@ -221,8 +279,15 @@ def test_single_full_pixels_are_left_out():
     short, long = gs.bracket(simulate, grey(np.full((64, 64), 1e-6)), (-4, 0))
     electrons = np.zeros((64, 64), np.float32)
     electrons[4::8, 4::8] = 12000
-    short, long = (dataclasses.replace(frame, raw=simulate.readout.draw_electrons(
-        electrons * frame.exposure_time / 0.01, frame.exposure_time, frame=k)) for k, frame in enumerate((short, long)))
+    short, long = (
+        dataclasses.replace(
+            frame,
+            raw=simulate.readout.draw_electrons(
+                electrons * frame.exposure_time / 0.01, frame.exposure_time, frame=k
+            ),
+        )
+        for k, frame in enumerate((short, long))
+    )
     found = merge_bracket(simulate, [short, long]).mean[4::8, 4::8]
     # the short frame's 750 e- have a noise of sqrt(750 + 25 + 8) = 28, 3.7 %: 64 times beyond 5 of it in 4e-5 of runs
     assert np.abs(found / 12000 - 1).max() < 5 * 0.037
@@ -230,12 +295,19 @@ def test_single_full_pixels_are_left_out():
 
 # --- what both keep of a frame's processing ---------------------------------------------------------------------------
 
+
 def processed(sensor=None, noise=None, **processor):
     """A camera with other properties."""
     made = camera(**(sensor or {}))
     chip = dataclasses.replace(made.sensor.noise, **(noise or {}))
-    return Simulator(dataclasses.replace(made, sensor=dataclasses.replace(made.sensor, noise=chip),
-                                         processor=dataclasses.replace(made.processor, **processor)), device="opencl:0")
+    return Simulator(
+        dataclasses.replace(
+            made,
+            sensor=dataclasses.replace(made.sensor, noise=chip),
+            processor=dataclasses.replace(made.processor, **processor),
+        ),
+        device="opencl:0",
+    )
 
 
 def stages(frame):
@@ -245,8 +317,10 @@ def stages(frame):
 def test_merged_pictures_are_neutral_where_all_is_full():
     simulate = processed({"exposure_time": simulator().expose(grey(np.ones((8, 8)))).exposure_time})
     scene = grey(np.where(np.arange(64) < 32, 0.2, 100.0)[None].repeat(64, 0))
-    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
-                  merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
+    for frame in (
+        merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
+        merge_burst(simulate, list(simulate.frames(scene, COUNT))),
+    ):
         light = frame.linear[8:-8, 44:-8].mean(axis=(0, 1))
         # reads below a full well, 5 of 6000 e-, through a matrix of rows up to 3: 0.3 %; unclipped, red is twice blue
         assert light == pytest.approx(np.full(3, light.mean()), rel=0.005)
@@ -256,10 +330,14 @@ def test_merged_pictures_have_no_lens_shading():
     edge = (0.3, 0.3, 1.0, 0.3, 0.3)
     scene = grey(np.full((160, 40), 0.12))
     time = simulator().expose(grey(np.ones((8, 8)))).exposure_time
-    simulate = processed({"vignetting": tuple((a,) * 5 for a in edge), "exposure_time": time}, shading=True)
-    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-4, 0, 4))),
-                  merge_bracket(simulate, gs.bracket(simulate, scene, (-1, 0))),
-                  merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
+    simulate = processed(
+        {"vignetting": tuple((a,) * 5 for a in edge), "exposure_time": time}, shading=True
+    )
+    for frame in (
+        merge_bracket(simulate, gs.bracket(simulate, scene, (-4, 0, 4))),
+        merge_bracket(simulate, gs.bracket(simulate, scene, (-1, 0))),
+        merge_burst(simulate, list(simulate.frames(scene, COUNT))),
+    ):
         rows = frame.linear.mean(axis=(1, 2))
         # 20 x 40 pixels of at most 5 % noise: 0.2 %, correlated 0.4 %; the gains follow the map at nodes to 1 %
         assert rows[:20].mean() == pytest.approx(rows[70:90].mean(), rel=0.03)
@@ -267,17 +345,33 @@ def test_merged_pictures_have_no_lens_shading():
 
 
 def test_merged_pictures_have_no_dead_pixels_and_say_how():
-    simulate = processed({"exposure_time": 0.5 * simulator().expose(grey(np.ones((8, 8)))).exposure_time},
-                         {"dead_pixels": 0.002, "seed": 3}, defects="known")
+    simulate = processed(
+        {"exposure_time": 0.5 * simulator().expose(grey(np.ones((8, 8)))).exposure_time},
+        {"dead_pixels": 0.002, "seed": 3},
+        defects="known",
+    )
     scene = grey(np.full((96, 96), 0.5))
     assert simulate.readout.defects((96, 96)).sum() > 5
-    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
-                  merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
-        middle = np.stack([frame.mean[y::2, x::2] / np.median(frame.mean[y::2, x::2]) for y in (0, 1) for x in (0, 1)])
+    for frame in (
+        merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
+        merge_burst(simulate, list(simulate.frames(scene, COUNT))),
+    ):
+        middle = np.stack(
+            [
+                frame.mean[y::2, x::2] / np.median(frame.mean[y::2, x::2])
+                for y in (0, 1)
+                for x in (0, 1)
+            ]
+        )
         assert middle.min() > 0.7  # the noise of some 500 e- is 5 %
-        assert stages(frame)["processor.defects"] == "the chip's known defects replaced, frame by frame"
+        assert (
+            stages(frame)["processor.defects"]
+            == "the chip's known defects replaced, frame by frame"
+        )
         assert "processor.merge" in stages(frame) or "processor.average" in stages(frame)
-    other = processed({"exposure_time": 0.01}, {"dead_pixels": 0.002, "seed": 4}, defects="known")  # not of this chip
+    other = processed(
+        {"exposure_time": 0.01}, {"dead_pixels": 0.002, "seed": 4}, defects="known"
+    )  # not of this chip
     told = stages(merge_bracket(other, gs.bracket(simulate, scene, (-2, 0))))["processor.defects"]
     assert told == "pixels 6 sigma beyond their neighbours replaced, frame by frame"
 
@@ -303,7 +397,9 @@ def test_bracket_of_any_mosaic(cfa):
     if cfa == "stacked":
         made = camera(stacked=True)
     elif cfa == ("W",):
-        made = next(one for one in map(gs.open_camera, gs.camera_names()) if one.sensor.is_monochrome)
+        made = next(
+            one for one in map(gs.open_camera, gs.camera_names()) if one.sensor.is_monochrome
+        )
         noise = dataclasses.replace(made.sensor.noise, prnu=0.0, dsnu=0.0)
         made = dataclasses.replace(made, sensor=dataclasses.replace(made.sensor, noise=noise))
     else:
@@ -340,16 +436,22 @@ def seen(shift):
     content = leaves().content
     top, left = (round((MARGIN + d) * FINE) for d in shift)
     cut = np.s_[top : top + 128 * FINE, left : left + 192 * FINE]
-    return dataclasses.replace(leaves(), samples_per_pixel=FINE, content=dataclasses.replace(
-        content, ids=content.ids[cut], shading=content.shading[cut]))
+    return dataclasses.replace(
+        leaves(),
+        samples_per_pixel=FINE,
+        content=dataclasses.replace(content, ids=content.ids[cut], shading=content.shading[cut]),
+    )
 
 
 @functools.cache
 def exposures(kind):
     """Shifts [pixel], and the exposures of dead leaves from there."""
     random = np.random.default_rng(4)
-    shifts = {"still": np.zeros((1, 2)), "whole": 2.0 * random.integers(-6, 7, (COUNT, 2)),
-              "broken": random.integers(-20, 21, (COUNT, 2)) / FINE}[kind]
+    shifts = {
+        "still": np.zeros((1, 2)),
+        "whole": 2.0 * random.integers(-6, 7, (COUNT, 2)),
+        "broken": random.integers(-20, 21, (COUNT, 2)) / FINE,
+    }[kind]
     shifts[0] = 0
     time = simulator().expose(seen((0, 0))).exposure_time
     return shifts, [simulator().expose(seen(shift), time) for shift in shifts]
@@ -360,10 +462,15 @@ def burst(kind, level):
     """Shifts [pixel] and frames of one exposure time, in parts of that of automatic exposure."""
     shifts, full = exposures(kind)
     simulate = simulator()
-    shorter = [gs.lengthened(simulate, exposure, level * exposure.exposure_time) for exposure in full]
+    shorter = [
+        gs.lengthened(simulate, exposure, level * exposure.exposure_time) for exposure in full
+    ]
     if kind == "still":
         return shifts, list(simulate.shoot(shorter[0], COUNT, seed=7))
-    return shifts, [next(simulate.shoot(exposure, seed=7, first=number)) for number, exposure in enumerate(shorter)]
+    return shifts, [
+        next(simulate.shoot(exposure, seed=7, first=number))
+        for number, exposure in enumerate(shorter)
+    ]
 
 
 def gain_of(level, kind):
@@ -413,15 +520,27 @@ def test_what_moves_leaves_no_ghost():
     simulate = simulator()
     y, x = np.mgrid[:160, :160]
     wall = np.kron(np.random.default_rng(5).uniform(0.1, 0.4, (20, 20)), np.ones((8, 8)))
-    scenes = [grey(np.where((y - 60) ** 2 + (x - 40 - 12 * k) ** 2 < 14**2, 0.9, wall)) for k in range(COUNT)]
+    scenes = [
+        grey(np.where((y - 60) ** 2 + (x - 40 - 12 * k) ** 2 < 14**2, 0.9, wall))
+        for k in range(COUNT)
+    ]
     time = 0.1 * simulate.expose(scenes[0]).exposure_time
-    frames = [next(simulate.shoot(simulate.expose(scene, time), seed=3, first=k)) for k, scene in enumerate(scenes)]
+    frames = [
+        next(simulate.shoot(simulate.expose(scene, time), seed=3, first=k))
+        for k, scene in enumerate(scenes)
+    ]
     sensor = frames[0].camera.sensor
-    sigma = np.sqrt(frames[0].mean + sensor.read_sigma**2 + 1 / (12 * sensor.gain_dn_per_electron**2))
+    sigma = np.sqrt(
+        frames[0].mean + sensor.read_sigma**2 + 1 / (12 * sensor.gain_dn_per_electron**2)
+    )
     error = (merge_burst(simulate, frames).mean / COUNT - frames[0].mean) / sigma
-    plain = np.mean([(frame.raw - sensor.dark_level) / sensor.gain_dn_per_electron for frame in frames], axis=0)
+    plain = np.mean(
+        [(frame.raw - sensor.dark_level) / sensor.gain_dn_per_electron for frame in frames], axis=0
+    )
     path = np.s_[44:76, 24:140]  # where the disc is, in one frame or another
-    assert np.abs(((plain - frames[0].mean) / sigma)[path]).mean() > 3  # the ghosts that are not wanted
+    assert (
+        np.abs(((plain - frames[0].mean) / sigma)[path]).mean() > 3
+    )  # the ghosts that are not wanted
     # the reference's own noise is 1; weights fall to 0 at a squared difference of 2.5 - 1 of two variances, which pulls
     # by at most 0.25 sqrt(2 (1.5 + 0.25)) = 0.5 sigma near the disc's edges
     assert np.sqrt((error[path] ** 2).mean()) < 1.1
@@ -448,8 +567,10 @@ def test_a_burst_goes_into_its_merge(count):
 
 
 @pytest.mark.parametrize("kind", ["flat", "blocks"])
-@pytest.mark.parametrize(("period", "level", "count"), [((1, 1), 250, 16), ((1, 1), 20, 2), ((2, 2), 250, 16),
-                                                        ((4, 4), 250, 4), ((6, 6), 20, 16)])
+@pytest.mark.parametrize(
+    ("period", "level", "count"),
+    [((1, 1), 250, 16), ((1, 1), 20, 2), ((2, 2), 250, 16), ((4, 4), 250, 4), ((6, 6), 20, 16)],
+)
 def test_noise_moves_nothing_at_rest(kind, period, level, count):
     """An n-th of the variance, with sharp edges and without, for any mosaic.
 
@@ -459,10 +580,18 @@ def test_noise_moves_nothing_at_rest(kind, period, level, count):
     light = np.full((224, 224), float(level))
     if kind == "blocks":  # edges in all places of the period
         light = np.kron(random.uniform(0.2, 2, (32, 32)), np.ones((7, 7))) * level
-    electrons = random.poisson(light, (count, 224, 224)) + 2.5 * random.standard_normal((count, 224, 224))
+    electrons = random.poisson(light, (count, 224, 224)) + 2.5 * random.standard_normal(
+        (count, 224, 224)
+    )
     raw = np.rint(64 + 4 * electrons).astype(np.uint16)
-    made = average(raw, align(raw, period=period, device="opencl"), period=period, black_level=64.0,
-                   noise=(4.0, np.hypot(10, 12**-0.5)), device="opencl")
+    made = average(
+        raw,
+        align(raw, period=period, device="opencl"),
+        period=period,
+        black_level=64.0,
+        noise=(4.0, np.hypot(10, 12**-0.5)),
+        device="opencl",
+    )
     error = (made - 64 - 4 * light) / np.sqrt((16 * (light + 2.5**2) + 1 / 12) / count)
     assert (error[16:-16, 16:-16] ** 2).mean() == pytest.approx(1, abs=0.04)
 
@@ -474,7 +603,9 @@ def test_faint_tiles_follow_their_surroundings(level):
     wide = np.kron(random.uniform(0.3, 1.7, (36, 36)), np.ones((8, 8))) * level
     shifts = [(0, 0), (6, -10), (-8, 4), (12, 12)]
     light = np.array([wide[16 + y : 272 + y, 16 + x : 272 + x] for y, x in shifts])
-    raw = np.rint(64 + 4 * (random.poisson(light) + 2.5 * random.standard_normal(light.shape))).astype(np.uint16)
+    raw = np.rint(
+        64 + 4 * (random.poisson(light) + 2.5 * random.standard_normal(light.shape))
+    ).astype(np.uint16)
     found = align(raw, device="opencl")[1:, 1:-1, 1:-1]
     assert np.abs(found + np.array(shifts[1:])[:, None, None] / 2).max() < 0.5
 
@@ -485,9 +616,13 @@ def test_burst_collects_what_its_exposures_add_up_to():
     assert frame.exposure_time == pytest.approx(COUNT * frames[0].exposure_time)
     total, one = float(frame.mean.mean()), float(frames[0].mean.mean())
     # 24576 pixels of sqrt(8 (27 + 30)) e-: 0.14 e- of 213
-    assert total == pytest.approx(COUNT * one, abs=4.5 * np.sqrt(COUNT * (one + 30) / frame.mean.size))
+    assert total == pytest.approx(
+        COUNT * one, abs=4.5 * np.sqrt(COUNT * (one + 30) / frame.mean.size)
+    )
     back = (frame.raw - 1024.0) / frame.camera.sensor.gain_dn_per_electron
-    assert np.abs(back - frame.mean).max() <= 0.51 * frame.camera.sensor.full_well / 64511  # half a step
+    assert (
+        np.abs(back - frame.mean).max() <= 0.51 * frame.camera.sensor.full_well / 64511
+    )  # half a step
     # the same picture as one frame's, in the mean
     assert frame.linear.mean() == pytest.approx(frames[0].linear.mean(), rel=0.02)
 
@@ -502,7 +637,9 @@ def test_burst_of_the_dark_is_dark():
 def test_burst_knows_all_noise(monkeypatch):
     """Rows, columns and offsets are not at rest when a frame is moved."""
     told = {}
-    monkeypatch.setattr(merging, "average", lambda *args, **known: told.update(known) or average(*args, **known))
+    monkeypatch.setattr(
+        merging, "average", lambda *args, **known: told.update(known) or average(*args, **known)
+    )
     simulate = processed({"exposure_time": 1e-4}, {"row": 6.0, "column": 8.0, "dsnu": 10.0})
     frames = list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT))
     merge_burst(simulate, frames)
@@ -520,15 +657,18 @@ def test_burst_of_binned_numbers_averages_the_dark_current_s_noise():
     variance, and 2 % more is left where displacements follow the noise (as at rest). With all of the dark current's
     noise it would be 3.3 times as large.
     """
-    simulate = processed({"exposure_time": 0.05, "binning": (2, 2), "binning_mode": "digital"},
-                         {"dark_current": 2000.0, "dsnu": 0.0})
+    simulate = processed(
+        {"exposure_time": 0.05, "binning": (2, 2), "binning_mode": "digital"},
+        {"dark_current": 2000.0, "dsnu": 0.0},
+    )
     frame = merge_burst(simulate, list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT)))
     assert simulate.readout.averaged == 4
-    said = frame.camera.sensor.noise.read ** 2 / 4
+    said = frame.camera.sensor.noise.read**2 / 4
     assert frame.mean.var() == pytest.approx(said, rel=4.5 * np.sqrt(2 / frame.mean.size) + 0.02)
 
 
 # --- flash ------------------------------------------------------------------------------------------------------------
+
 
 def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
     """Simulator, frames without and with flash, and the noise-free picture of the former.
@@ -539,7 +679,9 @@ def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
     nodes, warm = scene.illuminant.wavelengths, photons_from_energy(illuminant("A"))
     warm = Spectrum(nodes, warm.at(nodes) / warm.at(nodes).max() * scene.illuminant.values.max())
     dim = dataclasses.replace(scene, illuminant=warm)
-    lit = dataclasses.replace(scene, illuminant=Spectrum(nodes, warm.values + 50 * scene.illuminant.values))
+    lit = dataclasses.replace(
+        scene, illuminant=Spectrum(nodes, warm.values + 50 * scene.illuminant.values)
+    )
     if shadow is not None:
         shading = scene.content.shading * np.float32(np.where(shadow, 1.0, 51.0))
         lit = dataclasses.replace(dim, content=dataclasses.replace(scene.content, shading=shading))
@@ -547,8 +689,15 @@ def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
     time = level * simulate.expose(dim).exposure_time
     ambient = next(simulate.shoot(simulate.expose(dim, time), seed=1))
     flash = next(simulate.shoot(simulate.expose(lit), seed=2))
-    clean = Simulator(dataclasses.replace(simulate.camera, sensor=dataclasses.replace(
-        simulate.camera.sensor, bits=16, noise=gs.Noise(photon="none"))), device="opencl:0")
+    clean = Simulator(
+        dataclasses.replace(
+            simulate.camera,
+            sensor=dataclasses.replace(
+                simulate.camera.sensor, bits=16, noise=gs.Noise(photon="none")
+            ),
+        ),
+        device="opencl:0",
+    )
     return simulate, ambient, flash, next(clean.shoot(clean.expose(dim, time))).linear
 
 
@@ -563,8 +712,25 @@ def test_flash_picture_denoises_better_than_the_picture_itself(name, gained):
     noise = _display_noise(ambient)
     # the same filter led by the ambient picture alone is a bilateral filter: the mask takes its own means
     planes = np.moveaxis(ambient.linear, -1, 0)
-    plain = max(psnr(np.moveaxis(with_flash(planes, planes, ambient_noise=noise, flash_noise=noise, radius=8,
-                                            reach=reach, device="opencl:0"), 0, -1), truth) for reach in (3, 6, 12))
+    plain = max(
+        psnr(
+            np.moveaxis(
+                with_flash(
+                    planes,
+                    planes,
+                    ambient_noise=noise,
+                    flash_noise=noise,
+                    radius=8,
+                    reach=reach,
+                    device="opencl:0",
+                ),
+                0,
+                -1,
+            ),
+            truth,
+        )
+        for reach in (3, 6, 12)
+    )
     assert psnr(denoised.linear, truth) > plain + gained
     assert psnr(denoised.linear, truth) > psnr(ambient.linear, truth) + 5
     assert denoised.rgb.shape == ambient.rgb.shape and denoised.raw is ambient.raw
@@ -587,12 +753,17 @@ def test_shadows_of_the_flash_are_not_in_the_picture():
 
 # --- bad input --------------------------------------------------------------------------------------------------------
 
+
 def test_bad_input_is_refused():
     simulate = simulator()
     frames = gs.bracket(simulate, grey(np.full((40, 40), 0.5)), (0, 1))
     small = next(simulate.frames(grey(np.full((20, 40), 0.5)), 1))
     for together in (merge_bracket, merge_burst):
-        for wrong, text in ((frames[:1], "1 frame"), ([], "0 frame"), ([frames[0], small], "all like frame 0")):
+        for wrong, text in (
+            (frames[:1], "1 frame"),
+            ([], "0 frame"),
+            ([frames[0], small], "all like frame 0"),
+        ):
             with pytest.raises(BadData, match=text):
                 together(simulate, wrong)
         other = dataclasses.replace(frames[1], camera=camera(black_level=60))
@@ -623,8 +794,15 @@ def test_bad_input_is_refused():
     with pytest.raises(BadData, match=r'digital binning.*"charge"'):
         merge_bracket(binned, gs.bracket(binned, grey(np.full((80, 80), 0.5)), (0, 1)))
     with pytest.raises(OutOfRange, match="falling from frame to frame"):
-        merge(np.zeros((2, 4, 4), np.uint16), dark=[0, 0], gain=[16, 1], time=[1, 1], floor=[9, 9],
-              ceiling=[1000, 1000], device="opencl:0")
+        merge(
+            np.zeros((2, 4, 4), np.uint16),
+            dark=[0, 0],
+            gain=[16, 1],
+            time=[1, 1],
+            floor=[9, 9],
+            ceiling=[1000, 1000],
+            device="opencl:0",
+        )
     with pytest.raises(BadData, match="exposure time or gain"):
         merge_burst(simulate, frames)
     same = [frames[0], frames[0]]
@@ -638,6 +816,13 @@ def test_bad_input_is_refused():
         merge_flash(simulate, frames[0], broken)
     with pytest.raises(BadData, match="all like frame 0"):
         merge_flash(simulate, frames[0], small)
-    for wrong in ({"radius": 0}, {"radius": 13}, {"radius": 2.5}, {"radius": "x"}, {"reach": 0}, {"reach": np.nan}):
+    for wrong in (
+        {"radius": 0},
+        {"radius": 13},
+        {"radius": 2.5},
+        {"radius": "x"},
+        {"reach": 0},
+        {"reach": np.nan},
+    ):
         with pytest.raises(OutOfRange, match=next(iter(wrong))):
             merge_flash(simulate, *frames, **wrong)

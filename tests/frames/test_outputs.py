@@ -31,8 +31,11 @@ def test_irradiance_of_a_flat_scene_is_that_of_the_camera_equation(device, dista
     nodes = scene.wavelengths
     assert found.shape == (len(nodes), SIZE[1], SIZE[0])
     radiance = scene.content.bands_at(slice(None))[:, 0, 0] * np.interp(
-        nodes, scene.illuminant.wavelengths, scene.illuminant.values)  # D65 is tabled at these nodes
-    magnification = 0.0 if np.isinf(distance) else optics.focal_length / (distance - optics.focal_length)
+        nodes, scene.illuminant.wavelengths, scene.illuminant.values
+    )  # D65 is tabled at these nodes
+    magnification = (
+        0.0 if np.isinf(distance) else optics.focal_length / (distance - optics.focal_length)
+    )
     wanted = np.pi * 0.8 * radiance / (1 + 4 * (optics.f_number * (1 + magnification)) ** 2)
     y, x = (np.arange(n) - (n - 1) / 2 for n in found.shape[1:])
     slope = camera.sensor.pixel_pitch / (optics.focal_length * (1 + magnification))
@@ -42,7 +45,9 @@ def test_irradiance_of_a_flat_scene_is_that_of_the_camera_equation(device, dista
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("optics", [{}, {"model": "none"}, {"distortion": None}], ids=["airy", "none", "plain"])
+@pytest.mark.parametrize(
+    "optics", [{}, {"model": "none"}, {"distortion": None}], ids=["airy", "none", "plain"]
+)
 def test_electrons_are_what_the_sensor_makes_of_the_irradiance(device, optics):
     """sum over wavelength of QE E, by the quadrature of the plan's weights, times aperture and time."""
     camera = camera_with(optics=optics)
@@ -59,14 +64,19 @@ def test_electrons_are_what_the_sensor_makes_of_the_irradiance(device, optics):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("tolerance", [None, 1e-3])
-@pytest.mark.parametrize("scene", [gs.chart("deadleaves", size=SIZE), gs.chart("points", size=SIZE)],
-                         ids=["leaves", "highlights"])
+@pytest.mark.parametrize(
+    "scene",
+    [gs.chart("deadleaves", size=SIZE), gs.chart("points", size=SIZE)],
+    ids=["leaves", "highlights"],
+)
 def test_the_mosaic_takes_each_pixels_own_channel(device, tolerance, scene):
     simulator = gs.Simulator(CAMERA, device=device, tolerance=tolerance)
     electrons, mean = (given(simulator, scene, name) for name in ("electrons", "mean"))
     cfa = CAMERA.sensor.cfa_indices
     own = np.take_along_axis(electrons, np.tile(cfa, (SIZE[1] // 2, SIZE[0] // 2))[None], axis=0)[0]
-    np.testing.assert_allclose(mean, own, atol=5e-6 * min(mean.max(), 1e3 * np.median(mean)), rtol=1e-5)
+    np.testing.assert_allclose(
+        mean, own, atol=5e-6 * min(mean.max(), 1e3 * np.median(mean)), rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -75,20 +85,32 @@ def test_from_raw_on(device):
     program = simulator.program(scene, SECONDS)
     frame = program.frame(seed=1, frame=2)
     planes = np.moveaxis(frame.linear, -1, 0)
-    for name, wanted in (("raw", frame.raw), ("linear", planes), ("codes", frame.rgb), ("mean", frame.mean)):
+    for name, wanted in (
+        ("raw", frame.raw),
+        ("linear", planes),
+        ("codes", frame.rgb),
+        ("mean", frame.mean),
+    ):
         found = given(simulator, scene, name).reshape(wanted.shape)
-        np.testing.assert_allclose(found, wanted, rtol=1e-6 if device == "numpy" else 0)  # frames are float32
+        np.testing.assert_allclose(
+            found, wanted, rtol=1e-6 if device == "numpy" else 0
+        )  # frames are float32
     display = CAMERA.display
     xyz = np.moveaxis(frame.linear.astype(float) @ display.xyz_from_rgb.T, -1, 0)
     np.testing.assert_allclose(given(simulator, scene, "xyz"), xyz, atol=1e-6 * np.abs(xyz).max())
     camera = given(simulator, scene, "camera")
-    shown = np.tensordot(frame.rendering.display_from_camera, np.minimum(
-        camera, frame.rendering.ceiling[:, None, None]), 1)
+    shown = np.tensordot(
+        frame.rendering.display_from_camera,
+        np.minimum(camera, frame.rendering.ceiling[:, None, None]),
+        1,
+    )
     np.testing.assert_allclose(planes, shown, atol=1e-5 * np.abs(shown).max())
 
 
 def test_an_output_runs_what_it_needs_and_no_more():
-    program = gs.Simulator(CAMERA, device="opencl").program(gs.chart("deadleaves", size=SIZE), SECONDS)
+    program = gs.Simulator(CAMERA, device="opencl").program(
+        gs.chart("deadleaves", size=SIZE), SECONDS
+    )
     program.output("electrons")
     program.output("raw")
     with program.simulator.device.timed() as ms:
@@ -102,22 +124,34 @@ def test_an_output_runs_what_it_needs_and_no_more():
 def test_a_stream_gives_any_of_them():
     simulator = gs.Simulator(CAMERA, device="opencl", tolerance=1e-3)
     scene = gs.chart("deadleaves", size=SIZE)
-    brighter = replace(scene, content=replace(scene.content, shading=scene.content.shading * np.float32(1.5)))
+    brighter = replace(
+        scene, content=replace(scene.content, shading=scene.content.shading * np.float32(1.5))
+    )
     for name in OUTPUTS:
-        found = [np.array(simulator.device.numpy(array)) for array in simulator.stream(
-            [scene, brighter, scene, brighter, scene], name, exposure_time=SECONDS)]
+        found = [
+            np.array(simulator.device.numpy(array))
+            for array in simulator.stream(
+                [scene, brighter, scene, brighter, scene], name, exposure_time=SECONDS
+            )
+        ]
         for array in found[2:]:
             assert array.shape == found[0].shape
         if name in ("irradiance", "electrons", "mean"):
             np.testing.assert_array_equal(found[0], found[4])
-            np.testing.assert_allclose(found[3], 1.5 * found[2], rtol=1e-4, atol=1e-5 * found[3].max())
+            np.testing.assert_allclose(
+                found[3], 1.5 * found[2], rtol=1e-4, atol=1e-5 * found[3].max()
+            )
 
 
 def test_refuses():
-    program = gs.Simulator(CAMERA, device="numpy").program(gs.chart("deadleaves", size=SIZE), SECONDS)
+    program = gs.Simulator(CAMERA, device="numpy").program(
+        gs.chart("deadleaves", size=SIZE), SECONDS
+    )
     with pytest.raises(UnknownName, match="output"):
         program.output("film")
     varying = camera_with(optics={"lateral_color": 1e-3})
     assert varying.optics.varies
     with pytest.raises(BadData, match="varies over the field"):
-        gs.Simulator(varying, device="numpy").program(gs.chart("deadleaves", size=SIZE), SECONDS).output("irradiance")
+        gs.Simulator(varying, device="numpy").program(
+            gs.chart("deadleaves", size=SIZE), SECONDS
+        ).output("irradiance")

@@ -55,8 +55,22 @@ def samples(folder):
 
 @pytest.mark.parametrize("device", [pytest.param("numpy", marks=pytest.mark.slow), *KINDS])
 def test_any_number_of_workers_gives_the_same_bytes(device, photographs, tmp_path, capsys):
-    asked = [photographs, "--camera", "phone", "--device", device, "--each", "2", "--in-shard", "3", "--pictures",
-             "--vary", "exposure=1/500..1/20,iso=200..1600,light=D65|A,luminance=20..300", "--seed", "5"]
+    asked = [
+        photographs,
+        "--camera",
+        "phone",
+        "--device",
+        device,
+        "--each",
+        "2",
+        "--in-shard",
+        "3",
+        "--pictures",
+        "--vary",
+        "exposure=1/500..1/20,iso=200..1600,light=D65|A,luminance=20..300",
+        "--seed",
+        "5",
+    ]
     one, resumed = tmp_path / "one", tmp_path / "resumed"
     made(capsys, *asked, "-o", one)
     expected = shards(one)
@@ -74,8 +88,23 @@ def test_any_number_of_workers_gives_the_same_bytes(device, photographs, tmp_pat
 
 
 def test_samples_are_as_they_say(photographs, tmp_path, capsys):
-    made(capsys, photographs, "--camera", "phone", "--device", "numpy", "--each", "2", "--pictures", "-o",
-         tmp_path / "a", "--vary", "exposure=1/500..1/20,iso=200..1600", "--tolerance", "video")
+    made(
+        capsys,
+        photographs,
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--each",
+        "2",
+        "--pictures",
+        "-o",
+        tmp_path / "a",
+        "--vary",
+        "exposure=1/500..1/20,iso=200..1600",
+        "--tolerance",
+        "video",
+    )
     found = samples(tmp_path / "a")
     assert list(found) == [f"{number:08d}" for number in range(12)]
     times, speeds = [], []
@@ -83,7 +112,11 @@ def test_samples_are_as_they_say(photographs, tmp_path, capsys):
         raw, clean = (np.load(io.BytesIO(sample[f"{name}.npy"])) for name in ("raw", "clean"))
         told, picture = json.loads(sample["json"]), Image.open(io.BytesIO(sample["rgb.png"]))
         assert raw.dtype == np.uint16 and clean.dtype == np.float32 and raw.shape == clean.shape
-        assert picture.size == raw.shape[::-1] and told["frame"] == number and told["verdict"]["state"] in SHOWN
+        assert (
+            picture.size == raw.shape[::-1]
+            and told["frame"] == number
+            and told["verdict"]["state"] in SHOWN
+        )
         assert 1 / 500 <= told["exposure"] <= 1 / 20 and told["exposure_time_s"] == told["exposure"]
         times.append(told["exposure"])
         speeds.append(told["iso"])
@@ -96,7 +129,9 @@ def test_samples_are_as_they_say(photographs, tmp_path, capsys):
     raw = np.load(io.BytesIO(found["00000003"]["raw.npy"]))
     assert np.array_equal(raw, simulator.draw(exposure, seed=0, frame=3))
     clean = np.load(io.BytesIO(found["00000003"]["clean.npy"]))
-    assert np.allclose(clean, told["black_level"] + told["gain_dn_per_e"] * exposure.mean, rtol=1e-6)
+    assert np.allclose(
+        clean, told["black_level"] + told["gain_dn_per_e"] * exposure.mean, rtol=1e-6
+    )
 
 
 def test_raw_values_scatter_about_the_clean_ones():
@@ -111,21 +146,39 @@ def test_raw_values_scatter_about_the_clean_ones():
     found, count = [], 40
     pairs = Pairs(simulator, [Path("flat")], lambda *_: scene, variety, count, 7)
     for _, files in pairs.made(range(count)):
-        raw, clean = (np.load(io.BytesIO(files[f"{name}.npy"])).astype(float) for name in ("raw", "clean"))
+        raw, clean = (
+            np.load(io.BytesIO(files[f"{name}.npy"])).astype(float) for name in ("raw", "clean")
+        )
         told = json.loads(files["json"])
         gain = told["gain_dn_per_e"]
-        variance = gain * (clean - told["black_level"]) + (gain * told["read_noise_e"]) ** 2 + 1 / 12
+        variance = (
+            gain * (clean - told["black_level"]) + (gain * told["read_noise_e"]) ** 2 + 1 / 12
+        )
         found.append((raw - clean) / np.sqrt(variance))
     values = np.array(found)
     # the mean of n normal values is good to 1 / sqrt(n), their variance to sqrt(2 / n): five of these
     n = values.size
     assert abs(values.mean()) < 5 / np.sqrt(n) and abs(values.var() - 1) < 5 * np.sqrt(2 / n)
     flat = values.reshape(count, -1)
-    assert np.abs(np.corrcoef(flat) - np.eye(count)).max() < 6 / np.sqrt(flat.shape[1])  # pairs have noise of their own
+    assert np.abs(np.corrcoef(flat) - np.eye(count)).max() < 6 / np.sqrt(
+        flat.shape[1]
+    )  # pairs have noise of their own
 
 
-@pytest.mark.parametrize("text", ["exposure=1/20..1/200", "iso=0..5", "iso", "gain=1..2", "iso=1..2,iso=3..4", "light=",
-                                  "light=A||D65", "exposure=soon", "iso=nan..5"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "exposure=1/20..1/200",
+        "iso=0..5",
+        "iso",
+        "gain=1..2",
+        "iso=1..2,iso=3..4",
+        "light=",
+        "light=A||D65",
+        "exposure=soon",
+        "iso=nan..5",
+    ],
+)
 def test_a_variety_that_cannot_be_is_refused(text, capsys):
     with pytest.raises(SystemExit) as status:
         main(["pairs", "a.png", "--camera", "phone", "-o", "out", "--vary", text])
@@ -145,22 +198,66 @@ def test_a_variety_is_even_in_the_logarithm():
 def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     for words, arguments in {
-            "no scene files": [tmp_path / "empty"], "no such file": [tmp_path / "none.png"],
-            "both given": [photographs, "--iso", "200", "--vary", "iso=100..200"],
-            "base speed": [photographs, "--vary", "iso=1..200"],
-            "automatic exposure": [photographs, "--exposure", "auto", "--vary", "iso=200..400"],
-            "smaller --in-shard": [photographs, "--in-shard", "3", "--shard", "0/3"],
-            "unknown light": [photographs, "--vary", "light=D65|foo"]}.items():
-        assert main(["pairs", *map(str, arguments), "--camera", "phone", "--device", "numpy", "-o",
-                     str(tmp_path / "out")]) == 2
+        "no scene files": [tmp_path / "empty"],
+        "no such file": [tmp_path / "none.png"],
+        "both given": [photographs, "--iso", "200", "--vary", "iso=100..200"],
+        "base speed": [photographs, "--vary", "iso=1..200"],
+        "automatic exposure": [photographs, "--exposure", "auto", "--vary", "iso=200..400"],
+        "smaller --in-shard": [photographs, "--in-shard", "3", "--shard", "0/3"],
+        "unknown light": [photographs, "--vary", "light=D65|foo"],
+    }.items():
+        assert (
+            main(
+                [
+                    "pairs",
+                    *map(str, arguments),
+                    "--camera",
+                    "phone",
+                    "--device",
+                    "numpy",
+                    "-o",
+                    str(tmp_path / "out"),
+                ]
+            )
+            == 2
+        )
         error = capsys.readouterr().err
         assert words in error and error.count("\n") == 1, error
         assert not list(tmp_path.rglob("*.tar")) and not list(tmp_path.rglob("*.json"))
-    assert main(["pairs", str(photographs), "--camera", "phone", "--device", "numpy", "-o", str(photographs)]) == 2
+    assert (
+        main(
+            [
+                "pairs",
+                str(photographs),
+                "--camera",
+                "phone",
+                "--device",
+                "numpy",
+                "-o",
+                str(photographs),
+            ]
+        )
+        == 2
+    )
     assert "another folder" in capsys.readouterr().err
     made(capsys, photographs, "--camera", "phone", "--device", "numpy", "-o", tmp_path / "done")
-    assert main(["pairs", str(photographs), "--camera", "phone", "--device", "numpy", "-o", str(tmp_path / "done"),
-                 "--seed", "1"]) == 2
+    assert (
+        main(
+            [
+                "pairs",
+                str(photographs),
+                "--camera",
+                "phone",
+                "--device",
+                "numpy",
+                "-o",
+                str(tmp_path / "done"),
+                "--seed",
+                "1",
+            ]
+        )
+        == 2
+    )
     assert "other seed" in capsys.readouterr().err
 
 
@@ -169,8 +266,28 @@ def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
 def test_a_run_that_was_killed_leaves_nothing_behind(photographs, tmp_path):
     """16 runs that end at any time: the next one makes the same bytes, and there is nothing else."""
     code = "import sys; from gpusim.__main__ import start; sys.exit(start())"
-    command = [sys.executable, "-c", code, "pairs", *map(str, (
-        photographs, "--camera", "phone", "--device", "numpy", "--each", 5, "--in-shard", 6, "--pictures", "-o"))]
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "pairs",
+        *map(
+            str,
+            (
+                photographs,
+                "--camera",
+                "phone",
+                "--device",
+                "numpy",
+                "--each",
+                5,
+                "--in-shard",
+                6,
+                "--pictures",
+                "-o",
+            ),
+        ),
+    ]
 
     def run(folder):
         assert subprocess.run([*command, folder], capture_output=True).returncode == 0
@@ -181,7 +298,9 @@ def test_a_run_that_was_killed_leaves_nothing_behind(photographs, tmp_path):
     took, random, left = time.monotonic() - begun, np.random.default_rng(5), 0
     for number in range(16):
         folder = tmp_path / str(number)
-        process = subprocess.Popen([*command, folder], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [*command, folder], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         time.sleep(took * random.uniform(0.3, 1))
         process.kill()
         process.wait()

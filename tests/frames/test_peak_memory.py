@@ -32,10 +32,21 @@ def test_what_is_allocated_and_let_go_is_counted(on_host):
 
 
 def test_a_loop_is_measured():
-    row = in_process("frames", {"device": "opencl:0", "size": (160, 96), "bands": 10, "tolerance": 4e-4,
-                                "camera": "phone", "repeat": 5})
+    row = in_process(
+        "frames",
+        {
+            "device": "opencl:0",
+            "size": (160, 96),
+            "bands": 10,
+            "tolerance": 4e-4,
+            "camera": "phone",
+            "repeat": 5,
+        },
+    )
     assert "failed" not in row, row["failed"]
     assert 0 < row["ms_p25"] <= row["ms_p50"] <= row["ms_p75"]
     cube = 4 * 10 * 160 * 96
-    assert cube < row["bytes_peak"] <= row["bytes_predicted"] < row["rss"]  # the plan's figure is an upper bound
+    assert (
+        cube < row["bytes_peak"] <= row["bytes_predicted"] < row["rss"]
+    )  # the plan's figure is an upper bound
     assert row["planning_ms"] > 0 and row["busy"] > 0

@@ -38,16 +38,26 @@ def decoded(scene):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("tolerance", [None, "video"])
-@pytest.mark.parametrize(("kind", "options"), [
-    (np.uint8, {}), (np.uint16, {}), (np.uint8, {"border": "scene", "margin": 4}),
-    (np.uint8, {"light": "A", "samples_per_pixel": 2})], ids=["8 bits", "16 bits", "surroundings", "lamp, finer"])
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        (np.uint8, {}),
+        (np.uint16, {}),
+        (np.uint8, {"border": "scene", "margin": 4}),
+        (np.uint8, {"light": "A", "samples_per_pixel": 2}),
+    ],
+    ids=["8 bits", "16 bits", "surroundings", "lamp, finer"],
+)
 def test_the_frame_is_that_of_the_decoded_planes(device, tolerance, kind, options):
     simulator = gs.Simulator(METERED, device=device, tolerance=tolerance)
     scene = gs.picture(frame(kind=kind), **options)
     found, wanted = (simulator(shown, seed=2) for shown in (scene, decoded(scene)))
     for name in ("mean", "raw", "linear", "rgb"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), name)
-    assert found.exposure_time == wanted.exposure_time and found.report.account == wanted.report.account
+    assert (
+        found.exposure_time == wanted.exposure_time
+        and found.report.account == wanted.report.account
+    )
     assert found.raw.std() > 10
 
 
@@ -59,7 +69,9 @@ def test_grey_is_a_picture_of_one_channel(device):
     same_bits(simulator.device, simulator.expose(grey).mean, simulator.expose(decoded(grey)).mean)
     coloured = simulator.expose(gs.picture(np.stack([codes] * 3, axis=-1)))
     # float32: three products, their sum and the transforms' 2.5e-7 of the field's root mean square
-    np.testing.assert_allclose(np.asarray(simulator.expose(grey).mean), np.asarray(coloured.mean), rtol=4e-6)
+    np.testing.assert_allclose(
+        np.asarray(simulator.expose(grey).mean), np.asarray(coloured.mean), rtol=4e-6
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -69,11 +81,19 @@ def test_frames_of_others(device, kind):
     simulator, codes = gs.Simulator(METERED, device=device), aligned(frame(kind=kind))
     device = simulator.device
     wanted = simulator.expose(gs.picture(codes)).mean
-    for given in (ByDlpack(codes), Tensor(codes), ByNumpy(codes), device.array(codes, kind),
-                  open_device("opencl").array(codes, kind), open_device("warp:cpu").array(codes, kind),
-                  np.asfortranarray(codes), codes.astype(codes.dtype.newbyteorder(">")),
-                  np.concatenate([codes, codes], axis=1)[:, : SHAPE[1]], np.flip(codes[..., ::-1], 2),
-                  aligned(codes).view(gs.domain.memory.Pinned)):
+    for given in (
+        ByDlpack(codes),
+        Tensor(codes),
+        ByNumpy(codes),
+        device.array(codes, kind),
+        open_device("opencl").array(codes, kind),
+        open_device("warp:cpu").array(codes, kind),
+        np.asfortranarray(codes),
+        codes.astype(codes.dtype.newbyteorder(">")),
+        np.concatenate([codes, codes], axis=1)[:, : SHAPE[1]],
+        np.flip(codes[..., ::-1], 2),
+        aligned(codes).view(gs.domain.memory.Pinned),
+    ):
         scene = gs.picture(given)
         assert type_of(scene.content.codes).type is kind
         same_bits(device, simulator.expose(scene).mean, wanted)
@@ -116,7 +136,9 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
         plan, found = program.plan, program.update(scene=other).frame()
         assert program.plan is plan and plan.watch is not None
         assert any("by the plan of picture" in note for note in found.report.notes)
-        errors.append((own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms))
+        errors.append(
+            (own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms)
+        )
     assert errors[0] == errors[1] and errors[0][0] != errors[0][1]
     fresh = simulator.plan(second)  # of its own planes, which are other ones
     assert fresh.account.bounds["planes"].rms == pytest.approx(errors[0][1], rel=0.5)
@@ -124,11 +146,19 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
 
 def test_one_plan_serves_pictures_of_one_kind():
     plan = gs.Simulator(METERED, device="numpy").plan(gs.picture(frame(1)))
-    assert plan.serves(gs.picture(frame(2))) and plan.serves(gs.picture(Tensor(frame(2)), name="other"))
-    for other in (decoded(gs.picture(frame(2))), gs.picture(frame(2, np.uint16)), gs.picture(frame(2)[:-8]),
-                  gs.picture(frame(2, shape=SHAPE)), gs.picture(frame(2), light="A"),
-                  gs.picture(frame(2), luminance=50), gs.picture(frame(2), border="reflect"),
-                  gs.picture(frame(2), curve=np.linspace(0, 1, 256))):
+    assert plan.serves(gs.picture(frame(2))) and plan.serves(
+        gs.picture(Tensor(frame(2)), name="other")
+    )
+    for other in (
+        decoded(gs.picture(frame(2))),
+        gs.picture(frame(2, np.uint16)),
+        gs.picture(frame(2)[:-8]),
+        gs.picture(frame(2, shape=SHAPE)),
+        gs.picture(frame(2), light="A"),
+        gs.picture(frame(2), luminance=50),
+        gs.picture(frame(2), border="reflect"),
+        gs.picture(frame(2), curve=np.linspace(0, 1, 256)),
+    ):
         assert not plan.serves(other)
 
 
@@ -144,14 +174,18 @@ def test_a_highlight_is_found_in_a_later_picture(device):
     assert program.plan.highlights is None
     program.judge()
     assert len(program.plan.highlights.places) == 1
-    same_bits(simulator.device, program.raw(seed=4), simulator.program(decoded(scene), 0.01).raw(seed=4))
+    same_bits(
+        simulator.device, program.raw(seed=4), simulator.program(decoded(scene), 0.01).raw(seed=4)
+    )
 
 
 @pytest.mark.parametrize("device", KINDS)
 def test_pictures_are_decoded_to_one_place(device, monkeypatch):
     """From the second on, the steps behind are started again without their host code, as for all scenes of a loop."""
     calls, inner = [], Imaging.planes
-    monkeypatch.setattr(Imaging, "planes", lambda self, *given: calls.append(number) or inner(self, *given))
+    monkeypatch.setattr(
+        Imaging, "planes", lambda self, *given: calls.append(number) or inner(self, *given)
+    )
     program = gs.Simulator(METERED, device=device).program(gs.picture(frame()), 0.01)
     for number in range(5):
         program.update(scene=gs.picture(frame(number))).raw()
@@ -170,8 +204,10 @@ def test_a_stream_sends_bytes():
     device = apart(Apart, is_gpu=False)
     simulator = gs.Simulator(METERED, device=device)
     kinds = [np.uint8, np.uint8, np.uint16, np.uint8, np.uint16]
-    scenes = [gs.picture((Tensor if number % 2 else np.array)(frame(number, kind)))
-              for number, kind in enumerate(kinds)]
+    scenes = [
+        gs.picture((Tensor if number % 2 else np.array)(frame(number, kind)))
+        for number, kind in enumerate(kinds)
+    ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01)):
         wanted = simulator.program(decoded(scenes[number]), 0.01)
         np.testing.assert_array_equal(np.asarray(raw), np.asarray(wanted.raw(seed=5, frame=number)))
@@ -183,20 +219,27 @@ def test_batches_of_pictures(device):
     simulator = gs.Simulator(METERED, device=device)
     scenes = [gs.picture(frame(number)) for number in range(3)]
     found = simulator.batch(3, "raw")(scenes, exposure_time=0.01, seed=7, frame=0)
-    wanted = simulator.batch(3, "raw")([decoded(scene) for scene in scenes], exposure_time=0.01, seed=7, frame=0)
+    wanted = simulator.batch(3, "raw")(
+        [decoded(scene) for scene in scenes], exposure_time=0.01, seed=7, frame=0
+    )
     same_bits(simulator.device, found, wanted)
     assert len({np.array(part).tobytes() for part in np.array(simulator.device.numpy(found))}) == 3
 
 
 def test_layers_and_depth_of_pictures():
     mono, shape = gs.open_camera("mono"), (16, 24)
-    simulator = gs.Simulator(replace(mono, optics=replace(mono.optics, object_distance=0.4)), device="opencl",
-                             tolerance=1e-2)
+    simulator = gs.Simulator(
+        replace(mono, optics=replace(mono.optics, object_distance=0.4)),
+        device="opencl",
+        tolerance=1e-2,
+    )
     alpha = np.zeros(shape)
     alpha[:, :9] = 1
     front, back = (gs.picture(frame(number)[:16, :24]) for number in (1, 2))
     scene = replace(back, depth=np.full(shape, 2.0), layers=(gs.Layer(front.content, alpha, 0.5),))
-    plain = replace(decoded(back), depth=scene.depth, layers=(gs.Layer(decoded(front).content, alpha, 0.5),))
+    plain = replace(
+        decoded(back), depth=scene.depth, layers=(gs.Layer(decoded(front).content, alpha, 0.5),)
+    )
     found, wanted = (simulator.program(shown, 0.01) for shown in (scene, plain))
     same_bits(simulator.device, found.raw(), wanted.raw())
     np.testing.assert_array_equal(ideal(scene), ideal(plain))
@@ -205,7 +248,9 @@ def test_layers_and_depth_of_pictures():
 @pytest.mark.parametrize("name", ["irradiance", "electrons", "xyz"])
 def test_outputs_of_a_picture(name):
     simulator, scene = gs.Simulator(METERED, device="opencl"), gs.picture(frame()[:16, :24])
-    found, wanted = (np.array(simulator.program(shown, 0.01).output(name)) for shown in (scene, decoded(scene)))
+    found, wanted = (
+        np.array(simulator.program(shown, 0.01).output(name)) for shown in (scene, decoded(scene))
+    )
     np.testing.assert_array_equal(found, wanted)
 
 
@@ -217,7 +262,9 @@ def test_what_reads_scenes_reads_pictures_of_devices():
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_a_verified_picture(kind):
-    shown = gs.Simulator(METERED, device="opencl", tolerance="video")(gs.picture(frame(kind=kind)), verify=True)
+    shown = gs.Simulator(METERED, device="opencl", tolerance="video")(
+        gs.picture(frame(kind=kind)), verify=True
+    )
     assert shown.report.scene["form"] == "picture" and 0 < shown.report.error.rms < 1e-3
 
 
@@ -238,27 +285,60 @@ def test_a_camera_looks_at_its_own_pictures():
     codes = simulator.program(gs.picture(frame())).codes(seed=1)
     scene = gs.displayed(codes, screen)
     assert scene.content.codes is codes
-    same_bits(simulator.device, simulator.expose(scene).mean,
-              simulator.expose(gs.displayed(np.array(codes), screen)).mean)
+    same_bits(
+        simulator.device,
+        simulator.expose(scene).mean,
+        simulator.expose(gs.displayed(np.array(codes), screen)).mean,
+    )
 
 
-@pytest.mark.parametrize(("make", "error", "words"), [
-    (lambda: gs.picture(frame() / 255), BadData, "picture: codes of type float64, wanted uint8 or uint16; give linear"),
-    (lambda: gs.picture(np.dstack([frame(), frame()[..., :1]])), BadData,
-     r"picture: codes of shape \(48, 64, 4\), wanted \(rows, cols, 3\), .* no alpha: codes\[..., :3\]"),
-    (lambda: gs.picture(frame().transpose(2, 0, 1)), BadData, r"codes of shape \(3, 48, 64\), .* channels last"),
-    (lambda: gs.picture(frame()[None]), BadData, r"codes of shape \(1, 48, 64, 3\)"),
-    (lambda: gs.picture(frame()[0, 0]), BadData, r"codes of shape \(3,\)"),
-    (lambda: gs.picture(frame().tolist()), BadData, "picture codes: builtins.list, wanted an array"),
-    (lambda: gs.picture(Tensor(frame(), dtype="torch.bfloat16")), BadData, "codes of type torch.bfloat16"),
-    (lambda: gs.picture(frame()[:0]), BadData, "zero-size"),
-    (lambda: gs.picture(frame(kind=np.uint16), curve=np.ones(256)), BadData, r"wanted \(65536,\) for uint16"),
-    (lambda: gs.picture(frame(), curve="srgb"), BadData, "curve is no array of real numbers"),
-    (lambda: gs.picture(frame(), curve=np.ones(256, complex)), BadData, "curve is no array of real numbers"),
-    (lambda: gs.picture(frame(), light="D66"), UnknownName, "D66"),
-    (lambda: gs.picture(frame(), luminance=0), OutOfRange, "luminance"),
-    (lambda: gs.picture(frame(), border="round"), UnknownName, "border"),
-])
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (
+            lambda: gs.picture(frame() / 255),
+            BadData,
+            "picture: codes of type float64, wanted uint8 or uint16; give linear",
+        ),
+        (
+            lambda: gs.picture(np.dstack([frame(), frame()[..., :1]])),
+            BadData,
+            r"picture: codes of shape \(48, 64, 4\), wanted \(rows, cols, 3\), .* no alpha: codes\[..., :3\]",
+        ),
+        (
+            lambda: gs.picture(frame().transpose(2, 0, 1)),
+            BadData,
+            r"codes of shape \(3, 48, 64\), .* channels last",
+        ),
+        (lambda: gs.picture(frame()[None]), BadData, r"codes of shape \(1, 48, 64, 3\)"),
+        (lambda: gs.picture(frame()[0, 0]), BadData, r"codes of shape \(3,\)"),
+        (
+            lambda: gs.picture(frame().tolist()),
+            BadData,
+            "picture codes: builtins.list, wanted an array",
+        ),
+        (
+            lambda: gs.picture(Tensor(frame(), dtype="torch.bfloat16")),
+            BadData,
+            "codes of type torch.bfloat16",
+        ),
+        (lambda: gs.picture(frame()[:0]), BadData, "zero-size"),
+        (
+            lambda: gs.picture(frame(kind=np.uint16), curve=np.ones(256)),
+            BadData,
+            r"wanted \(65536,\) for uint16",
+        ),
+        (lambda: gs.picture(frame(), curve="srgb"), BadData, "curve is no array of real numbers"),
+        (
+            lambda: gs.picture(frame(), curve=np.ones(256, complex)),
+            BadData,
+            "curve is no array of real numbers",
+        ),
+        (lambda: gs.picture(frame(), light="D66"), UnknownName, "D66"),
+        (lambda: gs.picture(frame(), luminance=0), OutOfRange, "luminance"),
+        (lambda: gs.picture(frame(), border="round"), UnknownName, "border"),
+    ],
+)
 def test_what_is_no_frame_is_refused_in_one_line(make, error, words):
     with pytest.raises(error, match=words) as caught:
         make()
@@ -266,14 +346,25 @@ def test_what_is_no_frame_is_refused_in_one_line(make, error, words):
 
 
 @pytest.mark.parametrize("device", ["numpy", "opencl"])
-@pytest.mark.parametrize(("codes", "curve", "words"), [
-    (frame() / 255, np.ones(256), "codes of type float64; wanted uint8 or uint16"),
-    (frame().astype(np.int16), np.ones(256), "codes of type int16"),
-    (frame()[None], np.ones(256), r"codes of shape \(1, 48, 64, 3\); wanted \(rows, cols, channels\)"),
-    (frame()[0, 0], np.ones(256), r"codes of shape \(3,\)"),
-    (frame(), np.ones(255), r"a curve of shape \(255,\); wanted \(256,\) for uint8"),
-    (frame(kind=np.uint16), np.ones((256, 256)), r"a curve of shape \(256, 256\); wanted \(65536,\) for uint16"),
-])
+@pytest.mark.parametrize(
+    ("codes", "curve", "words"),
+    [
+        (frame() / 255, np.ones(256), "codes of type float64; wanted uint8 or uint16"),
+        (frame().astype(np.int16), np.ones(256), "codes of type int16"),
+        (
+            frame()[None],
+            np.ones(256),
+            r"codes of shape \(1, 48, 64, 3\); wanted \(rows, cols, channels\)",
+        ),
+        (frame()[0, 0], np.ones(256), r"codes of shape \(3,\)"),
+        (frame(), np.ones(255), r"a curve of shape \(255,\); wanted \(256,\) for uint8"),
+        (
+            frame(kind=np.uint16),
+            np.ones((256, 256)),
+            r"a curve of shape \(256, 256\); wanted \(65536,\) for uint16",
+        ),
+    ],
+)
 def test_what_the_stage_refuses(device, codes, curve, words):
     with pytest.raises(BadData, match=f"^decode: {words}"):
         decode(codes, curve, device=device)

@@ -37,9 +37,20 @@ def camera(q=1.0, pitch=None, sensor=(), name="machine-vision", **optics):
     made = open_camera(name)
     pitch = pitch or made.sensor.pixel_pitch
     return dataclasses.replace(
-        made, sensor=dataclasses.replace(made.sensor, pixel_pitch=pitch, exposure_time=0.01, **dict(sensor)),
-        optics=dataclasses.replace(made.optics, **{"f_number": q * pitch / 550e-9, "relative_illumination": "none",
-                                                   "object_distance": np.inf} | optics))
+        made,
+        sensor=dataclasses.replace(
+            made.sensor, pixel_pitch=pitch, exposure_time=0.01, **dict(sensor)
+        ),
+        optics=dataclasses.replace(
+            made.optics,
+            **{
+                "f_number": q * pitch / 550e-9,
+                "relative_illumination": "none",
+                "object_distance": np.inf,
+            }
+            | optics,
+        ),
+    )
 
 
 def noise(shape, **scene):
@@ -64,10 +75,19 @@ def airy_energy(q, height, width, y, x):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("q", "aperture", "aside"), [
-    (1.1, OBLONG, (0, 0)), (0.71, OBLONG, ASIDE), (0.3, (0.4, 0.6), (-0.3, 0.2)), (2.5, (1.0, 1.0), (0.5, 0.5)),
-    (0.9, (0.8, 0.8), (-2.0, 1.25))])
-def test_image_of_a_point_is_the_airy_pattern_integrated_over_its_rectangles(q, aperture, aside, device):
+@pytest.mark.parametrize(
+    ("q", "aperture", "aside"),
+    [
+        (1.1, OBLONG, (0, 0)),
+        (0.71, OBLONG, ASIDE),
+        (0.3, (0.4, 0.6), (-0.3, 0.2)),
+        (2.5, (1.0, 1.0), (0.5, 0.5)),
+        (0.9, (0.8, 0.8), (-2.0, 1.25)),
+    ],
+)
+def test_image_of_a_point_is_the_airy_pattern_integrated_over_its_rectangles(
+    q, aperture, aside, device
+):
     """Nine pixels, by quadrature over the displaced rectangles, within 1e-5 of the peak.
 
     In theory they differ by what folds back of the pattern beyond the period, four times 2 q / (pi^3 r^3): 2e-7 at
@@ -77,7 +97,9 @@ def test_image_of_a_point_is_the_airy_pattern_integrated_over_its_rectangles(q, 
     flat = np.zeros((1, 3, 3))
     q = float(np.float32(q))
     if any(aside):
-        tables = pupil(Pupil(), flat, np.array([q]), aperture, *period, displacement=aside, device=device)
+        tables = pupil(
+            Pupil(), flat, np.array([q]), aperture, *period, displacement=aside, device=device
+        )
     else:
         tables = airy(np.array([q]), aperture, *period, device=device)
     point = np.zeros((1, size, size), np.float32)
@@ -133,22 +155,52 @@ def test_field_kernels_are_integrated_over_displaced_rectangles():
     lens = PupilLens(optics, 550e-9 * optics.f_number / q, OBLONG, 100.0, ASIDE)
     kernel = lens.kernels([550.0], (0.0, 0.0), size)[0]
     middle = np.arange(size) - size // 2
-    truth = np.array([[airy_energy(q, *OBLONG, y + ASIDE[0], x + ASIDE[1]) for x in middle] for y in middle])
+    truth = np.array(
+        [[airy_energy(q, *OBLONG, y + ASIDE[0], x + ASIDE[1]) for x in middle] for y in middle]
+    )
     assert np.abs(kernel / kernel.sum() - truth / truth.sum()).max() <= 1e-3 * kernel.max()
 
 
-MEASURED = PointSpread(BANDS, np.stack([np.outer(g, g * (1 + 0.4 * np.linspace(-1, 1, 25))) for g in (
-    np.exp(-(np.linspace(-3, 3, 25) ** 2) / (2 * s * s)) for s in (0.7, 0.8, 0.9))]), 1e-7)
+MEASURED = PointSpread(
+    BANDS,
+    np.stack(
+        [
+            np.outer(g, g * (1 + 0.4 * np.linspace(-1, 1, 25)))
+            for g in (np.exp(-(np.linspace(-3, 3, 25) ** 2) / (2 * s * s)) for s in (0.7, 0.8, 0.9))
+        ]
+    ),
+    1e-7,
+)
 PATHS = {  # optics, scene, options; tolerance
     "ideal, folded": ({}, {}, {}, 1e-12),
-    "small pixels with fall-off": ({"relative_illumination": "cos4", "sensor": {"fill_factor": 0.4}}, {}, {}, 2e-7),
+    "small pixels with fall-off": (
+        {"relative_illumination": "cos4", "sensor": {"fill_factor": 0.4}},
+        {},
+        {},
+        2e-7,
+    ),
     "fused": ({}, {}, {"tolerance": 1e-3}, 1e-9),
-    "defocus, low-pass": ({"defocus": 2e-5, "birefringence": (2e-6, 1e-6), "diffuser": 1e-6}, {}, {}, 1e-12),
+    "defocus, low-pass": (
+        {"defocus": 2e-5, "birefringence": (2e-6, 1e-6), "diffuser": 1e-6},
+        {},
+        {},
+        1e-12,
+    ),
     "coma": ({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.2))}, {}, {}, 1e-12),
     "measured": ({"model": "measured", "psf": MEASURED}, {}, {}, 2e-7),
-    "measured, small pixels": ({"model": "measured", "psf": MEASURED, "sensor": {"fill_factor": 0.4}}, {}, {}, 2e-7),
+    "measured, small pixels": (
+        {"model": "measured", "psf": MEASURED, "sensor": {"fill_factor": 0.4}},
+        {},
+        {},
+        2e-7,
+    ),
     "distortion": ({"distortion": RadialPolynomial(0, 0, 0.02)}, {}, {}, 1e-12),
-    "vignetting": ({"sensor": {"vignetting": np.array([[0.5, 0.9], [1.0, 0.7], [0.2, 0.6]])}}, {}, {}, 2e-7),
+    "vignetting": (
+        {"sensor": {"vignetting": np.array([[0.5, 0.9], [1.0, 0.7], [0.2, 0.6]])}},
+        {},
+        {},
+        2e-7,
+    ),
     "two samples": ({}, {"samples_per_pixel": 2}, {}, 1e-12),
     "fine": ({"sensor": {"photodetector": (0.3, 0.7)}}, {"samples_per_pixel": 1.25}, {}, 1e-12),
     "no blur": ({"model": "none"}, {}, {}, 1e-12),
@@ -159,10 +211,22 @@ PATHS = {  # optics, scene, options; tolerance
 }
 
 
-@pytest.mark.parametrize(("path", "border"), [
-    *(pytest.param(path, "edge", marks=[pytest.mark.slow] if path == "field" else []) for path in PATHS),
-    ("ideal, folded", "zero"), ("ideal, folded", "scene"), ("fine", "reflect"),
-    ("fine", "scene"), ("two samples", "zero"), ("no blur", "zero"), ("no blur, fine", "reflect")])
+@pytest.mark.parametrize(
+    ("path", "border"),
+    [
+        *(
+            pytest.param(path, "edge", marks=[pytest.mark.slow] if path == "field" else [])
+            for path in PATHS
+        ),
+        ("ideal, folded", "zero"),
+        ("ideal, folded", "scene"),
+        ("fine", "reflect"),
+        ("fine", "scene"),
+        ("two samples", "zero"),
+        ("no blur", "zero"),
+        ("no blur, fine", "reflect"),
+    ],
+)
 def test_a_grid_displaced_by_whole_pixels_takes_the_same_picture_elsewhere(path, border):
     """Pixels of the displaced grid are those of a grid in the middle, MOVED rows and columns on: float64 rounding.
 
@@ -182,9 +246,15 @@ def test_a_grid_displaced_by_whole_pixels_takes_the_same_picture_elsewhere(path,
         scene["depth"] = np.where(np.arange(shape[1]) < 18, 0.8, 1.5) * np.ones((shape[0], 1))
     scene = noise(shape, border=border, **scene)
     middle = mean(scene, camera(sensor=sensor, **optics), reach=30, **options)
-    displaced = mean(scene, camera(sensor=sensor | {"offset": MOVED}, **optics), reach=28, **options)
+    displaced = mean(
+        scene, camera(sensor=sensor | {"offset": MOVED}, **optics), reach=28, **options
+    )
     expected, found = middle[2:, :-2], displaced[:-2, 2:]
-    error = np.sqrt(np.mean((found - expected) ** 2)) if path == "field" else np.abs(found - expected).max()
+    error = (
+        np.sqrt(np.mean((found - expected) ** 2))
+        if path == "field"
+        else np.abs(found - expected).max()
+    )
     assert error <= tolerance * middle.max(), f"{error / middle.max():.2e}"
     opposite = middle[:-2, 2:] - displaced[2:, :-2]  # the test sees a wrong sign
     assert np.sqrt(np.mean(opposite**2)) > 0.05 * middle.max()
@@ -202,7 +272,12 @@ def test_captures_interleave_to_the_picture_of_a_finer_sensor(device):
     coarse = np.zeros(shape)
     for y in (0, 1):
         for x in (0, 1):
-            captured = camera(0.7, pitch, {"photodetector": (0.5, 0.5), "centre": (y / 2 - 0.25, x / 2 - 0.25)}, "mono")
+            captured = camera(
+                0.7,
+                pitch,
+                {"photodetector": (0.5, 0.5), "centre": (y / 2 - 0.25, x / 2 - 0.25)},
+                "mono",
+            )
             coarse[y::2, x::2] = mean(noise(shape, samples_per_pixel=2), captured, device, reach=16)
     assert np.abs(coarse - fine).max() <= (1e-12 if device == "numpy" else 4e-6) * fine.max()
 
@@ -222,10 +297,19 @@ def test_displaced_pixels_see_points_as_finer_pixels_do(device):
     points = np.zeros((3, 30, 36), np.float32)
     points[:, 1::3, 1::3] = 9 * values
     light = Spectrum(BANDS[[0, -1]], np.full(2, 1e17))
-    fine = mean(Scene(Cube(BANDS, points), light, border="zero"), camera(3 * q, pitch / 3, name="mono"), device,
-                reach=165)
+    fine = mean(
+        Scene(Cube(BANDS, points), light, border="zero"),
+        camera(3 * q, pitch / 3, name="mono"),
+        device,
+        reach=165,
+    )
     for y, x in ((0, 0), (2, 1), (0, 2), (1, 2)):
-        own = camera(q, pitch, {"photodetector": (1 / 3, 1 / 3), "centre": ((y - 1) / 3, (x - 1) / 3)}, "mono")
+        own = camera(
+            q,
+            pitch,
+            {"photodetector": (1 / 3, 1 / 3), "centre": ((y - 1) / 3, (x - 1) / 3)},
+            "mono",
+        )
         simulator = Simulator(own, device=device, reach=55)
         exposure = simulator.expose(Scene(Cube(BANDS, values), light, border="zero"), 0.01)
         coarse = exposure.plan.flat[1] * simulator.device.numpy(exposure.mean)
@@ -233,22 +317,32 @@ def test_displaced_pixels_see_points_as_finer_pixels_do(device):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("ratio", "aperture", "aside"), [
-    (1, (1.0, 1.0), (2.0, -3.0)), (2, (1.0, 0.5), (0.25, -0.5)), (2, (0.5, 1.0), (-1.75, 2.5))])
+@pytest.mark.parametrize(
+    ("ratio", "aperture", "aside"),
+    [(1, (1.0, 1.0), (2.0, -3.0)), (2, (1.0, 0.5), (0.25, -0.5)), (2, (0.5, 1.0), (-1.75, 2.5))],
+)
 @pytest.mark.parametrize("border", ["edge", "reflect", "zero"])
 def test_without_blur_rectangles_are_filled_by_area(ratio, aperture, aside, border, device):
     """Every sample as 8 x 8 points, the mean over those in each rectangle; float32: 4 ulp of the largest value."""
     shape, parts, more = (10 * ratio, 12 * ratio), 8, 6
     values = np.random.default_rng(1).random(shape).astype(np.float32)
-    scene = Scene(Materials(BANDS, np.zeros(shape, np.uint8), values, np.ones((1, 3))),
-                  Spectrum(np.array([400.0, 700.0]), np.full(2, 1e17)), samples_per_pixel=ratio, border=border)
+    scene = Scene(
+        Materials(BANDS, np.zeros(shape, np.uint8), values, np.ones((1, 3))),
+        Spectrum(np.array([400.0, 700.0]), np.full(2, 1e17)),
+        samples_per_pixel=ratio,
+        border=border,
+    )
     made = camera(1.0, 3e-6, {"photodetector": aperture, "offset": aside}, "mono", model="none")
     weights = Simulator(made, device="numpy").plan(scene).weights.sum()
     mode = {"edge": "edge", "reflect": "symmetric", "zero": "constant"}[border]
     points = np.kron(np.pad(values, more, mode=mode), np.ones((parts, parts)))
 
     def inside(n, width, move):
-        at = (np.arange(n * ratio * parts + 2 * more * parts) + 0.5) / (parts * ratio) - more / ratio - 0.5
+        at = (
+            (np.arange(n * ratio * parts + 2 * more * parts) + 0.5) / (parts * ratio)
+            - more / ratio
+            - 0.5
+        )
         chosen = (np.abs(at - move - np.arange(n)[:, None]) < width / 2).astype(float)
         return chosen / chosen.sum(axis=1, keepdims=True)
 
@@ -259,15 +353,22 @@ def test_without_blur_rectangles_are_filled_by_area(ratio, aperture, aside, bord
 
 def test_flat_scenes_are_flat_behind_any_rectangle():
     """Electrons are weights times the reflectance wherever the rectangle is; float32 weights of tables: 6e-8."""
-    for sensor in ({"photodetector": (0.9, 0.4)}, {"photodetector": (0.3, 0.4), "centre": (0.3, -0.25)},
-                   {"offset": (0.5, 0.5)}):
+    for sensor in (
+        {"photodetector": (0.9, 0.4)},
+        {"photodetector": (0.3, 0.4), "centre": (0.3, -0.25)},
+        {"offset": (0.5, 0.5)},
+    ):
         made = camera(0.5, sensor=sensor, name="mono")
         scene = chart("flat", size=(9, 8), reflectance=0.3, wavelengths=BANDS)
         weights = Simulator(made, device="numpy").plan(scene).weights.sum()
         area = made.sensor.aperture[0] * made.sensor.aperture[1]
         whole = Simulator(camera(0.5, name="mono"), device="numpy")
-        assert weights == pytest.approx(whole.plan(scene).weights.sum() * area / made.sensor.pixel_pitch**2, rel=1e-12)
-        np.testing.assert_allclose(mean(scene, made, reach=16), 0.01 * float(np.float32(0.3)) * weights, rtol=6e-8)
+        assert weights == pytest.approx(
+            whole.plan(scene).weights.sum() * area / made.sensor.pixel_pitch**2, rel=1e-12
+        )
+        np.testing.assert_allclose(
+            mean(scene, made, reach=16), 0.01 * float(np.float32(0.3)) * weights, rtol=6e-8
+        )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -277,19 +378,34 @@ def test_vignetting_is_bilinear_from_edge_to_edge(device):
     rows, cols, (dy, dx) = 9, 8, (0.25, 0.5)
     y, x = (np.arange(rows) + 0.5 + dy) / rows, (np.arange(cols) + 0.5 + dx) / cols
     truth = RegularGridInterpolator([np.linspace(0, 1, n) for n in map_.shape], map_)(
-        np.stack(np.meshgrid(np.minimum(y, 1), np.minimum(x, 1), indexing="ij"), axis=-1))
+        np.stack(np.meshgrid(np.minimum(y, 1), np.minimum(x, 1), indexing="ij"), axis=-1)
+    )
     np.testing.assert_allclose(vignetting_gain(map_, (rows, cols), (dy, dx)), truth, rtol=1e-13)
     scene = chart("flat", size=(cols, rows), reflectance=0.3, samples_per_pixel=2)
-    even, dark = (mean(scene, camera(1.0, sensor=more, name="mono", model="none"), device)
-                  for more in ({}, {"vignetting": map_, "offset": (dy, dx)}))
+    even, dark = (
+        mean(scene, camera(1.0, sensor=more, name="mono", model="none"), device)
+        for more in ({}, {"vignetting": map_, "offset": (dy, dx)})
+    )
     np.testing.assert_allclose(dark, even * truth, rtol=4e-7)
 
 
 def test_highlights_stay_in_the_planes_where_their_kernels_are_not_square():
     """And the error beside them is predicted; samples finer than the pixel have square cells again."""
     oblong, aside = {"photodetector": OBLONG}, {"offset": ASIDE}
-    for sensor, ratio, split in (({}, 1, True), (oblong, 1, False), (aside, 1, False), (oblong | aside, 2, True)):
-        scene = chart("points", size=(24, 20), samples_per_pixel=ratio, wavelengths=BANDS, count=3, highest=1e5)
+    for sensor, ratio, split in (
+        ({}, 1, True),
+        (oblong, 1, False),
+        (aside, 1, False),
+        (oblong | aside, 2, True),
+    ):
+        scene = chart(
+            "points",
+            size=(24, 20),
+            samples_per_pixel=ratio,
+            wavelengths=BANDS,
+            count=3,
+            highest=1e5,
+        )
         plan = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
         assert (plan.highlights is not None) == split
         assert ("local error beside highlights" in plan.beside) != split
@@ -307,8 +423,17 @@ def test_the_sampling_error_knows_rectangles_and_places():
             return airy(q, aperture, rows, cols, device="numpy")
 
     def error(aperture, displacement):
-        return sampling_error(Facts(content).moments(weights), weights, q, share, 1.0, aperture, None, Ideal(),
-                              displacement)
+        return sampling_error(
+            Facts(content).moments(weights),
+            weights,
+            q,
+            share,
+            1.0,
+            aperture,
+            None,
+            Ideal(),
+            displacement,
+        )
 
     assert error((0.9, 0.4), (0.0, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.0)), rel=1e-9)
     assert error((0.9, 0.4), (0.3, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.3)), rel=1e-9)
@@ -317,20 +442,32 @@ def test_the_sampling_error_knows_rectangles_and_places():
     assert error((0.4, 0.4), (0.5, 0.5)) > 1.2 * error((0.4, 0.4), (0.0, 0.0))
 
 
-@pytest.mark.parametrize(("change", "says"), [
-    ({"sensor": {"offset": (0.5, 0.0)}, "model": "none"}, "raise samples_per_pixel"),
-    ({"sensor": {"offset": (7.0, 0.0)}}, "quarter of the frame"),
-    ({"sensor": {"offset": (1.0, 0.0)}, "model": "none", "border": "scene", "margin": 2}, "beyond the frame"),
-    ({"sensor": {"offset": (0.5, 0.0)}, "model": "measured"}, "samples of the irradiance"),
-])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"sensor": {"offset": (0.5, 0.0)}, "model": "none"}, "raise samples_per_pixel"),
+        ({"sensor": {"offset": (7.0, 0.0)}}, "quarter of the frame"),
+        (
+            {"sensor": {"offset": (1.0, 0.0)}, "model": "none", "border": "scene", "margin": 2},
+            "beyond the frame",
+        ),
+        ({"sensor": {"offset": (0.5, 0.0)}, "model": "measured"}, "samples of the irradiance"),
+    ],
+)
 def test_displacements_that_nothing_honours_are_refused(change, says):
     change = dict(change)
     sensor = change.pop("sensor")
-    scene = noise((24, 24), **{key: change.pop(key) for key in ("border", "margin") if key in change})
-    made = camera(sensor=sensor, **{key: value for key, value in change.items() if value != "measured"})
+    scene = noise(
+        (24, 24), **{key: change.pop(key) for key in ("border", "margin") if key in change}
+    )
+    made = camera(
+        sensor=sensor, **{key: value for key, value in change.items() if value != "measured"}
+    )
     if "model" in change and change["model"] == "measured":
         pixels = PointSpread(BANDS, np.ones((3, 3, 3)), made.sensor.pixel_pitch, integrated=True)
-        made = dataclasses.replace(made, optics=dataclasses.replace(made.optics, model="measured", psf=pixels))
+        made = dataclasses.replace(
+            made, optics=dataclasses.replace(made.optics, model="measured", psf=pixels)
+        )
     with pytest.raises(OutOfRange, match=says):
         mean(scene, made)
 
@@ -340,8 +477,12 @@ def test_curves_must_cover_the_light():
     whole = camera(name="mono")
 
     def sensing(first):
-        return dataclasses.replace(whole, sensor=dataclasses.replace(
-            whole.sensor, qe=Spectrum(np.array([first, 700.0]), np.full((1, 2), 0.5))))
+        return dataclasses.replace(
+            whole,
+            sensor=dataclasses.replace(
+                whole.sensor, qe=Spectrum(np.array([first, 700.0]), np.full((1, 2), 0.5))
+            ),
+        )
 
     short = sensing(510.0)
     scene = noise((8, 8))
@@ -356,5 +497,7 @@ def test_curves_must_cover_the_light():
     known = dataclasses.replace(scene, content=content)
     assert Simulator(sensing(505.0), device="numpy").plan(known).weights.sum() > 0
     cut = Spectrum(np.array([500.0, 510.0, 520.0, 600.0]), np.array([0.0, 0.0, 1.0, 1.0]))
-    filtered = dataclasses.replace(short, optics=dataclasses.replace(short.optics, transmission=cut))
+    filtered = dataclasses.replace(
+        short, optics=dataclasses.replace(short.optics, transmission=cut)
+    )
     assert Simulator(filtered, device="numpy").plan(scene).weights.sum() > 0

@@ -46,7 +46,9 @@ def check_lines(scene, device):
     total = 0
     for band, weight in enumerate(plan.weights.T):
         one = Brute(plan.q[band : band + 1], scene.shape, period=plan.period)
-        spectrum = one.tables[0] * one.transform(scene.content.values[band : band + 1].astype(float))[0]
+        spectrum = (
+            one.tables[0] * one.transform(scene.content.values[band : band + 1].astype(float))[0]
+        )
         total = total + weight[:, None, None] * spectrum
     truth = brute.mosaic(brute.crop(total), cfa)
     operator = joint_operator(response_of(plan), library())
@@ -54,9 +56,13 @@ def check_lines(scene, device):
     own = Spectra.of(scene.content)
     for rank, line in LINES.items():
         transfers = operator.transfers(rank)
-        kernels = integrate(tables, transfers.reshape(-1, 31), device=device).reshape(3, rank, *tables.shape[1:])
+        kernels = integrate(tables, transfers.reshape(-1, 31), device=device).reshape(
+            3, rank, *tables.shape[1:]
+        )
         planes = integrate(scene.content.values, operator.w_in[:, :rank].T, device=device)
-        result = mosaic(planes, kernels, np.ones((3, rank)), cfa, "edge", plan.period, device=device)
+        result = mosaic(
+            planes, kernels, np.ones((3, rank)), cfa, "edge", plan.period, device=device
+        )
         error = relative(result, truth)
         predicted = operator.predicted(rank, own)
         print(f"{device} {cols}x{rows} rank {rank}: {error:.2e}, predicted {predicted:.2e}")
@@ -67,7 +73,11 @@ def check_lines(scene, device):
 @pytest.mark.parametrize("device", KINDS)
 def test_flat_frames_are_exact_in_every_plan(device):
     """Electrons of a flat frame to 1e-6 (float32 transforms: 2.5e-7) in the plans of all tolerances."""
-    for spectrum in (np.eye(31)[15], reflectances("munsell").at(WAVELENGTHS)[7], 1 + np.cos(WAVELENGTHS / 7)):
+    for spectrum in (
+        np.eye(31)[15],
+        reflectances("munsell").at(WAVELENGTHS)[7],
+        1 + np.cos(WAVELENGTHS / 7),
+    ):
         values = np.tile(spectrum[:, None, None], (1, 24, 37)).astype(np.float32)
         scene = Scene(Cube(WAVELENGTHS, values), white_radiance(illuminant("D65"), 100.0))
         plan = made_for(scene)
@@ -77,19 +87,38 @@ def test_flat_frames_are_exact_in_every_plan(device):
         exact = 0.01 * exact[CAMERA.sensor.cfa_indices[y, x]]
         for tolerance in (None, 1e-2, 1e-5):
             for guaranteed in (False, True):
-                simulator = Simulator(CAMERA, device=device, guaranteed=guaranteed,
-                                      tolerance=tolerance and Tolerance(rms=tolerance))
+                simulator = Simulator(
+                    CAMERA,
+                    device=device,
+                    guaranteed=guaranteed,
+                    tolerance=tolerance and Tolerance(rms=tolerance),
+                )
                 mean = simulator.device.numpy(simulator.expose(scene, 0.01).mean)
                 np.testing.assert_allclose(mean, exact, rtol=1e-6)
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("tolerance", ["video", "1e-3", *(
-    pytest.param(other, marks=pytest.mark.slow) for other in ("preview", "metrology", "1e-5"))])
+@pytest.mark.parametrize(
+    "tolerance",
+    [
+        "video",
+        "1e-3",
+        *(
+            pytest.param(other, marks=pytest.mark.slow)
+            for other in ("preview", "metrology", "1e-5")
+        ),
+    ],
+)
 def test_plans_meet_their_tolerance(device, tolerance):
     """The lowest rank is chosen; the true error keeps the tolerance, and the report says both."""
-    for scene in (natural((192, 128)), chart("colorchecker", size=(192, 128)), chart("slanted-edge", size=(96, 64))):
+    for scene in (
+        natural((192, 128)),
+        chart("colorchecker", size=(192, 128)),
+        chart("slanted-edge", size=(96, 64)),
+    ):
         report = Simulator(CAMERA, device=device, tolerance=tolerance)(scene, verify=True).report
-        assert report.verdict.met or tolerance in ("metrology", "1e-5"), str(report)  # whose edges want a longer reach
+        assert report.verdict.met or tolerance in ("metrology", "1e-5"), str(
+            report
+        )  # whose edges want a longer reach
         assert report.meets_tolerance or not report.verdict.met, str(report)
         assert report.account.total.rms > 0 and "all together" in str(report)

@@ -29,7 +29,11 @@ DUE = (1, 5, 18, 58)  # each 3 n + 1 after the one before: 1, 4, 13, 40
 
 
 def scene_of(values, name):
-    return gs.Scene(gs.Cube(LEAVES.wavelengths, np.ascontiguousarray(values, np.float32)), LEAVES.illuminant, name=name)
+    return gs.Scene(
+        gs.Cube(LEAVES.wavelengths, np.ascontiguousarray(values, np.float32)),
+        LEAVES.illuminant,
+        name=name,
+    )
 
 
 def even(name="even"):
@@ -82,7 +86,9 @@ def test_an_error_at_a_few_pixels_is_found_before_the_frame(device):
     assert program.plan.count > planes
     report = program.frame().report
     assert any(f"probes: {planes} planes would miss: 0.0" in note for note in report.notes)
-    wanted = made(device).program(program.scene, SECONDS)  # at once the plan that the scene would have had
+    wanted = made(device).program(
+        program.scene, SECONDS
+    )  # at once the plan that the scene would have had
     np.testing.assert_array_equal(np.array(wanted.frame().mean), np.array(program.frame().mean))
 
 
@@ -137,13 +143,20 @@ def test_probes_become_rare_and_change_no_bits(device, monkeypatch):
     scenes, probed = cameras.cubes(1, (32, 24)) * 61, []
     scenes = [replace(scene, name=str(number)) for number, scene in enumerate(scenes)]
     found = Probing.found
-    monkeypatch.setattr(Probing, "found", lambda self, scene, *more: probed.append(int(scene.name)) or found(
-        self, scene, *more))
-    frames = [np.array(simulator.device.numpy(frame)) for frame in simulator.stream(
-        scenes, "raw", seed=1, exposure_time=SECONDS)]
+    monkeypatch.setattr(
+        Probing,
+        "found",
+        lambda self, scene, *more: probed.append(int(scene.name)) or found(self, scene, *more),
+    )
+    frames = [
+        np.array(simulator.device.numpy(frame))
+        for frame in simulator.stream(scenes, "raw", seed=1, exposure_time=SECONDS)
+    ]
     assert probed == [*DUE]
     monkeypatch.setattr(Probing, "is_due", lambda *_: False)
-    for frame, wanted in zip(frames, simulator.stream(scenes, "raw", seed=1, exposure_time=SECONDS), strict=True):
+    for frame, wanted in zip(
+        frames, simulator.stream(scenes, "raw", seed=1, exposure_time=SECONDS), strict=True
+    ):
         np.testing.assert_array_equal(frame, simulator.device.numpy(wanted))
 
 
@@ -169,9 +182,15 @@ def test_a_plan_without_blur_is_not_kept_for_edges(device):
 def forms():
     """A picture in every form that has more entries than planes."""
     yield LEAVES
-    vectors = np.linalg.svd(SPECTRA.reshape(31, -1).astype(np.float64), full_matrices=False)[0][:, :20]
-    yield replace(LEAVES, content=Basis(LEAVES.wavelengths, np.tensordot(vectors.T, SPECTRA, 1).astype(np.float32),
-                                        vectors.T))
+    vectors = np.linalg.svd(SPECTRA.reshape(31, -1).astype(np.float64), full_matrices=False)[0][
+        :, :20
+    ]
+    yield replace(
+        LEAVES,
+        content=Basis(
+            LEAVES.wavelengths, np.tensordot(vectors.T, SPECTRA, 1).astype(np.float32), vectors.T
+        ),
+    )
     yield scene_of(SPECTRA, "cube")
 
 
@@ -199,11 +218,14 @@ def test_reports_between_probes_say_when_it_was():
     assert any(note == "probes: this scene's" for note in found.notes)
     half = scene_of(MEAN + 0.125 * (SPECTRA - MEAN), "half")
     later = program.update(scene=half).frame().report
-    assert any("probes: those of probed, 1 scenes ago, and what the device saw of this one" in note
-               for note in later.notes)
+    assert any(
+        "probes: those of probed, 1 scenes ago, and what the device saw of this one" in note
+        for note in later.notes
+    )
     # half the differences, over a mean that is the same but for its variance, which is below 0.25^2 of it
     assert later.account.bounds["planes"].p999_sigma == pytest.approx(
-        found.account.bounds["planes"].p999_sigma / 2, rel=0.5 * 0.25**2)
+        found.account.bounds["planes"].p999_sigma / 2, rel=0.5 * 0.25**2
+    )
     assert later.verdict.met
 
 
@@ -212,7 +234,11 @@ def test_what_rises_now_and_then_is_probed_a_few_times():
     plan, probing, count = made("numpy").plan(even(), None, SECONDS), Probing(), 0
     probing.planned(plan)
     for number in range(1, 1000):
-        scene = replace(even(), name=str(number)) if number < 3 else replace(plan.scene, name=str(number))
+        scene = (
+            replace(even(), name=str(number))
+            if number < 3
+            else replace(plan.scene, name=str(number))
+        )
         if probing.is_due(plan, scene):
             count += 1
             probing.found(scene, plan.account, True)
@@ -222,16 +248,27 @@ def test_what_rises_now_and_then_is_probed_a_few_times():
 
 def test_kinds_are_those_that_a_plan_serves():
     plan = made("numpy").plan(even(), None, SECONDS)
-    others = [even("another"), local(), gs.chart("colorchecker", size=SIZE), replace(even(), border="zero"),
-              replace(even(), illuminant=gs.chart("flat", light="A").illuminant),
-              scene_of(SPECTRA[:, :40], "smaller"), replace(even(), samples_per_pixel=2.0)]
+    others = [
+        even("another"),
+        local(),
+        gs.chart("colorchecker", size=SIZE),
+        replace(even(), border="zero"),
+        replace(even(), illuminant=gs.chart("flat", light="A").illuminant),
+        scene_of(SPECTRA[:, :40], "smaller"),
+        replace(even(), samples_per_pixel=2.0),
+    ]
     for other in others:
         assert (kind_of(other) == kind_of(plan.scene)) == plan.serves(other)
     assert sum(map(plan.serves, others)) == 2
 
 
-@pytest.mark.parametrize("device", [pytest.param(device, marks=pytest.mark.slow) if device == "numpy" else device
-                                    for device in ALL_KINDS])  # half a minute of the reference
+@pytest.mark.parametrize(
+    "device",
+    [
+        pytest.param(device, marks=pytest.mark.slow) if device == "numpy" else device
+        for device in ALL_KINDS
+    ],
+)  # half a minute of the reference
 def test_what_the_border_breaks_raises_no_planes(device):
     """A survey that finds planes a little worse than probes did says nothing where the border errs ten times that."""
     scenes = [scene_of(SPECTRA * gain, f"times {gain}") for gain in np.float32((1, 1.01))]
@@ -253,11 +290,18 @@ def test_a_loop_judges_the_sun_as_it_does_a_lamp(device, unprobed, monkeypatch):
     """
     unprobed()
     told, fits = [], Plan.fits
-    monkeypatch.setattr(Plan, "fits", lambda plan, light, drift: told[-1].append(drift) or fits(plan, light, drift))
+    monkeypatch.setattr(
+        Plan, "fits", lambda plan, light, drift: told[-1].append(drift) or fits(plan, light, drift)
+    )
     for factor in (1.0, 2.0**50, 2.0**76):  # the largest is 0.8, 9e14 and 6e22
         told.append([])
-        scenes = [gs.Scene(gs.Cube(LEAVES.wavelengths, np.float32(factor) * np.ascontiguousarray(values)), LIGHT)
-                  for values in (even().content.values, SPECTRA, SPECTRA[:, ::-1], SPECTRA[:, :, ::-1])]
+        scenes = [
+            gs.Scene(
+                gs.Cube(LEAVES.wavelengths, np.float32(factor) * np.ascontiguousarray(values)),
+                LIGHT,
+            )
+            for values in (even().content.values, SPECTRA, SPECTRA[:, ::-1], SPECTRA[:, :, ::-1])
+        ]
         program = made(device).program(scenes[0], 1e12 / factor)
         for scene in scenes:
             program.update(scene=scene).raw()

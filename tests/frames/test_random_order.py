@@ -22,15 +22,34 @@ TIMES, GAINS = (0.01, 0.02, None), (1.0, 2.0)
 
 def cameras():
     """Several that differ in one thing each: all give frames of one size, as batches want them."""
-    base = camera_with(gs.open_camera("phone"), noise={"prnu": 0.01, "dsnu": 1.0, "read": 2.0, "row": 0.5,
-                                                       "telegraph_pixels": 0.01, "telegraph": 9.0})
-    changes = ({}, {"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, {"processor": {"demosaic": "malvar"}},
-               {"processor": {"white_balance": "gray-world"}}, {"processor": {"denoise": 1.0, "shading": True}},
-               {"noise": {"seed": 5}}, {"noise": {"read": 9.0}}, {"sensor": {"exposure_time": 0.015}},
-               {"sensor": {"analog_gain": 2.0}}, {"optics": {"f_number": 4.0}},
-               {"noise": {"hot_pixels": 0.01, "hot_current": 900.0}, "processor": {"defects": "known"}},
-               {"sensor": {"bits": 12}}, {"noise": {"photon": "none"}}, {"noise": {"photon": "fast"}},
-               {"sensor": {"cfa": ("BG", "GR"), "channels": ("B", "G", "R")}})
+    base = camera_with(
+        gs.open_camera("phone"),
+        noise={
+            "prnu": 0.01,
+            "dsnu": 1.0,
+            "read": 2.0,
+            "row": 0.5,
+            "telegraph_pixels": 0.01,
+            "telegraph": 9.0,
+        },
+    )
+    changes = (
+        {},
+        {"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}},
+        {"processor": {"demosaic": "malvar"}},
+        {"processor": {"white_balance": "gray-world"}},
+        {"processor": {"denoise": 1.0, "shading": True}},
+        {"noise": {"seed": 5}},
+        {"noise": {"read": 9.0}},
+        {"sensor": {"exposure_time": 0.015}},
+        {"sensor": {"analog_gain": 2.0}},
+        {"optics": {"f_number": 4.0}},
+        {"noise": {"hot_pixels": 0.01, "hot_current": 900.0}, "processor": {"defects": "known"}},
+        {"sensor": {"bits": 12}},
+        {"noise": {"photon": "none"}},
+        {"noise": {"photon": "fast"}},
+        {"sensor": {"cfa": ("BG", "GR"), "channels": ("B", "G", "R")}},
+    )
     return [camera_with(base, **change) for change in changes]
 
 
@@ -40,12 +59,26 @@ def scenes():
     bands = chart.content.bands_at(slice(None)).astype(np.float32)
     codes = random.integers(0, 256, (ROWS, COLS, 3), np.uint8)
     depth = np.tile(np.linspace(0.3, 2.0, COLS), (ROWS, 1)).astype(np.float32)
-    return [*(replace(chart, content=gs.Cube(chart.wavelengths, bands * np.float32(scale)), name=f"cube {scale}")
-              for scale in (1, 0.5)),
-            replace(chart, content=gs.Cube(chart.wavelengths, (bands / 2).astype(np.float16)), name="halves"),
-            chart, gs.chart("colorchecker", size=(COLS, ROWS)), replace(chart, depth=depth, name="deep"),
-            gs.picture(codes), gs.picture(codes[::-1]), gs.picture(codes[..., 0], light="A"),
-            gs.picture(codes.astype(np.uint16) * 200)]
+    return [
+        *(
+            replace(
+                chart,
+                content=gs.Cube(chart.wavelengths, bands * np.float32(scale)),
+                name=f"cube {scale}",
+            )
+            for scale in (1, 0.5)
+        ),
+        replace(
+            chart, content=gs.Cube(chart.wavelengths, (bands / 2).astype(np.float16)), name="halves"
+        ),
+        chart,
+        gs.chart("colorchecker", size=(COLS, ROWS)),
+        replace(chart, depth=depth, name="deep"),
+        gs.picture(codes),
+        gs.picture(codes[::-1]),
+        gs.picture(codes[..., 0], light="A"),
+        gs.picture(codes.astype(np.uint16) * 200),
+    ]
 
 
 class Loop:
@@ -56,7 +89,9 @@ class Loop:
         self.cameras, self.scenes = self.some(cameras()), self.some(scenes())
         self.simulator = gs.Simulator(self.cameras[0], device=device)
         self.program, self.setting = None, None
-        self.batches = {output: self.simulator.batch(count, output) for output, count in BATCHES.items()}
+        self.batches = {
+            output: self.simulator.batch(count, output) for output, count in BATCHES.items()
+        }
         self.kept, self.exposures, self.done = [], [], []
 
     def one(self, values):
@@ -79,29 +114,50 @@ class Loop:
         key = output, id(camera), id(scene), seconds, gain, seed, frame
         if key not in self.fresh:
             simulator = gs.Simulator(camera, device=self.device)
-            self.fresh[key] = self.host(simulator.program(scene, seconds, gain).output(output, seed=seed, frame=frame))
+            self.fresh[key] = self.host(
+                simulator.program(scene, seconds, gain).output(output, seed=seed, frame=frame)
+            )
         return self.fresh[key]
 
     def require(self, found, output, setting, seed=0, frame=0):
-        wanted = self.wanted(output, setting, seed, frame).astype(found.dtype)  # frames' means are float32
-        np.testing.assert_array_equal(found, wanted, f"{output} of {setting[1].name}, steps: {self.done}")
+        wanted = self.wanted(output, setting, seed, frame).astype(
+            found.dtype
+        )  # frames' means are float32
+        np.testing.assert_array_equal(
+            found, wanted, f"{output} of {setting[1].name}, steps: {self.done}"
+        )
 
     def update(self):
-        setting, seed, frame = self.any_setting(), int(self.random.integers(2)), int(self.random.integers(2))
+        setting, seed, frame = (
+            self.any_setting(),
+            int(self.random.integers(2)),
+            int(self.random.integers(2)),
+        )
         if self.program is None:
             self.setting = setting
             self.program = self.simulator.update(setting[0]).program(*setting[1:])
         else:  # some of it
             names = ("camera", "scene", "exposure_time", "gain")
-            changed = {name: value for name, value in zip(names, setting, strict=True) if self.random.random() < 0.4}
+            changed = {
+                name: value
+                for name, value in zip(names, setting, strict=True)
+                if self.random.random() < 0.4
+            }
             self.program.update(**changed)
-            self.setting = tuple(changed.get(name, old) for name, old in zip(names, self.setting, strict=True))
+            self.setting = tuple(
+                changed.get(name, old) for name, old in zip(names, self.setting, strict=True)
+            )
         if self.random.random() < 0.3:
             self.keep(self.program.frame(seed=seed, frame=frame), self.setting, seed, frame)
         else:
             output = self.one(OUTPUTS)
-            self.require(self.host(self.program.output(output, seed=seed, frame=frame)), output, self.setting, seed,
-                         frame)
+            self.require(
+                self.host(self.program.output(output, seed=seed, frame=frame)),
+                output,
+                self.setting,
+                seed,
+                frame,
+            )
 
     def batch(self):
         output = self.one([*BATCHES])
@@ -110,7 +166,13 @@ class Loop:
         if self.random.random() < 0.5:  # one camera for all
             settings = [(settings[0][0], *rest) for _, *rest in settings]
         seeds = [int(seed) for seed in self.random.integers(0, 2, count)]
-        lists = dict(zip(("camera", "scenes", "exposure_time", "gain"), zip(*settings, strict=True), strict=True))
+        lists = dict(
+            zip(
+                ("camera", "scenes", "exposure_time", "gain"),
+                zip(*settings, strict=True),
+                strict=True,
+            )
+        )
         found = self.host(self.batches[output](**lists, seed=seeds, frame=first))
         for item, setting in enumerate(settings):
             self.require(found[item], output, setting, seeds[item], first + item)
@@ -134,20 +196,24 @@ class Loop:
     def stream(self):
         camera, _, seconds, gain = self.any_setting()
         chosen = [self.one(self.scenes) for _ in range(3)]
-        frames = self.simulator.update(camera).stream(chosen, "raw", exposure_time=seconds, gain=gain,
-                                                      meters_late=False)
+        frames = self.simulator.update(camera).stream(
+            chosen, "raw", exposure_time=seconds, gain=gain, meters_late=False
+        )
         for number, (scene, found) in enumerate(zip(chosen, frames, strict=True)):
             self.require(self.host(found), "raw", (camera, scene, seconds, gain), 0, number)
 
     def mistake(self):
         """What is refused, somewhere in the middle."""
-        wrong = self.one([
-            lambda: self.batches["raw"](self.scenes[:3], exposure_time=[0.01, -1.0, 0.01]),
-            lambda: self.batches["raw"](self.scenes[:3], seed=[0, 0, -1]),
-            lambda: self.batches["codes"]([self.scenes[0], 3]),
-            lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
-            lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
-            lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), frame=-1)])
+        wrong = self.one(
+            [
+                lambda: self.batches["raw"](self.scenes[:3], exposure_time=[0.01, -1.0, 0.01]),
+                lambda: self.batches["raw"](self.scenes[:3], seed=[0, 0, -1]),
+                lambda: self.batches["codes"]([self.scenes[0], 3]),
+                lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
+                lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
+                lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), frame=-1),
+            ]
+        )
         with pytest.raises(GpusimError):
             wrong()
 
@@ -168,8 +234,19 @@ class Loop:
 
     def run(self, turns):
         for _ in range(turns):
-            step = self.one((self.update, self.update, self.update, self.batch, self.batch, self.expose, self.draw,
-                             self.stream, self.mistake))
+            step = self.one(
+                (
+                    self.update,
+                    self.update,
+                    self.update,
+                    self.batch,
+                    self.batch,
+                    self.expose,
+                    self.draw,
+                    self.stream,
+                    self.mistake,
+                )
+            )
             self.done = [*self.done[-5:], step.__name__]
             step()
         for look in self.kept:

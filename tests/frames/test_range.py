@@ -8,7 +8,19 @@ from itertools import product
 import numpy as np
 import pytest
 from devices import ALL_KINDS
-from lights import BORDERS, FORMS, LENSES, LIGHTS, ONE, PHONE, VARYING, camera_with_lens, leaves, radiance, scene_of
+from lights import (
+    BORDERS,
+    FORMS,
+    LENSES,
+    LIGHTS,
+    ONE,
+    PHONE,
+    VARYING,
+    camera_with_lens,
+    leaves,
+    radiance,
+    scene_of,
+)
 
 import gpusim as gs
 from gpusim.domain.content import Cube
@@ -22,17 +34,30 @@ from gpusim.planner.plan import plan
 
 CPU = "opencl:pocl"
 TOLERANCES = (None, "preview", "video", "3e-5", Tolerance(rms=1e-3))
-SECONDS = 20  # of processor time of a plan, at most; lenses that vary take up to 10 of it for any light
+SECONDS = (
+    20  # of processor time of a plan, at most; lenses that vary take up to 10 of it for any light
+)
 
 
-def planned(lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, kept=made_anew):
+def planned(
+    lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, kept=made_anew
+):
     """Seconds of a plan, in which every warning is an error; a reason takes the place of the plan."""
     more = {} if wavelengths is None else {"wavelengths": wavelengths}
-    scene, camera, start = scene_of(radiance(light), form, border, **more), camera_with_lens(lens), time.process_time()
+    scene, camera, start = (
+        scene_of(radiance(light), form, border, **more),
+        camera_with_lens(lens),
+        time.process_time(),
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            plan(scene, camera, tolerance=None if tolerance is None else Tolerance.parse(tolerance), kept=kept)
+            plan(
+                scene,
+                camera,
+                tolerance=None if tolerance is None else Tolerance.parse(tolerance),
+                kept=kept,
+            )
         except GpusimError as error:
             assert "\n" not in str(error) and len(str(error)) < 300
     return time.process_time() - start
@@ -58,16 +83,27 @@ def test_plans_of_any_light_by_lenses_that_vary(light):
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("light", LIGHTS)
 def test_plans_of_all_there_is(lens, light):
-    forms, borders, tolerances = (FORMS, BORDERS, TOLERANCES) if lens not in VARYING else (
-        FORMS[:1], BORDERS[:2], TOLERANCES[::2])
+    forms, borders, tolerances = (
+        (FORMS, BORDERS, TOLERANCES)
+        if lens not in VARYING
+        else (FORMS[:1], BORDERS[:2], TOLERANCES[::2])
+    )
     for form, border, tolerance in product(forms, borders, tolerances):
         assert planned(lens, light, form, border, tolerance) < SECONDS, (form, border, tolerance)
     assert planned(lens, light, wavelengths=ONE) < SECONDS
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("lens, light", [("ideal", "filament"), ("ideal", "point of 1e12:1"), ("none", "sun"),
-                                         ("defocused", "plain"), ("defocused", "sun")])
+@pytest.mark.parametrize(
+    "lens, light",
+    [
+        ("ideal", "filament"),
+        ("ideal", "point of 1e12:1"),
+        ("none", "sun"),
+        ("defocused", "plain"),
+        ("defocused", "sun"),
+    ],
+)
 def test_brighter_light_for_a_shorter_time(lens, light, device):
     """Light times 1e6 at the exposure time over 1e6 is the same frame; that of a power of two to the last bit.
 
@@ -80,7 +116,9 @@ def test_brighter_light_for_a_shorter_time(lens, light, device):
         camera = camera_with_lens(lens, exposure_time=seconds / factor)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            exposure = gs.Simulator(camera, device=device, tolerance="video").expose(scene_of(factor * values))
+            exposure = gs.Simulator(camera, device=device, tolerance="video").expose(
+                scene_of(factor * values)
+            )
         frames.append(np.array(exposure.mean, np.float64))
     size = np.sqrt(np.mean(frames[0] ** 2))
     assert np.isfinite(frames).all() and size > 1
@@ -137,7 +175,9 @@ def test_hot_points_keep_their_word():
 
 
 def test_blurs_wider_than_windows_are_not_judged():
-    made = plan(scene_of(radiance("plain")), camera_with_lens("f/1000"), tolerance=Tolerance(rms=0.5))
+    made = plan(
+        scene_of(radiance("plain")), camera_with_lens("f/1000"), tolerance=Tolerance(rms=0.5)
+    )
     assert made.verdict.state == "not judged" and "too wide a blur" in str(made.verdict)
 
 
@@ -151,7 +191,10 @@ def test_the_electrons_of_a_laser():
     optics, sensor = camera.optics, camera.sensor
     irradiance = np.pi * light / (1 + 4 * optics.f_number**2) * optics.transmission
     # the efficiency is linear between its nodes: its mean over 1 nm is that in the middle, but beside a node
-    efficiency = [np.interp([531.5, 532, 532.5], sensor.qe.wavelengths, row).mean() for row in sensor.qe.values]
+    efficiency = [
+        np.interp([531.5, 532, 532.5], sensor.qe.wavelengths, row).mean()
+        for row in sensor.qe.values
+    ]
     wanted = irradiance * np.prod(sensor.aperture) * seconds * np.array(efficiency)
     cfa = sensor.cfa_indices
     np.testing.assert_allclose(mean[:2, :2], wanted[cfa], rtol=1e-3)
@@ -161,7 +204,8 @@ def test_the_electrons_of_a_laser():
 def test_frames_of_one_wavelength(lens):
     """A plain frame through all stages; by one wavelength nothing is left to fuse."""
     frame = gs.Simulator(camera_with_lens(lens), device=CPU, tolerance="preview")(
-        scene_of(radiance("plain"), wavelengths=ONE))
+        scene_of(radiance("plain"), wavelengths=ONE)
+    )
     assert np.isfinite(frame.linear).all() and frame.raw.max() > frame.raw.min()
     assert "only wavelength, 532 nm" in str(frame.report)
 
@@ -173,4 +217,7 @@ def test_files_of_one_wavelength(tmp_path):
     np.testing.assert_array_equal(again.content.values, scene.content.values)
     assert again.wavelengths == ONE and not again.light_is_known
     np.save(tmp_path / "laser.npy", scene.content.values)
-    assert gs.open_scene(tmp_path / "laser.npy", wavelengths=[532.0], kind="radiance").wavelengths == ONE
+    assert (
+        gs.open_scene(tmp_path / "laser.npy", wavelengths=[532.0], kind="radiance").wavelengths
+        == ONE
+    )

@@ -25,8 +25,17 @@ from gpusim.pipeline.readout import Readout
 
 BAYER = np.array([[0, 1], [1, 2]], np.int32)
 QUAD = BAYER.repeat(2, axis=0).repeat(2, axis=1)
-X_TRANS = np.array([[1, 1, 0, 1, 1, 2], [1, 1, 2, 1, 1, 0], [2, 0, 1, 0, 2, 1],
-                    [1, 1, 2, 1, 1, 0], [1, 1, 0, 1, 1, 2], [0, 2, 1, 2, 0, 1]], np.int32)
+X_TRANS = np.array(
+    [
+        [1, 1, 0, 1, 1, 2],
+        [1, 1, 2, 1, 1, 0],
+        [2, 0, 1, 0, 2, 1],
+        [1, 1, 2, 1, 1, 0],
+        [1, 1, 0, 1, 1, 2],
+        [0, 2, 1, 2, 0, 1],
+    ],
+    np.int32,
+)
 RANGE = CORRECTED_WHITE - CORRECTED_BLACK
 TURNS = [np.s_[:, ::-1], np.s_[::-1], np.s_[::-1, ::-1]]
 
@@ -42,7 +51,9 @@ def sensor_of(noise, **changes):
 # Defective pixels
 
 
-@pytest.mark.parametrize("cfa", [BAYER, QUAD, X_TRANS, np.zeros((1, 1), np.int32)], ids=["Bayer", "quad", "X", "grey"])
+@pytest.mark.parametrize(
+    "cfa", [BAYER, QUAD, X_TRANS, np.zeros((1, 1), np.int32)], ids=["Bayer", "quad", "X", "grey"]
+)
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_any_pixel_of_a_plane_is_restored_and_clusters_too(cfa, device):
     """The mean of two opposite pixels of a plane is the plane: whole numbers, so exactly, whichever pair is taken."""
@@ -51,9 +62,13 @@ def test_any_pixel_of_a_plane_is_restored_and_clusters_too(cfa, device):
     known = np.zeros(raw.shape, bool)
     known[::7, ::5] = True  # 7 and 5 have no factor in common with any period: all phases
     known[20:24, 24:27] = True
-    known[:16], known[-16:], known[:, :16], known[:, -16:] = (False,) * 4  # where all pairs are in the frame
+    known[:16], known[-16:], known[:, :16], known[:, -16:] = (
+        False,
+    ) * 4  # where all pairs are in the frame
     broken = np.where(known, np.where(x % 2, 0, 65535), raw).astype(np.uint16)
-    np.testing.assert_array_equal(defects(broken, known, cfa=cfa, black_level=0.0, device=device), raw)
+    np.testing.assert_array_equal(
+        defects(broken, known, cfa=cfa, black_level=0.0, device=device), raw
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -64,9 +79,11 @@ def test_a_pixel_beside_an_edge_comes_from_along_it(axis, device):
     raw = np.broadcast_to(step if axis else step[:, None], (30, 30)).astype(np.uint16)
     for start in range(4):
         known = np.zeros(raw.shape, np.uint8)
-        known[2 + start : -2 : 4, 2 : -2 : 4] = known[2 + start : -2 : 4, 5 : -2 : 4] = 1
+        known[2 + start : -2 : 4, 2:-2:4] = known[2 + start : -2 : 4, 5:-2:4] = 1
         broken = np.where(known, 65535, raw).astype(np.uint16)
-        np.testing.assert_array_equal(defects(broken, known, cfa=BAYER, black_level=0.0, device=device), raw)
+        np.testing.assert_array_equal(
+            defects(broken, known, cfa=BAYER, black_level=0.0, device=device), raw
+        )
 
 
 @pytest.mark.parametrize("device", ["numpy", *DEVICES])
@@ -83,8 +100,12 @@ def test_defects_of_mirrored_mosaics_are_mirrored(device):
         straight = defects(raw, known, cfa=pixels[:period, :period], **options)
         assert (straight != raw).any()
         for turn in TURNS:
-            mirrored = defects(turned(raw, turn), turned(known, turn), cfa=turned(pixels, turn)[:period, :period],
-                               **options)
+            mirrored = defects(
+                turned(raw, turn),
+                turned(known, turn),
+                cfa=turned(pixels, turn)[:period, :period],
+                **options,
+            )
             np.testing.assert_array_equal(mirrored[turn], straight)
 
 
@@ -94,15 +115,23 @@ def test_a_simulated_chip_knows_its_defects(device):
     noise = gs.Noise(photon="none", dead_pixels=4e-3, hot_pixels=4e-3, hot_current=3e4, seed=5)
     readout = Readout(sensor_of(noise), device)
     shape, time = (96, 130), 0.01
-    raw = np.array(readout.device.numpy(readout.draw(readout.chip_mean(
-        readout.device.array(np.full(shape, 1500.0, np.float32)), time), time)))
+    raw = np.array(
+        readout.device.numpy(
+            readout.draw(
+                readout.chip_mean(readout.device.array(np.full(shape, 1500.0, np.float32)), time),
+                time,
+            )
+        )
+    )
     usual = np.median(raw)
     known = readout.defects(shape, time, least=20.0)
     black = readout.sensor.black_level
     assert ((raw == black) <= (known == 1)).all() and (raw == black).sum() > 20
     gain = readout.sensor.gain_dn_per_electron
     assert ((raw > usual + 20 * gain + 1) <= (known == 1)).all()  # 1: both are rounded
-    assert ((known == 1) <= (raw == black) | (raw > usual + 20 * gain - 1)).all() and (raw > usual).sum() > 20
+    assert ((known == 1) <= (raw == black) | (raw > usual + 20 * gain - 1)).all() and (
+        raw > usual
+    ).sum() > 20
     corrected = defects(raw, known, cfa=BAYER, black_level=black, device=device)
     assert np.abs(corrected.astype(int) - usual).max() <= 20 * gain + 1  # what `least` leaves
     assert Readout(sensor_of(gs.Noise()), device).defects(shape) is None
@@ -129,7 +158,13 @@ def test_hot_and_dead_pixels_are_found_and_noise_is_not(device):
     shape, electrons, gain, read, black = (180, 240), 900.0, 2.0, 6.0, 64
     sigma = np.sqrt(gain**2 * electrons + read**2)  # [DN]
     raw = black + gain * random.poisson(electrons, shape) + read * random.standard_normal(shape)
-    options = {"cfa": BAYER, "black_level": black, "noise": (gain, read), "detect": 6.0, "device": device}
+    options = {
+        "cfa": BAYER,
+        "black_level": black,
+        "noise": (gain, read),
+        "detect": 6.0,
+        "device": device,
+    }
     clean = np.round(raw).astype(np.uint16)
     np.testing.assert_array_equal(defects(clean, **options), clean)
     hot, dead = np.zeros(shape, bool), np.zeros(shape, bool)
@@ -153,24 +188,45 @@ def test_stars_are_kept():
     sensor = sim.camera.sensor
     raw = np.array(sim.device.numpy(sim.draw(exposure, seed=1)))
     gain = sensor.gain_dn_per_electron
-    changed = defects(raw, cfa=sensor.cfa_indices, black_level=sensor.black_level,
-                      noise=(gain, gain * sensor.read_sigma), detect=6.0, device="opencl") != raw
+    changed = (
+        defects(
+            raw,
+            cfa=sensor.cfa_indices,
+            black_level=sensor.black_level,
+            noise=(gain, gain * sensor.read_sigma),
+            detect=6.0,
+            device="opencl",
+        )
+        != raw
+    )
     assert (mean > 20 * np.median(mean)).sum() > 60
-    assert changed.sum() <= 9  # faint ones, and of the seventh that is green those that no other colour sees
+    assert (
+        changed.sum() <= 9
+    )  # faint ones, and of the seventh that is green those that no other colour sees
 
 
 def test_defects_refuses_wrong_input():
     raw = np.ones((8, 8), np.uint16)
     good = {"cfa": BAYER, "black_level": 0.0, "device": "opencl"}
-    for bad, words in ((raw.astype(np.float32), "uint16"), (raw[None], "uint16"), (raw[:0], "uint16")):
+    for bad, words in (
+        (raw.astype(np.float32), "uint16"),
+        (raw[None], "uint16"),
+        (raw[:0], "uint16"),
+    ):
         with pytest.raises(BadData, match=words):
             defects(bad, **good)
     with pytest.raises(BadData, match=r"known defects.*wanted that of raw"):
         defects(raw, np.ones((8, 9), np.uint8), **good)
     with pytest.raises(BadData, match="cfa"):
         defects(raw, **{**good, "cfa": np.ones((2, 2), np.int32)})
-    for key, value in (("detect", 0.0), ("detect", np.nan), ("noise", (1.0, -1.0)), ("noise", (np.nan, 0.0)),
-                       ("noise", 3.0), ("black_level", np.nan)):
+    for key, value in (
+        ("detect", 0.0),
+        ("detect", np.nan),
+        ("noise", (1.0, -1.0)),
+        ("noise", (np.nan, 0.0)),
+        ("noise", 3.0),
+        ("black_level", np.nan),
+    ):
         with pytest.raises(OutOfRange, match=key):
             defects(raw, **{**good, key: value})
 
@@ -182,9 +238,17 @@ def shaded_camera():
     camera = gs.open_camera("phone")
     y, x = np.mgrid[-1:1:5j, -1:1:5j]
     microlens = Microlens(np.radians([0, 10, 20, 30, 45]), [1, 0.98, 0.9, 0.75, 0.4])
-    sensor = dataclasses.replace(camera.sensor, bits=16, noise=gs.Noise(photon="none"), microlens=microlens,
-                                 vignetting=1 - 0.2 * (y**2 + 0.5 * x**2), pixel_pitch=12e-6)
-    return dataclasses.replace(camera, sensor=sensor, optics=dataclasses.replace(camera.optics, model="none"))
+    sensor = dataclasses.replace(
+        camera.sensor,
+        bits=16,
+        noise=gs.Noise(photon="none"),
+        microlens=microlens,
+        vignetting=1 - 0.2 * (y**2 + 0.5 * x**2),
+        pixel_pitch=12e-6,
+    )
+    return dataclasses.replace(
+        camera, sensor=sensor, optics=dataclasses.replace(camera.optics, model="none")
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -198,23 +262,40 @@ def test_a_flat_scene_comes_out_flat(device):
     scene = dataclasses.replace(scene, border="edge")
     sensor = sim.camera.sensor
     exposure = sim.expose(scene, 1.0)
-    exposure = gs.lengthened(sim, exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max()))
+    exposure = gs.lengthened(
+        sim, exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max())
+    )
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
     gains = shading_gains(relative_response(sim.plan(scene)), 3)
     scale = 1 / (sensor.white_level - sensor.black_level)
-    out = shade(raw, gains, cfa=sensor.cfa_indices, black_level=sensor.black_level, scale=scale, device=device)
+    out = shade(
+        raw,
+        gains,
+        cfa=sensor.cfa_indices,
+        black_level=sensor.black_level,
+        scale=scale,
+        device=device,
+    )
     for y in (0, 1):
         for x in (0, 1):
-            before, after = (np.asarray(plane[y::2, x::2], float) - black
-                             for plane, black in ((raw, sensor.black_level), (out, CORRECTED_BLACK)))
+            before, after = (
+                np.asarray(plane[y::2, x::2], float) - black
+                for plane, black in ((raw, sensor.black_level), (out, CORRECTED_BLACK))
+            )
             assert before.min() < 0.6 * before.max()
             assert after.min() > (1 - 1e-3) * after.max()
             assert abs(after.max() / RANGE - before.max() * scale) < 1e-3
 
 
-@pytest.mark.parametrize("lens", [
-    RadialPolynomial(0.1, 0.0, 1.4e-4), RadialPolynomial(-0.1, 0.0, 1.4e-4),
-    BrownConrady(-0.1, 0.0, 0.0, 2e-3, -1e-3, 1.4e-4)], ids=["pincushion", "barrel", "decentred"])
+@pytest.mark.parametrize(
+    "lens",
+    [
+        RadialPolynomial(0.1, 0.0, 1.4e-4),
+        RadialPolynomial(-0.1, 0.0, 1.4e-4),
+        BrownConrady(-0.1, 0.0, 0.0, 2e-3, -1e-3, 1.4e-4),
+    ],
+    ids=["pincushion", "barrel", "decentred"],
+)
 def test_a_distortion_dims_a_flat_scene_as_its_flux_says(lens):
     """Per colour, over the response: float32 only, with the relative illumination left out.
 
@@ -223,7 +304,9 @@ def test_a_distortion_dims_a_flat_scene_as_its_flux_says(lens):
     """
     camera = gs.open_camera("phone")  # its pixels have 1.4 um: the corner is where r = 1
     sensor = dataclasses.replace(camera.sensor, bits=FLOAT_BITS, noise=gs.Noise(photon="none"))
-    optics = dataclasses.replace(camera.optics, model="none", relative_illumination="none", distortion=lens)
+    optics = dataclasses.replace(
+        camera.optics, model="none", relative_illumination="none", distortion=lens
+    )
     sim = gs.Simulator(dataclasses.replace(camera, sensor=sensor, optics=optics), device="opencl")
     scene = dataclasses.replace(gs.chart("flat", size=(160, 120)), border="edge")
     mean = np.array(sim.device.numpy(sim.expose(scene, 1.0).mean), float)
@@ -244,22 +327,33 @@ def test_a_flat_scene_comes_out_flat_from_binned_pixels(size):
     once back; digital numbers of 16 bits above 10000 by 5e-5. The two phases of green have one level.
     """
     camera = gs.open_camera("phone")
-    sensor = dataclasses.replace(camera.sensor, bits=16, noise=gs.Noise(photon="none"), binning=(2, 2),
-                                 pixel_pitch=2 * camera.optics.focal_length * np.tan(np.radians(35)) / size[0])
+    sensor = dataclasses.replace(
+        camera.sensor,
+        bits=16,
+        noise=gs.Noise(photon="none"),
+        binning=(2, 2),
+        pixel_pitch=2 * camera.optics.focal_length * np.tan(np.radians(35)) / size[0],
+    )
     optics = dataclasses.replace(camera.optics, model="none")
     sim = gs.Simulator(dataclasses.replace(camera, sensor=sensor, optics=optics), device="opencl")
     scene = dataclasses.replace(gs.chart("flat", size=size), border="edge")
     exposure = sim.expose(scene, 1.0)
     output = sim.readout.output
-    exposure = gs.lengthened(sim, exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max()))
+    exposure = gs.lengthened(
+        sim, exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max())
+    )
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
-    response = sim.readout.mean(sim.device.array(relative_response(sim.plan(scene)).astype(np.float32)))
+    response = sim.readout.mean(
+        sim.device.array(relative_response(sim.plan(scene)).astype(np.float32))
+    )
     gains, phases = phase_gains(response, output.cfa_indices.shape)
     scale = 1 / (output.white_level - output.dark_level)
     out = shade(raw, gains, cfa=phases, black_level=output.dark_level, scale=scale, device="opencl")
     phases_of = [np.s_[y::2, x::2] for y in (0, 1) for x in (0, 1)]
     planes = [out[phase].astype(float) - CORRECTED_BLACK for phase in phases_of]
-    for plane, before in zip(planes, [raw[phase] - output.dark_level for phase in phases_of], strict=True):
+    for plane, before in zip(
+        planes, [raw[phase] - output.dark_level for phase in phases_of], strict=True
+    ):
         assert before.min() < 0.5 * before.max()
         assert plane.min() > (1 - 7e-4) * plane.max()
     assert planes[1].mean() == pytest.approx(planes[2].mean(), rel=7e-4)
@@ -273,7 +367,9 @@ def test_gains_of_phases():
     assert phases.tolist() == [[0, 1], [2, 3]] and gains.shape == (4, 2, 2)
     y, x = ((np.arange(n) + 0.5) / n for n in wanted.shape)
     for phase, nodes in zip(((0, 0), (0, 1), (1, 0), (1, 1)), gains, strict=True):
-        made = (np.stack([1 - y, y], 1) @ nodes @ np.stack([1 - x, x]))[phase[0] :: 2, phase[1] :: 2]
+        made = (np.stack([1 - y, y], 1) @ nodes @ np.stack([1 - x, x]))[
+            phase[0] :: 2, phase[1] :: 2
+        ]
         assert made == pytest.approx(wanted[phase[0] :: 2, phase[1] :: 2] / wanted.min(), rel=1e-12)
     assert phase_gains(1 / wanted, (2, 2), most=1.25)[0].max() == pytest.approx(1.25)
     assert phase_gains(np.ones((2, 3)), (2, 3))[0].shape == (6, 2, 2)
@@ -292,7 +388,9 @@ def test_gains_are_limited():
     assert gains.min() == 1
     assert gains.max() == 4
     assert shading_gains(np.ones((9, 9)), 3).shape == (3, 2, 2)  # nothing to undo: the fewest nodes
-    per_channel = shading_gains(np.stack([np.ones((9, 9)), np.broadcast_to(np.linspace(1, 0.5, 9), (9, 9))]), 2)
+    per_channel = shading_gains(
+        np.stack([np.ones((9, 9)), np.broadcast_to(np.linspace(1, 0.5, 9), (9, 9))]), 2
+    )
     assert (per_channel[0] == 1).all() and per_channel[1].max() > 1.9
     for bad in (np.full((4, 4), np.nan), np.zeros((4, 4)), -np.ones((4, 4))):
         with pytest.raises(OutOfRange):
@@ -303,10 +401,13 @@ def test_gains_are_limited():
 def test_noise_below_black_survives_and_highlights_end_at_white(device):
     raw = np.array([[64, 63], [65, 1087], [0, 40]], np.uint16)
     gains = np.full((1, 2, 2), 2.0, np.float32)
-    out = shade(raw, gains, cfa=np.zeros((1, 1), np.int32), black_level=64.0, scale=1 / 1023, device=device)
+    out = shade(
+        raw, gains, cfa=np.zeros((1, 1), np.int32), black_level=64.0, scale=1 / 1023, device=device
+    )
     step = 2 * RANGE / 1023  # 120.12 a digital number
-    np.testing.assert_array_equal(out, [[4096, round(4096 - step)], [round(4096 + step), 65535],
-                                        [0, round(4096 - 24 * step)]])
+    np.testing.assert_array_equal(
+        out, [[4096, round(4096 - step)], [round(4096 + step), 65535], [0, round(4096 - 24 * step)]]
+    )
 
 
 def test_shade_refuses_wrong_input():
@@ -332,8 +433,15 @@ def test_dng_names_the_light_of_its_matrix(tmp_path, light, code):
     """Codes of EXIF 2.3, LightSource, by which a DNG's CalibrationIlluminant1 goes."""
     import tifffile
 
-    write_dng(tmp_path / "a.dng", np.ones((22, 22), np.uint16), ("RG", "GB"), 0, 100, {light: (np.eye(3), None)},
-              np.ones(3))
+    write_dng(
+        tmp_path / "a.dng",
+        np.ones((22, 22), np.uint16),
+        ("RG", "GB"),
+        0,
+        100,
+        {light: (np.eye(3), None)},
+        np.ones(3),
+    )
     with tifffile.TiffFile(tmp_path / "a.dng") as file:
         assert file.pages[0].tags[50778].value == code
 
@@ -358,14 +466,22 @@ def test_flat_fields_keep_their_mean_and_lose_their_noise(cfa, electrons, device
     """
     random = np.random.default_rng(electrons)
     gain, read, black, size = 8.0, 2.0, 512, 128
-    raw = black + gain * (random.poisson(electrons, (size, size)) + read * random.standard_normal((size, size)))
+    raw = black + gain * (
+        random.poisson(electrons, (size, size)) + read * random.standard_normal((size, size))
+    )
     raw = np.round(raw).astype(np.uint16)
     scale = 1 / (gain * 4 * electrons + 20 * gain)
-    out = electrons_of(denoise(raw, cfa=cfa, black_level=black, scale=scale, noise=(gain, gain * read), device=device),
-                       scale * gain)
+    out = electrons_of(
+        denoise(
+            raw, cfa=cfa, black_level=black, scale=scale, noise=(gain, gain * read), device=device
+        ),
+        scale * gain,
+    )
     before = (raw - float(black)) / gain
     assert abs(out.mean() - before.mean()) < 3 * np.sqrt((electrons + read**2) / size**2)
-    twins = np.tile(cfa == 1, (size // 2, size // 2)) if len(cfa) == 2 else np.zeros((size, size), bool)
+    twins = (
+        np.tile(cfa == 1, (size // 2, size // 2)) if len(cfa) == 2 else np.zeros((size, size), bool)
+    )
     assert 16 < before[~twins].var() / out[~twins].var() < 25
     assert len(cfa) > 2 or 25 < before[twins].var() / out[twins].var() < 39
 
@@ -383,7 +499,15 @@ def at_the_highest_frequency(green):
     return max(power[end].mean() for end in ends) / middle
 
 
-MAZES = [(5, 2, 0.0), (20, 2, 0.0), (20, 5, 0.0), (100, 2, 0.0), (1000, 2, 0.0), (20, 2, 0.01), (100, 2, 0.005)]
+MAZES = [
+    (5, 2, 0.0),
+    (20, 2, 0.0),
+    (20, 5, 0.0),
+    (100, 2, 0.0),
+    (1000, 2, 0.0),
+    (20, 2, 0.01),
+    (100, 2, 0.005),
+]
 
 
 @pytest.mark.parametrize(("electrons", "read", "apart"), MAZES)
@@ -400,11 +524,21 @@ def test_no_maze_of_the_two_greens_is_left(electrons, read, apart, device):
     gain, black, size = 4.0, 512.0, 256
     light = np.full((size, size), float(electrons))
     light[1::2, ::2] *= 1 - apart
-    raw = np.round(black + gain * (random.poisson(light) + read * random.standard_normal(light.shape)))
-    calm = denoise(raw.astype(np.uint16), cfa=BAYER, black_level=black, scale=1 / (gain * (4 * electrons + 20)),
-                   noise=(gain, gain * read), device=device)
+    raw = np.round(
+        black + gain * (random.poisson(light) + read * random.standard_normal(light.shape))
+    )
+    calm = denoise(
+        raw.astype(np.uint16),
+        cfa=BAYER,
+        black_level=black,
+        scale=1 / (gain * (4 * electrons + 20)),
+        noise=(gain, gain * read),
+        device=device,
+    )
     for method in (bilinear, malvar, adaptive, best, learned):
-        rgb = method(calm, phase="RGGB", black_level=CORRECTED_BLACK, scale=1 / RANGE, device=device)
+        rgb = method(
+            calm, phase="RGGB", black_level=CORRECTED_BLACK, scale=1 / RANGE, device=device
+        )
         assert at_the_highest_frequency(rgb[1].astype(float)) < 2, method.__name__
 
 
@@ -415,7 +549,9 @@ def test_noise_free_mosaics_only_change_their_scale(device):
     expected = np.clip(CORRECTED_BLACK + RANGE * (raw - 64.0) / 4031, 0, 65535)
     for more in ({"noise": (0.0, 0.0)}, {"noise": (1.0, 3.0), "strength": 0.0}):
         # half a step of rounding, and the float32 product's 2^-24 x 61439 x 3
-        np.testing.assert_allclose(denoise(raw, **options, **more), expected, rtol=0, atol=0.5 + 0.02)
+        np.testing.assert_allclose(
+            denoise(raw, **options, **more), expected, rtol=0, atol=0.5 + 0.02
+        )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -424,8 +560,10 @@ def test_a_strong_edge_stays_where_it_is(device):
     random = np.random.default_rng(4)
     level = np.where(np.arange(64) < 31, 100.0, 500.0) + np.zeros((64, 1))
     raw = np.round(level + 10 * random.standard_normal(level.shape)).astype(np.uint16)
-    out = electrons_of(denoise(raw, cfa=BAYER, black_level=0.0, scale=1 / 1000, noise=(0.0, 10.0), device=device),
-                       1 / 1000)
+    out = electrons_of(
+        denoise(raw, cfa=BAYER, black_level=0.0, scale=1 / 1000, noise=(0.0, 10.0), device=device),
+        1 / 1000,
+    )
     for x in range(27, 35):  # 64 pixels a column whose noise is at most that of before
         assert abs(out[:, x].mean() - level[0, x]) < 4 * 10 / np.sqrt(64)
 
@@ -450,8 +588,14 @@ def test_denoise_refuses_wrong_input():
             denoise(bad, **good)
     with pytest.raises(BadData, match=r"at least one period.*2x2"):
         denoise(raw[:1], **good)
-    for key, value in (("strength", -1.0), ("strength", np.nan), ("noise", (1.0, np.inf)), ("noise", None),
-                       ("black_level", np.inf), ("scale", np.nan)):
+    for key, value in (
+        ("strength", -1.0),
+        ("strength", np.nan),
+        ("noise", (1.0, np.inf)),
+        ("noise", None),
+        ("black_level", np.inf),
+        ("scale", np.nan),
+    ):
         with pytest.raises(OutOfRange, match=key):
             denoise(raw, **{**good, key: value})
 
@@ -466,9 +610,12 @@ def photographs(folder):
 
 def cpsnr(estimate, image):
     """PSNR of the encoded pictures over three channels [dB], without a border of 10 pixels."""
+
     def encoded(linear):
         linear = np.clip(linear, 0, 1)
-        return 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        return 255 * np.where(
+            linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055
+        )
 
     error = (encoded(estimate) - encoded(image))[10:-10, 10:-10]
     return 10 * np.log10(255**2 / np.mean(error**2))
@@ -488,10 +635,22 @@ def gains_of_denoising(linear, electrons, seed=0):
     """CPSNR of bilinear and adaptive demosaicking, without and with denoising before [dB]."""
     raw, white = noisy_mosaic(linear, electrons, seed)
     plain, scale = {"black_level": 512.0, "scale": 1 / (8 * white)}, 1 / (16 * white)
-    calm = denoise(raw, cfa=BAYER, black_level=512.0, scale=scale, noise=(8.0, 16.0), device="opencl")
+    calm = denoise(
+        raw, cfa=BAYER, black_level=512.0, scale=scale, noise=(8.0, 16.0), device="opencl"
+    )
     better = {"black_level": float(CORRECTED_BLACK), "scale": 2 / RANGE}
-    return [[cpsnr(np.moveaxis(method(pixels, phase="RGGB", **levels, device="opencl"), 0, 2).astype(float), linear)
-             for method in (bilinear, adaptive)] for pixels, levels in ((raw, plain), (calm, better))]
+    return [
+        [
+            cpsnr(
+                np.moveaxis(method(pixels, phase="RGGB", **levels, device="opencl"), 0, 2).astype(
+                    float
+                ),
+                linear,
+            )
+            for method in (bilinear, adaptive)
+        ]
+        for pixels, levels in ((raw, plain), (calm, better))
+    ]
 
 
 def test_denoising_raises_the_quality_of_a_photograph(shared_data):
@@ -502,19 +661,34 @@ def test_denoising_raises_the_quality_of_a_photograph(shared_data):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("folder", "electrons", "bilinear_gain", "adaptive_gain"), [
-    ("kodak", 20, 2.6, 4.8), ("kodak", 100, 0.3, 2.0), ("mcm", 20, 2.6, 3.9), ("mcm", 100, 0.4, 1.5)])
-def test_denoising_raises_the_quality_of_all_photographs(shared_data, folder, electrons, bilinear_gain, adaptive_gain):
+@pytest.mark.parametrize(
+    ("folder", "electrons", "bilinear_gain", "adaptive_gain"),
+    [
+        ("kodak", 20, 2.6, 4.8),
+        ("kodak", 100, 0.3, 2.0),
+        ("mcm", 20, 2.6, 3.9),
+        ("mcm", 100, 0.4, 1.5),
+    ],
+)
+def test_denoising_raises_the_quality_of_all_photographs(
+    shared_data, folder, electrons, bilinear_gain, adaptive_gain
+):
     """Bounds 0.6 dB below what was measured: 2.5 times by how much the mean of a dozen images scatters.
 
     Search, patch and weight were chosen on every fourth of the Kodak images and every third of McMaster's; their
     neighbours in the table differ by less than 0.2 dB.
     """
-    results = np.array([gains_of_denoising(linear, electrons, seed)
-                        for seed, linear in enumerate(photographs(shared_data / folder))])
+    results = np.array(
+        [
+            gains_of_denoising(linear, electrons, seed)
+            for seed, linear in enumerate(photographs(shared_data / folder))
+        ]
+    )
     before, after = results.mean(axis=0)
-    print(f"{folder} ({len(results)}), {electrons} e-: bilinear {before[0]:.2f} -> {after[0]:.2f}, adaptive "
-          f"{before[1]:.2f} -> {after[1]:.2f} dB")
+    print(
+        f"{folder} ({len(results)}), {electrons} e-: bilinear {before[0]:.2f} -> {after[0]:.2f}, adaptive "
+        f"{before[1]:.2f} -> {after[1]:.2f} dB"
+    )
     assert after[0] > before[0] + bilinear_gain
     assert after[1] > before[1] + adaptive_gain
     assert (results[:, 1] > results[:, 0]).all()  # of every single image
@@ -532,7 +706,9 @@ def test_few_pixels_of_photographs_are_taken_for_defects(shared_data, folder, mo
     changed = pixels = 0
     for seed, linear in enumerate(photographs(shared_data / folder)):
         raw, _ = noisy_mosaic(gaussian_filter(linear, (0.5, 0.5, 0)), 1000, seed, gain=4.0)
-        fixed = defects(raw, cfa=BAYER, black_level=512.0, noise=(4.0, 8.0), detect=6.0, device="opencl")
+        fixed = defects(
+            raw, cfa=BAYER, black_level=512.0, noise=(4.0, 8.0), detect=6.0, device="opencl"
+        )
         changed, pixels = changed + (fixed != raw).sum(), pixels + raw.size
     print(f"{folder}: {changed / pixels * 1e6:.0f} in a million")
     assert changed < most * 1e-6 * pixels

@@ -17,11 +17,21 @@ SIZE = (192, 128)
 CLEAN = gs.Noise(photon="none")
 D65 = np.array([0.3127 / 0.3290, 1, (1 - 0.3127 - 0.3290) / 0.3290])
 D50 = np.array([0.9642, 1, 0.8249])
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-CURVES = {"R": (.02, .03, .1, .6, .05), "G": (.03, .1, .6, .1, .02), "B": (.1, .6, .1, .02, .01),
-          "W": (.3, .8, .85, .7, .1), "C": (.3, .55, .5, .05, .01), "M": (.2, .5, .08, .5, .1),
-          "Y": (.02, .08, .6, .5, .05)}  # electrons per photon at 360, 450, 550, 640 and 830 nm
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+SRGB = np.array(
+    [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
+)  # IEC 61966-2-1
+CURVES = {
+    "R": (0.02, 0.03, 0.1, 0.6, 0.05),
+    "G": (0.03, 0.1, 0.6, 0.1, 0.02),
+    "B": (0.1, 0.6, 0.1, 0.02, 0.01),
+    "W": (0.3, 0.8, 0.85, 0.7, 0.1),
+    "C": (0.3, 0.55, 0.5, 0.05, 0.01),
+    "M": (0.2, 0.5, 0.08, 0.5, 0.1),
+    "Y": (0.02, 0.08, 0.6, 0.5, 0.05),
+}  # electrons per photon at 360, 450, 550, 640 and 830 nm
 
 
 def tags_of(path):
@@ -39,7 +49,9 @@ def camera_of(name, **parts):
 def patches(picture):
     """Means of the 24 patches inside, (24, 3), of a picture (rows, cols, 3)."""
     inner = slice(5, -5)
-    return np.array([picture[patch][inner, inner].mean(axis=(0, 1)) for patch in colorchecker_patches(SIZE)])
+    return np.array(
+        [picture[patch][inner, inner].mean(axis=(0, 1)) for patch in colorchecker_patches(SIZE)]
+    )
 
 
 def own(frame):
@@ -49,9 +61,16 @@ def own(frame):
 
 def by_libraw(path):
     with rawpy.imread(str(path)) as file:
-        shown = file.postprocess(demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR, use_camera_wb=True, gamma=(1, 1),
-                                 output_color=rawpy.ColorSpace.sRGB, output_bps=16, no_auto_bright=True, user_flip=0,
-                                 adjust_maximum_thr=0.0)  # else the largest value that is there would be white
+        shown = file.postprocess(
+            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+            use_camera_wb=True,
+            gamma=(1, 1),
+            output_color=rawpy.ColorSpace.sRGB,
+            output_bps=16,
+            no_auto_bright=True,
+            user_flip=0,
+            adjust_maximum_thr=0.0,
+        )  # else the largest value that is there would be white
     return patches(shown / 65535)
 
 
@@ -62,10 +81,12 @@ def balanced(frame):
     cfa, means = sensor.cfa_indices, []
     for rows, cols in colorchecker_patches(SIZE):
         inside = np.zeros(values.shape, bool)
-        inside[rows.start + 5:rows.stop - 5, cols.start + 5:cols.stop - 5] = True
+        inside[rows.start + 5 : rows.stop - 5, cols.start + 5 : cols.stop - 5] = True
         tiled = np.tile(cfa, (values.shape[0] // len(cfa) + 1, values.shape[1] // len(cfa[0]) + 1))
-        tiled = tiled[:values.shape[0], :values.shape[1]]
-        means.append([values[inside & (tiled == channel)].mean() for channel in range(len(sensor.channels))])
+        tiled = tiled[: values.shape[0], : values.shape[1]]
+        means.append(
+            [values[inside & (tiled == channel)].mean() for channel in range(len(sensor.channels))]
+        )
     return np.array(means)
 
 
@@ -80,7 +101,9 @@ def difference(linear, truth):
     shown = np.clip(linear, 0, None) @ np.linalg.inv(SRGB).T
     shown *= truth[:, 1].sum() / shown[:, 1].sum()
     xy = colour.XYZ_to_xy(D65)
-    return colour.delta_E(colour.XYZ_to_Lab(shown, xy), colour.XYZ_to_Lab(truth, xy), method="CIE 2000")
+    return colour.delta_E(
+        colour.XYZ_to_Lab(shown, xy), colour.XYZ_to_Lab(truth, xy), method="CIE 2000"
+    )
 
 
 @pytest.mark.parametrize("name", ["phone", "figure8"])
@@ -92,13 +115,17 @@ def test_libraw_makes_our_colours_in_daylight(tmp_path, name):
     65535 steps. White, of which each row is 1 whatever the matrix, differs by the steps alone. It clips to 0 .. 1:
     so do we.
     """
-    frame = gs.Simulator(camera_of(name), device="opencl")(gs.chart("colorchecker", size=SIZE, light="D65"))
+    frame = gs.Simulator(camera_of(name), device="opencl")(
+        gs.chart("colorchecker", size=SIZE, light="D65")
+    )
     frame.save(tmp_path / "a.dng")
     found, wanted = by_libraw(tmp_path / "a.dng"), np.clip(own(frame), 0, 1)
     sums = (balanced(frame) / frame.rendering.neutral).sum(axis=1, keepdims=True)
     assert (np.abs(found - wanted) <= 3e-4 * sums + 2 / 65535).all()
     print(f"{name}: at most {np.abs(found - wanted).max():.1e}")
-    np.testing.assert_allclose(found[18], wanted[18], rtol=1e-4)  # white, nearly as neutral as white can be
+    np.testing.assert_allclose(
+        found[18], wanted[18], rtol=1e-4
+    )  # white, nearly as neutral as white can be
 
 
 @pytest.mark.parametrize("light", ["A", "FL11"])
@@ -110,14 +137,20 @@ def test_white_balance_in_other_lights(tmp_path, name, light):
     from ours by D, whose rows sum to 0, so what they make of it by no more than half the sum of a row of |D| times the
     range of v. Raw values, a seventh of the range or more, are rounded to 7e-5, shown ones to 1e-4 of white.
     """
-    frame = gs.Simulator(camera_of(name), device="opencl")(gs.chart("colorchecker", size=SIZE, light=light))
+    frame = gs.Simulator(camera_of(name), device="opencl")(
+        gs.chart("colorchecker", size=SIZE, light=light)
+    )
     frame.save(tmp_path / "a.dng")
     found, wanted = by_libraw(tmp_path / "a.dng")[18], own(frame)[18]
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         theirs = file.color_matrix[:, :3]
     ours = frame.rendering.display_from_camera * frame.rendering.neutral * frame.rendering.white
     np.testing.assert_allclose(ours.sum(axis=1), 1, rtol=1e-6)
-    apart = np.abs(theirs - ours).sum(axis=1) / 2 * np.ptp(balanced(frame)[18] / frame.rendering.neutral)
+    apart = (
+        np.abs(theirs - ours).sum(axis=1)
+        / 2
+        * np.ptp(balanced(frame)[18] / frame.rendering.neutral)
+    )
     assert (np.abs(found - wanted) <= apart + 2e-4 * wanted).all()
     assert (apart < 0.01 * wanted).all()
 
@@ -141,25 +174,37 @@ def test_matrices_of_both_lights_are_good(tmp_path, name, light):
     """
     import colour
 
-    frame = gs.Simulator(camera_of(name), device="opencl")(gs.chart("colorchecker", size=SIZE, light=light))
+    frame = gs.Simulator(camera_of(name), device="opencl")(
+        gs.chart("colorchecker", size=SIZE, light=light)
+    )
     frame.save(tmp_path / "a.dng")
     tags = tags_of(tmp_path / "a.dng")
     spectra = colour.SDS_COLOURCHECKERS["ISO 17321-1"].values()
-    lamp, observer = colour.SDS_ILLUMINANTS[light], colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    lamp, observer = (
+        colour.SDS_ILLUMINANTS[light],
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"],
+    )
     white = colour.sd_to_XYZ(lamp, observer, method="Integration")
-    truth = np.array([colour.sd_to_XYZ(sd, observer, lamp, method="Integration") for sd in spectra]) / 100
+    truth = (
+        np.array([colour.sd_to_XYZ(sd, observer, lamp, method="Integration") for sd in spectra])
+        / 100
+    )
     truth = truth @ adapted(white / white[1], D65).T
     spec = difference(rendered(tags, balanced(frame), light), truth)
     ours = difference(own(frame), truth)
-    print(f"{name} in {light}: specification {spec.mean():.2f} (most {spec.max():.2f}), own {ours.mean():.2f} "
-          f"({ours.max():.2f})")
+    print(
+        f"{name} in {light}: specification {spec.mean():.2f} (most {spec.max():.2f}), own {ours.mean():.2f} "
+        f"({ours.max():.2f})"
+    )
     assert spec.mean() <= 1.1 * ours.mean()
     # AsShotNeutral is the color matrix's own white, so that a program that looks for the light finds it
     place = {"A": 1, "D65": 2}[light]
     neutral = tags[f"ColorMatrix{place}"].reshape(-1, 3) @ (white / white[1])
     # by tables of the lights and of the observer that are not ours: to 1e-3
     np.testing.assert_allclose(neutral / neutral.max(), tags["AsShotNeutral"], rtol=1e-3)
-    np.testing.assert_allclose(tags[f"ForwardMatrix{place}"].reshape(3, -1).sum(axis=1), D50, rtol=1e-6)
+    np.testing.assert_allclose(
+        tags[f"ForwardMatrix{place}"].reshape(3, -1).sum(axis=1), D50, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["rgbw", "cygm", "x-trans", "rccb", "stacked"])
@@ -174,20 +219,37 @@ def test_matrices_of_other_mosaics(tmp_path, name):
     frame.save(tmp_path / "a.dng")
     tags = tags_of(tmp_path / "a.dng")
     neutral = tags["ColorMatrix2"].reshape(-1, 3) @ D65
-    np.testing.assert_allclose(neutral / neutral.max(), tags["AsShotNeutral"], rtol=1e-3)  # D65 has four digits
+    np.testing.assert_allclose(
+        neutral / neutral.max(), tags["AsShotNeutral"], rtol=1e-3
+    )  # D65 has four digits
     np.testing.assert_allclose(tags["ForwardMatrix2"].reshape(3, -1).sum(axis=1), D50, rtol=1e-6)
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         raw = np.moveaxis(file.raw_image_visible, -1, 0)[:3] if stacked else file.raw_image_visible
         np.testing.assert_array_equal(raw, frame.raw)
 
 
-NOISE = {"read": 4.0, "adc": 1.5, "row": 1.0, "reset": 2.0, "dark_current": 200.0, "dsnu": 3.0, "prnu": 0.01}
+NOISE = {
+    "read": 4.0,
+    "adc": 1.5,
+    "row": 1.0,
+    "reset": 2.0,
+    "dark_current": 200.0,
+    "dsnu": 3.0,
+    "prnu": 0.01,
+}
 
 
-@pytest.mark.parametrize("sensor", [
-    {"analog_gain": 1.0}, {"analog_gain": 4.0, "analog_offset": 10.3}, {"gain": 0.05},
-    {"binning": (2, 2), "binning_mode": "digital"}, {"binning": (2, 2)}],
-    ids=["base", "gain", "well", "digital", "charge"])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"analog_gain": 1.0},
+        {"analog_gain": 4.0, "analog_offset": 10.3},
+        {"gain": 0.05},
+        {"binning": (2, 2), "binning_mode": "digital"},
+        {"binning": (2, 2)},
+    ],
+    ids=["base", "gain", "well", "digital", "charge"],
+)
 def test_noise_profile_is_the_noise_of_the_frames(tmp_path, sensor):
     """S x + O against the variance of each pixel over 64 frames, from dark to half of white, with the file's levels.
 
@@ -195,8 +257,11 @@ def test_noise_profile_is_the_noise_of_the_frames(tmp_path, sensor):
     (rows share a part, at most a 20th of the variance in the dark, of 64 rows, 2.2e-2 of it: 1.1e-3). Five of them are
     1.5 %. Poisson noise of 12 .. 3000 e- is as kurtotic as normal to 1 / 12 / 2; rounding after row noise is even.
     """
-    camera = camera_with(gs.open_camera("mono"), noise={**{key: 0.0 for key in ("prnu", "dsnu")}, **NOISE},
-                         sensor={"full_well": 6000.0, "bits": 12, "black_level": 200, "gain": None} | sensor)
+    camera = camera_with(
+        gs.open_camera("mono"),
+        noise={**{key: 0.0 for key in ("prnu", "dsnu")}, **NOISE},
+        sensor={"full_well": 6000.0, "bits": 12, "black_level": 200, "gain": None} | sensor,
+    )
     simulate = gs.Simulator(camera, device="opencl")
     scene = gs.chart("flat", size=(128, 128))
     auto = simulate.expose(scene).exposure_time
@@ -206,7 +271,11 @@ def test_noise_profile_is_the_noise_of_the_frames(tmp_path, sensor):
         if tags is None:
             simulate.program(scene, exposure_time=part * auto).frame().save(tmp_path / "a.dng")
             tags = tags_of(tmp_path / "a.dng")
-            (slope, floor), black, white = tags["NoiseProfile"], tags["BlackLevel"], tags["WhiteLevel"]
+            (slope, floor), black, white = (
+                tags["NoiseProfile"],
+                tags["BlackLevel"],
+                tags["WhiteLevel"],
+            )
             low, high = black[0], white[0]
         raws = np.asarray(simulate.device.numpy(simulate.draw(exposure, seed=5, frames=64)), float)
         x = (raws - low) / (high - low)
@@ -220,7 +289,9 @@ def test_levels_are_where_values_end(tmp_path):
     frame = simulate.program(gs.chart("flat", size=(32, 32)), exposure_time=100.0).frame()
     frame.save(tmp_path / "a.dng")
     tags = tags_of(tmp_path / "a.dng")
-    assert tags["BlackLevel"] == pytest.approx([1005.15], rel=1e-7) and tags["WhiteLevel"].tolist() == [2505]
+    assert tags["BlackLevel"] == pytest.approx([1005.15], rel=1e-7) and tags[
+        "WhiteLevel"
+    ].tolist() == [2505]
     assert frame.raw.max() == 2505
     assert "NoiseProfile" not in tags  # S = 0 is none
 
@@ -242,5 +313,7 @@ def test_filters_that_give_other_planes(tmp_path):
 
     processor = replace(camera.processor)
     object.__setattr__(processor, "table", Table)
-    with pytest.raises(OutOfRange, match=r"processor\.table with a \.dng output = filters that give X, Y, Z"):
+    with pytest.raises(
+        OutOfRange, match=r"processor\.table with a \.dng output = filters that give X, Y, Z"
+    ):
         replace(frame, camera=replace(camera, processor=processor)).save(tmp_path / "a.dng")

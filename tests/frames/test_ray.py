@@ -18,8 +18,10 @@ TIMES = RANDOM.uniform(0.002, 0.03, 10)
 
 def serial(device):
     batch = gs.Batch(PHONE, device=device)
-    return [batch(np.moveaxis(picture, -1, 0)[None], first=item, seed=5, exposure_time=float(time))[0]
-            for item, (picture, time) in enumerate(zip(PICTURES, TIMES, strict=True))]
+    return [
+        batch(np.moveaxis(picture, -1, 0)[None], first=item, seed=5, exposure_time=float(time))[0]
+        for item, (picture, time) in enumerate(zip(PICTURES, TIMES, strict=True))
+    ]
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -27,19 +29,30 @@ def test_rows_in_any_order_are_those_of_the_serial_run(device):
     frames = Frames(PHONE, device=device, seed=5, exposure_time="time")
     expected = serial(device)
     for chosen in ([3, 9, 0], [1], [8, 7, 6, 5, 4, 2]):
-        rows = frames({"image": PICTURES[chosen], "number": np.array(chosen), "time": TIMES[chosen]})
+        rows = frames(
+            {"image": PICTURES[chosen], "number": np.array(chosen), "time": TIMES[chosen]}
+        )
         assert [*rows] == ["image", "number", "time", "frame"]
         for own, item in zip(rows["frame"], chosen, strict=True):
             np.testing.assert_array_equal(own, expected[item])
-    turned = Frames(PHONE, device=device, seed=5, exposure_time="time", channels_last=False, picture="light")
+    turned = Frames(
+        PHONE, device=device, seed=5, exposure_time="time", channels_last=False, picture="light"
+    )
     rows = turned({"light": PICTURES[[4]].transpose(0, 3, 1, 2), "number": [4], "time": TIMES[[4]]})
     np.testing.assert_array_equal(rows["frame"][0], expected[4])
 
 
 def test_pictures_have_their_channels_where_the_rows_have_them():
-    rows = {"image": PICTURES[:2], "number": [0, 1]}, {"image": PICTURES[:2].transpose(0, 3, 1, 2), "number": [0, 1]}
-    last, first = (Frames(PHONE, device="numpy", output="linear", channels_last=is_last, exposure_time=0.01)(given)
-                   for given, is_last in zip(rows, (True, False), strict=True))
+    rows = (
+        {"image": PICTURES[:2], "number": [0, 1]},
+        {"image": PICTURES[:2].transpose(0, 3, 1, 2), "number": [0, 1]},
+    )
+    last, first = (
+        Frames(PHONE, device="numpy", output="linear", channels_last=is_last, exposure_time=0.01)(
+            given
+        )
+        for given, is_last in zip(rows, (True, False), strict=True)
+    )
     assert last["frame"].shape == (2, 20, 24, 3)
     np.testing.assert_array_equal(last["frame"].transpose(0, 3, 1, 2), first["frame"])
 
@@ -48,7 +61,9 @@ def test_columns_that_are_not_there():
     with pytest.raises(BadData, match="no column 'number'; there are image"):
         Frames(PHONE, device="numpy")({"image": PICTURES})
     with pytest.raises(BadData, match="no column 'time'"):
-        Frames(PHONE, device="numpy", exposure_time="time")({"image": PICTURES, "number": range(10)})
+        Frames(PHONE, device="numpy", exposure_time="time")(
+            {"image": PICTURES, "number": range(10)}
+        )
 
 
 @pytest.mark.slow  # a local Ray starts
@@ -58,11 +73,16 @@ def test_two_workers_of_ray():
 
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
-        rows = [{"image": picture, "number": number, "time": time}
-                for number, (picture, time) in enumerate(zip(PICTURES, TIMES, strict=True))]
+        rows = [
+            {"image": picture, "number": number, "time": time}
+            for number, (picture, time) in enumerate(zip(PICTURES, TIMES, strict=True))
+        ]
         settings = {"camera": PHONE, "device": "opencl:pocl", "seed": 5, "exposure_time": "time"}
-        made = ray.data.from_items(rows, override_num_blocks=5).map_batches(
-            Frames, fn_constructor_kwargs=settings, batch_size=2, concurrency=2).take_all()
+        made = (
+            ray.data.from_items(rows, override_num_blocks=5)
+            .map_batches(Frames, fn_constructor_kwargs=settings, batch_size=2, concurrency=2)
+            .take_all()
+        )
     finally:
         ray.shutdown()
     assert len(made) == 10

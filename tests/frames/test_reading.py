@@ -25,13 +25,30 @@ SPECTRA = RANDOM.uniform(0, 1, (300, 31))
 FORMS = {
     "cube": Cube(WAVELENGTHS, (RANDOM.random((31, *SHAPE)) * LIGHT).astype(np.float32)),
     "half": Cube(WAVELENGTHS, (RANDOM.random((31, *SHAPE)) * LIGHT).astype(np.float16)),
-    "basis": Basis(WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float32) * LIGHT, SPECTRA[:6]),
-    "half basis": Basis(WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float16), SPECTRA[:6]),
-    "materials": Materials(WAVELENGTHS, RANDOM.integers(0, 300, SHAPE).astype(np.uint16), LIGHT, SPECTRA),
-    "materials of bytes": Materials(WAVELENGTHS, RANDOM.integers(0, 256, SHAPE).astype(np.uint8), LIGHT, SPECTRA),
-    "picture": Picture(WAVELENGTHS, RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8), SPECTRA[:3],
-                       np.linspace(0, 1, 256) ** 2.2),
-    "grey": Picture(WAVELENGTHS, RANDOM.integers(0, 2**16, SHAPE, np.uint16), SPECTRA[:1], np.linspace(0, 1, 2**16)),
+    "basis": Basis(
+        WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float32) * LIGHT, SPECTRA[:6]
+    ),
+    "half basis": Basis(
+        WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float16), SPECTRA[:6]
+    ),
+    "materials": Materials(
+        WAVELENGTHS, RANDOM.integers(0, 300, SHAPE).astype(np.uint16), LIGHT, SPECTRA
+    ),
+    "materials of bytes": Materials(
+        WAVELENGTHS, RANDOM.integers(0, 256, SHAPE).astype(np.uint8), LIGHT, SPECTRA
+    ),
+    "picture": Picture(
+        WAVELENGTHS,
+        RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8),
+        SPECTRA[:3],
+        np.linspace(0, 1, 256) ** 2.2,
+    ),
+    "grey": Picture(
+        WAVELENGTHS,
+        RANDOM.integers(0, 2**16, SHAPE, np.uint16),
+        SPECTRA[:1],
+        np.linspace(0, 1, 2**16),
+    ),
 }
 ROWS = np.array([[0, 1, 2, 36], [-5, 36, 40, 3], [7, 7, 8, 9], [5, 6, 7, 8]], np.int32)
 COLS = np.array([[0, 52, 3], [60, -1, 51], [5, 5, 4], [50, 51, 52]], np.int32)
@@ -54,7 +71,9 @@ def readings(name, content):
     yield Reading(device, there(device, content))
     yield Reading(device, content.with_samples(Tensor))
     yield Reading(device, content, store(device, content))
-    yield Reading(device, content, Imaging(gs.open_camera("phone"), device, Kept(device)).stored(content))
+    yield Reading(
+        device, content, Imaging(gs.open_camera("phone"), device, Kept(device)).stored(content)
+    )
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
@@ -75,18 +94,25 @@ def test_windows_are_the_samples_themselves(name, content):
 
 @pytest.mark.parametrize("name", ALL_KINDS)
 def test_no_windows_are_no_samples(name, content):
-    for found in (each.windows(ROWS[:0], COLS[:0]) for each in (Reading(open_device(name), content),
-                                                              *readings(name, content))):
+    for found in (
+        each.windows(ROWS[:0], COLS[:0])
+        for each in (Reading(open_device(name), content), *readings(name, content))
+    ):
         assert found.planes.shape[-3:] == (0, 4, 3)
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
 def test_rows_are_the_samples_themselves(name, content):
     seen, chosen = content.on_host(), np.array([36, 3, -2, 40, 3])
-    for found in (each.rows(chosen) for each in (Reading(open_device(name), content), *readings(name, content))):
+    for found in (
+        each.rows(chosen)
+        for each in (Reading(open_device(name), content), *readings(name, content))
+    ):
         assert type(found) is type(seen) and found.is_like(seen)
         for key in seen.samples:
-            np.testing.assert_array_equal(getattr(found, key), getattr(seen, key)[..., [36, 3, 0, 36, 3], :])
+            np.testing.assert_array_equal(
+                getattr(found, key), getattr(seen, key)[..., [36, 3, 0, 36, 3], :]
+            )
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
@@ -100,18 +126,29 @@ def test_brightness_is_that_of_the_host(name, content):
     wanted, seen = content.brightness(total), content.on_host()
     table = np.abs(seen.entry_spectra @ total)
     terms = 1 if seen.labels is not None else len(table)
-    magnitude = (table[seen.labels] * seen.planes if seen.labels is not None
-                 else np.tensordot(table, np.abs(seen.planes.astype(float)), 1))
+    magnitude = (
+        table[seen.labels] * seen.planes
+        if seen.labels is not None
+        else np.tensordot(table, np.abs(seen.planes.astype(float)), 1)
+    )
     for each in readings(name, content):
         found = each.brightness(total)
         assert type(found) is np.ndarray and found.dtype == np.float32 and found.shape == SHAPE
-        assert (np.abs(found.astype(float) - wanted) <= 1.01 * 2 * (terms + 1) * 2.0**-24 * magnitude).all()
+        assert (
+            np.abs(found.astype(float) - wanted) <= 1.01 * 2 * (terms + 1) * 2.0**-24 * magnitude
+        ).all()
     np.testing.assert_array_equal(Reading(open_device(name), content).brightness(total), wanted)
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
-@pytest.mark.parametrize("read", [lambda shown: shown.windows(ROWS[:1], COLS[:1]).values,
-                                  lambda shown: shown.brightness(np.ones(31))], ids=["windows", "brightness"])
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda shown: shown.windows(ROWS[:1], COLS[:1]).values,
+        lambda shown: shown.brightness(np.ones(31)),
+    ],
+    ids=["windows", "brightness"],
+)
 def test_what_was_read_stays(name, read):
     """It is no view of the device's memory, to which a step that is made again writes."""
     device, cube, tape = open_device(name), FORMS["cube"], Tape()

@@ -5,9 +5,14 @@ from pathlib import Path
 
 def test_the_ten_lines_run(capsys):
     text = (Path(__file__).parents[2] / "README.md").read_text()
-    code = text.partition("## Python in ten lines")[2].partition("```python\n")[2].partition("```")[0]
+    code = (
+        text.partition("## Python in ten lines")[2].partition("```python\n")[2].partition("```")[0]
+    )
     names: dict = {}
-    for scene in ('open_scene("colorchecker"', 'chart("deadleaves"'):  # small ones: the words are what is tested
+    for scene in (
+        'open_scene("colorchecker"',
+        'chart("deadleaves"',
+    ):  # small ones: the words are what is tested
         assert scene in code
         code = code.replace(scene, f"{scene}, size=(96, 64)")
     exec(code, names)

@@ -34,13 +34,19 @@ def camera_of(q, name="mono", fill_factor=1.0, **optics):
     camera = open_camera(name)
     f_number = q * camera.sensor.pixel_pitch / 550e-9
     return dataclasses.replace(
-        camera, sensor=dataclasses.replace(camera.sensor, fill_factor=fill_factor),
-        optics=dataclasses.replace(camera.optics, f_number=f_number, relative_illumination="none", **optics))
+        camera,
+        sensor=dataclasses.replace(camera.sensor, fill_factor=fill_factor),
+        optics=dataclasses.replace(
+            camera.optics, f_number=f_number, relative_illumination="none", **optics
+        ),
+    )
 
 
 def taps_of(ratio, fill=1.0, pixels=40, more=0, nodes=NODES):
     samples = int(np.ceil(pixels * ratio)) + more
-    return pixel_taps(samples, pixels, ratio, np.sqrt(fill), frame_start(samples, pixels, ratio), nodes), samples
+    return pixel_taps(
+        samples, pixels, ratio, np.sqrt(fill), frame_start(samples, pixels, ratio), nodes
+    ), samples
 
 
 def matrix(taps, samples):
@@ -154,10 +160,20 @@ def test_pixels_of_a_blurred_scene_against_its_exact_spectrum(q, ratio, fill):
     fold = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
     waves = np.fft.fft2(plane) * quarter[np.ix_(*fold)]
     blurred = np.fft.ifft2(waves).real
-    taps = [pixel_taps(n, int((n - 8) / ratio), ratio, np.sqrt(fill), frame_start(n, int((n - 8) / ratio), ratio))
-            for n in shape]
+    taps = [
+        pixel_taps(
+            n,
+            int((n - 8) / ratio),
+            ratio,
+            np.sqrt(fill),
+            frame_start(n, int((n - 8) / ratio), ratio),
+        )
+        for n in shape
+    ]
     result = matrix(taps[0], shape[0]) @ blurred @ matrix(taps[1], shape[1]).T
-    exact = exact_pixels(plane, fine_q, ratio, ratio * np.sqrt(fill), [one.centres - 0.5 for one in taps], shape)
+    exact = exact_pixels(
+        plane, fine_q, ratio, ratio * np.sqrt(fill), [one.centres - 0.5 for one in taps], shape
+    )
     error = relative(result, exact)
     if fill == 1 and ratio in (2, 3, 4):
         assert error < 1e-12
@@ -181,13 +197,26 @@ def test_frames_of_whole_ratios_are_means_of_the_brute_force(device, ratio):
     scene = chart("slanted-edge", size=(30, 22), samples_per_pixel=ratio)
     simulator = Simulator(camera, device=device, reach=32)
     plan = simulator.plan(scene)
-    assert scene.shape == (22, 30) and plan.q[0] == pytest.approx(400e-9 * ratio * camera.optics.f_number / 1.4e-6)
+    assert scene.shape == (22, 30) and plan.q[0] == pytest.approx(
+        400e-9 * ratio * camera.optics.f_number / 1.4e-6
+    )
     brute = Brute(plan.q, scene.samples, period=plan.period)
-    channels = np.einsum("cl,lyx->cyx", plan.weights, brute.crop(
-        brute.transform(spectra(scene.content)) * brute.tables))
+    channels = np.einsum(
+        "cl,lyx->cyx",
+        plan.weights,
+        brute.crop(brute.transform(spectra(scene.content)) * brute.tables),
+    )
     channels = channels.reshape(3, 22, ratio, 30, ratio).mean(axis=(2, 4))
-    truth = 0.01 * np.take_along_axis(channels, camera.sensor.cfa_indices[np.indices((22, 30))[0] % 2,
-                                                                         np.indices((22, 30))[1] % 2][None], 0)[0]
+    truth = (
+        0.01
+        * np.take_along_axis(
+            channels,
+            camera.sensor.cfa_indices[np.indices((22, 30))[0] % 2, np.indices((22, 30))[1] % 2][
+                None
+            ],
+            0,
+        )[0]
+    )
     result = mean(scene, camera, device, reach=32)
     assert np.abs(result - truth).max() <= 3.8e-6 * truth.max()
 
@@ -199,9 +228,13 @@ def test_light_between_the_samples_of_a_pixel_cannot_be_judged(device, ratio=1.5
     The two differ by a percent of such hard edges, which the account does not hold.
     """
     scene = chart("colorchecker", size=(36, 24), samples_per_pixel=ratio)
-    report = Simulator(open_camera("phone"), device=device, tolerance=0.1)(scene, verify=True).report
+    report = Simulator(open_camera("phone"), device=device, tolerance=0.1)(
+        scene, verify=True
+    ).report
     assert report.verdict.state == "not judged" and report.error.rms > 10 * report.account.total.rms
-    assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(report)
+    assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(
+        report
+    )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -212,7 +245,9 @@ def test_verification_holds_at_finer_scenes(device, ratio=2):
     border = report.account.bounds["border"].rms
     assert border / 2.5 < report.error.rms < 3.8e-6 + 2.5 * border
     assert {"optics.blur", "optics.sample"} <= {stage.stage for stage in report.stages}
-    assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(report)
+    assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(
+        report
+    )
 
 
 @pytest.mark.parametrize("ratio", [1.25, np.pi])
@@ -235,12 +270,17 @@ def test_without_blur_samples_are_weighted_by_area(device):
     random = np.random.default_rng(1)
     values = random.random((1, 6, 9)).astype(np.float32)
     light = white_radiance(illuminant("D65"), 100.0)
-    scene = Scene(Materials(np.array(FEW), np.zeros((6, 9), np.uint8), values[0], np.ones((1, 3))), light,
-                  samples_per_pixel=1.5)
+    scene = Scene(
+        Materials(np.array(FEW), np.zeros((6, 9), np.uint8), values[0], np.ones((1, 3))),
+        light,
+        samples_per_pixel=1.5,
+    )
     camera = camera_of(1.0, model="none")
     weights = Simulator(camera, device="numpy").plan(scene).weights.sum()
     along = np.array([[2, 1, 0], [0, 1, 2]]) / 3
-    expected = 0.01 * weights * (np.kron(np.eye(2), along) @ values[0] @ np.kron(np.eye(3), along).T)
+    expected = (
+        0.01 * weights * (np.kron(np.eye(2), along) @ values[0] @ np.kron(np.eye(3), along).T)
+    )
     np.testing.assert_allclose(mean(scene, camera, device), expected, rtol=5e-7)
 
 
@@ -251,13 +291,19 @@ def test_highlights_of_a_finer_scene(device):
     Beyond 32 samples a point's kernel is a radial table, right to 1e-3 of itself; nothing else comes near that.
     """
     camera = camera_of(0.9)
-    scene = chart("points", size=(24, 20), samples_per_pixel=3, wavelengths=FEW, count=3, highest=1e4)
+    scene = chart(
+        "points", size=(24, 20), samples_per_pixel=3, wavelengths=FEW, count=3, highest=1e4
+    )
     simulator = Simulator(camera, device=device, reach=30)
     plan = simulator.plan(scene)
     assert plan.highlights is not None and len(plan.highlights.places) == 3
-    brute = Brute(plan.q, scene.samples, period=(400, 400))  # copies of a point add 5e-4 of the background
+    brute = Brute(
+        plan.q, scene.samples, period=(400, 400)
+    )  # copies of a point add 5e-4 of the background
     planes = brute.transform(spectra(scene.content), "constant") * brute.tables
-    truth = 0.01 * np.einsum("cl,lyx->yx", plan.weights, brute.crop(planes)).reshape(20, 3, 24, 3).mean(axis=(1, 3))
+    truth = 0.01 * np.einsum("cl,lyx->yx", plan.weights, brute.crop(planes)).reshape(
+        20, 3, 24, 3
+    ).mean(axis=(1, 3))
     assert (np.abs(mean(scene, camera, device, reach=30) - truth) <= 2e-3 * truth).all()
 
 
@@ -270,8 +316,12 @@ def test_a_finer_scene_is_the_same_picture():
     camera = camera_of(0.5)
     totals = []
     for ratio in (1, 3):
-        scene = chart("points", size=(33, 33), samples_per_pixel=ratio, wavelengths=FEW, count=1, seed=1)
-        y, x = (n // ratio for n in np.unravel_index(np.argmax(scene.content.shading), scene.samples))
+        scene = chart(
+            "points", size=(33, 33), samples_per_pixel=ratio, wavelengths=FEW, count=1, seed=1
+        )
+        y, x = (
+            n // ratio for n in np.unravel_index(np.argmax(scene.content.shading), scene.samples)
+        )
         assert 8 <= min(y, x) and max(y, x) < 25
         totals.append(mean(scene, camera).sum())
     assert totals[1] == pytest.approx(totals[0], rel=1e-2)
@@ -284,7 +334,11 @@ def text_picture(pixels, fine):
     page = np.full((size, size), 0.85)
     y = fine
     while y < size - 12 * fine:
-        height, stroke, x = int(random.integers(7, 13) * fine), int(random.uniform(1.2, 3) * fine), fine
+        height, stroke, x = (
+            int(random.integers(7, 13) * fine),
+            int(random.uniform(1.2, 3) * fine),
+            fine,
+        )
         while x < size - 10 * fine:
             width = int(height * random.uniform(0.5, 0.8))
             for k in range(4):
@@ -301,6 +355,7 @@ def text_picture(pixels, fine):
 
 def averaged(picture, samples):
     """Means of a picture over samples x samples equal cells, exactly, whatever their number."""
+
     def along(values):
         total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
         edges = np.linspace(0, len(values), samples + 1)
@@ -316,14 +371,27 @@ FINEST, PIXELS = 8, 40
 
 def grey(picture, ratio):
     """A scene of one neutral material, as means over its samples."""
-    values = averaged(picture, int(np.ceil(PIXELS * ratio))) if len(picture) != PIXELS * ratio else picture
-    content = Materials(np.array(FEW), np.zeros(values.shape, np.uint8), values.astype(np.float32), np.ones((1, 3)))
+    values = (
+        averaged(picture, int(np.ceil(PIXELS * ratio)))
+        if len(picture) != PIXELS * ratio
+        else picture
+    )
+    content = Materials(
+        np.array(FEW), np.zeros(values.shape, np.uint8), values.astype(np.float32), np.ones((1, 3))
+    )
     return Scene(content, white_radiance(illuminant("D65"), 100.0), samples_per_pixel=ratio)
 
 
 def leaves(ratio):
-    return chart("deadleaves", size=(PIXELS, PIXELS), samples_per_pixel=ratio, wavelengths=FEW, surfaces="objects",
-                 smallest=2, seed=3)
+    return chart(
+        "deadleaves",
+        size=(PIXELS, PIXELS),
+        samples_per_pixel=ratio,
+        wavelengths=FEW,
+        surfaces="objects",
+        smallest=2,
+        seed=3,
+    )
 
 
 def leaves_as_means(ratio):
@@ -331,21 +399,34 @@ def leaves_as_means(ratio):
     fine = spectra(leaves(FINEST).content)
     if ratio != FINEST:
         fine = np.stack([averaged(plane, int(PIXELS * ratio)) for plane in fine])
-    return Scene(Cube(np.array(FEW), fine.astype(np.float32)), white_radiance(illuminant("D65"), 100.0),
-                 samples_per_pixel=ratio)
+    return Scene(
+        Cube(np.array(FEW), fine.astype(np.float32)),
+        white_radiance(illuminant("D65"), 100.0),
+        samples_per_pixel=ratio,
+    )
 
 
 def edge(angle):
-    return lambda ratio: chart("slanted-edge", size=(PIXELS, PIXELS), samples_per_pixel=ratio, wavelengths=FEW,
-                               angle_deg=angle)
+    return lambda ratio: chart(
+        "slanted-edge",
+        size=(PIXELS, PIXELS),
+        samples_per_pixel=ratio,
+        wavelengths=FEW,
+        angle_deg=angle,
+    )
 
 
 def text(ratio):
     return grey(text_picture(PIXELS, FINEST), ratio)
 
 
-SCENES = {"leaves": leaves, "leaves as means": leaves_as_means, "edge 5": edge(5.0), "edge 20": edge(20.0),
-          "text": text}
+SCENES = {
+    "leaves": leaves,
+    "leaves as means": leaves_as_means,
+    "edge 5": edge(5.0),
+    "edge 20": edge(20.0),
+    "text": text,
+}
 
 
 def check_predictions(names, qs, ratios, fills=(1.0,), device=DEVICES[0], **optics):
@@ -356,21 +437,32 @@ def check_predictions(names, qs, ratios, fills=(1.0,), device=DEVICES[0], **opti
     for name in names:
         for q in qs:
             for fill in fills:
-                simulator = Simulator(camera_of(q, fill_factor=fill, **optics), device=device, reach=32)
+                simulator = Simulator(
+                    camera_of(q, fill_factor=fill, **optics), device=device, reach=32
+                )
 
                 def seen(scene, simulator=simulator):
                     exposure = simulator.expose(scene, 0.01)
-                    return np.array(simulator.device.numpy(exposure.mean), np.float64), exposure.plan
+                    return np.array(
+                        simulator.device.numpy(exposure.mean), np.float64
+                    ), exposure.plan
 
                 truth = seen(SCENES[name](FINEST))[0]
                 for ratio in ratios:
                     result, plan = seen(SCENES[name](ratio))
-                    true, predicted = relative(result[inner], truth[inner]), plan.beside["scene sampling"]
+                    true, predicted = (
+                        relative(result[inner], truth[inner]),
+                        plan.beside["scene sampling"],
+                    )
                     found.append(predicted / true)
-                    print(f"{name:16s} Q {q:3.1f} fill {fill:4.2f} ratio {ratio:3.1f}: true {true:.1e}, "
-                          f"predicted {predicted:.1e}, {predicted / true:.2f}")
+                    print(
+                        f"{name:16s} Q {q:3.1f} fill {fill:4.2f} ratio {ratio:3.1f}: true {true:.1e}, "
+                        f"predicted {predicted:.1e}, {predicted / true:.2f}"
+                    )
     found = np.array(found)
-    print(f"{len(found)} predictions: median {np.median(found):.2f}, {found.min():.2f} .. {found.max():.2f}")
+    print(
+        f"{len(found)} predictions: median {np.median(found):.2f}, {found.min():.2f} .. {found.max():.2f}"
+    )
     assert ((found >= 1 / 2.5) & (found <= 2.5)).all()
 
 
@@ -391,13 +483,17 @@ def test_the_sampling_error_is_predicted_for_all_optics():
 
 @pytest.mark.slow
 def test_the_sampling_error_is_predicted_for_small_apertures():
-    check_predictions(["leaves", "leaves as means", "text"], [0.5, 1.0, 3.0], [1, 1.5, 2, 3], fills=[0.5])
+    check_predictions(
+        ["leaves", "leaves as means", "text"], [0.5, 1.0, 3.0], [1, 1.5, 2, 3], fills=[0.5]
+    )
 
 
 def test_flat_fields_and_exact_pictures_have_no_sampling_error():
     scene = chart("flat", size=(16, 12))
     assert Simulator(camera_of(1.0), device="numpy").plan(scene).beside["scene sampling"] < 1e-12
-    scene = grey(text_picture(PIXELS, FINEST), 1)  # means over pixels are what a pixel without blur sees
+    scene = grey(
+        text_picture(PIXELS, FINEST), 1
+    )  # means over pixels are what a pixel without blur sees
     plan = Simulator(camera_of(1.0, model="none"), device="numpy").plan(scene)
     assert plan.beside["scene sampling"] < 1e-9
 
@@ -408,20 +504,29 @@ def test_the_frame_of_a_finer_chart_keeps_its_size(name, ratio):
     assert chart(name, size=(40, 31), samples_per_pixel=ratio).shape == (31, 40)
 
 
-@pytest.mark.parametrize(("samples", "ratio", "pixels"), [(11, 1.1, 10), (10, 3, 3), (10, 10 / 3, 3), (7, 7, 1),
-                                                          (8, np.pi, 2)])
+@pytest.mark.parametrize(
+    ("samples", "ratio", "pixels"),
+    [(11, 1.1, 10), (10, 3, 3), (10, 10 / 3, 3), (7, 7, 1), (8, np.pi, 2)],
+)
 def test_as_many_whole_pixels_as_fit(samples, ratio, pixels):
     scene = grey(np.ones((PIXELS, PIXELS)), 1)
-    content = dataclasses.replace(scene.content, ids=scene.content.ids[:samples, :samples],
-                                  shading=scene.content.shading[:samples, :samples])
-    assert dataclasses.replace(scene, content=content, samples_per_pixel=ratio).shape == (pixels, pixels)
+    content = dataclasses.replace(
+        scene.content,
+        ids=scene.content.ids[:samples, :samples],
+        shading=scene.content.shading[:samples, :samples],
+    )
+    assert dataclasses.replace(scene, content=content, samples_per_pixel=ratio).shape == (
+        pixels,
+        pixels,
+    )
 
 
 @pytest.mark.parametrize("ratio", [0.5, 0, -1, np.nan, np.inf, 41])
 def test_impossible_numbers_of_samples_are_refused(ratio):
     with pytest.raises(OutOfRange, match="samples_per_pixel"):
         grey(np.ones((PIXELS, PIXELS)), 1).__class__(
-            **{**vars(grey(np.ones((PIXELS, PIXELS)), 1)), "samples_per_pixel": ratio})
+            **{**vars(grey(np.ones((PIXELS, PIXELS)), 1)), "samples_per_pixel": ratio}
+        )
     if not ratio > 1:
         with pytest.raises(OutOfRange, match="samples_per_pixel"):
             chart("flat", samples_per_pixel=ratio)
@@ -441,8 +546,25 @@ def test_files_keep_their_samples(tmp_path):
 
 def test_command_line(tmp_path, capsys):
     report = tmp_path / "a.json"
-    assert main(["simulate", "slanted-edge", "--camera", "mono", "--size", "24x18", "--samples-per-pixel", "2.5",
-                 "--device", "numpy", "--report", str(report)]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                "slanted-edge",
+                "--camera",
+                "mono",
+                "--size",
+                "24x18",
+                "--samples-per-pixel",
+                "2.5",
+                "--device",
+                "numpy",
+                "--report",
+                str(report),
+            ]
+        )
+        == 0
+    )
     found = json.loads(report.read_text())
     assert (found["scene"]["rows"], found["scene"]["cols"]) == (18, 24)
     assert found["beside"]["scene sampling"] > 0
@@ -467,5 +589,7 @@ def test_the_sampling_error_is_a_number_under_spiky_lights(count, level):
     for band in negative:
         values[:] = 1e-3
         values[band, 20:28, 20:28] = level
-        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), illuminant("FL11"))).beside["scene sampling"]
+        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), illuminant("FL11"))).beside[
+            "scene sampling"
+        ]
         assert 0 < error < 1

@@ -35,7 +35,11 @@ def run(capsys, *argv):
 @pytest.mark.parametrize("camera", ["phone", "machine-vision", "figure8", "mono"])
 def test_mean_electrons_agree_with_the_reference(camera):
     """Largest error over the peak below 2.4e-6 + 1e-6: the tolerances of blur and tables, the rest is smaller."""
-    for name, size in (("colorchecker", (65, 49)), ("points", (40, 33)), ("slanted-edge", (31, 64))):
+    for name, size in (
+        ("colorchecker", (65, 49)),
+        ("points", (40, 33)),
+        ("slanted-edge", (31, 64)),
+    ):
         scene = chart(name, size=size)
         reference = Simulator(open_camera(camera), device="numpy").expose(scene)
         for device in DEVICES:
@@ -55,16 +59,33 @@ def test_scene_forms_agree():
     basis = Basis(content.wavelengths, one_hot.astype(np.float32), content.spectra)
     # three left singular vectors more than enough for 8 entries: a low-rank basis takes the path of few entries
     u, s, v = np.linalg.svd(content.spectra, full_matrices=False)
-    low = Basis(content.wavelengths, np.tensordot((u[:, :8] * s[:8]).T, one_hot, 1).astype(np.float32), v[:8])
-    low_cube = Cube(content.wavelengths, np.tensordot(v[:8].T, low.coefficients, 1).astype(np.float32))
+    low = Basis(
+        content.wavelengths,
+        np.tensordot((u[:, :8] * s[:8]).T, one_hot, 1).astype(np.float32),
+        v[:8],
+    )
+    low_cube = Cube(
+        content.wavelengths, np.tensordot(v[:8].T, low.coefficients, 1).astype(np.float32)
+    )
     for model in ("diffraction", "none"):
         camera = open_camera("phone")
         camera = replace(camera, optics=replace(camera.optics, model=model))
         for device in ALL:
             simulator = Simulator(camera, device=device)
-            means = {name: np.array(simulator.device.numpy(simulator.expose(replace(scene, content=form), 0.01).mean))
-                     for name, form in (("materials", content), ("cube", cube), ("basis", basis), ("low", low),
-                                        ("low cube", low_cube))}
+            means = {
+                name: np.array(
+                    simulator.device.numpy(
+                        simulator.expose(replace(scene, content=form), 0.01).mean
+                    )
+                )
+                for name, form in (
+                    ("materials", content),
+                    ("cube", cube),
+                    ("basis", basis),
+                    ("low", low),
+                    ("low cube", low_cube),
+                )
+            }
             # float32 storage of the cube rounds at 6e-8, the transforms err by 2.4e-6 of the peak
             peak = means["cube"].max()
             assert np.abs(means["materials"] - means["cube"]).max() < 3e-6 * peak
@@ -77,8 +98,12 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
     scene = chart("colorchecker", size=(61, 43))
     means = Simulator(open_camera(camera), device="numpy").expose(scene)
     mean = np.asarray(means.mean, np.float32)
-    raws = {device: Simulator(open_camera(camera), device=device).readout.draw_electrons(
-        mean, means.exposure_time, seed=3, frame=2) for device in ALL}
+    raws = {
+        device: Simulator(open_camera(camera), device=device).readout.draw_electrons(
+            mean, means.exposure_time, seed=3, frame=2
+        )
+        for device in ALL
+    }
     assert raws["numpy"].dtype == np.uint16 and len(np.unique(raws["numpy"])) > 10
     for raw in raws.values():
         np.testing.assert_array_equal(raw, raws["numpy"])
@@ -87,8 +112,10 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
 def patches_of(frame, size):
     """Mean linear display RGB of the middle of every ColorChecker patch."""
     for rows, cols in colorchecker_patches(size):
-        middle = tuple(slice((3 * side.start + side.stop) // 4, (side.start + 3 * side.stop) // 4)
-                       for side in (rows, cols))
+        middle = tuple(
+            slice((3 * side.start + side.stop) // 4, (side.start + 3 * side.stop) // 4)
+            for side in (rows, cols)
+        )
         yield middle, frame.linear[middle].mean(axis=(0, 1))
 
 
@@ -105,7 +132,10 @@ def test_patches_come_through_the_chain_as_the_matrix_says(light):
     Without blur and fall-off a patch is flat: one DN of rounding is half of 1 / 959 in each channel, times the row sums
     of the matrix.
     """
-    size = (192, 128)  # the middle half of a patch is farther from its edge than demosaicking reaches
+    size = (
+        192,
+        128,
+    )  # the middle half of a patch is farther from its edge than demosaicking reaches
     scene = chart("colorchecker", size=size, light=light)
     camera = clean(open_camera("phone"), model="none", relative_illumination="none")
     simulator = Simulator(camera, device="opencl")
@@ -114,13 +144,25 @@ def test_patches_come_through_the_chain_as_the_matrix_says(light):
     nodes, qe = scene.wavelengths, camera.sensor.qe
     fine = np.arange(400, 700.001, 0.01)
     power = scene.illuminant.at(fine) * qe.at(fine)
-    gain = camera.sensor.gain_dn_per_electron / (camera.sensor.white_level - camera.sensor.black_level)
-    factor = camera.optics.irradiance_factor * camera.sensor.pixel_pitch**2 * exposure.exposure_time * gain
+    gain = camera.sensor.gain_dn_per_electron / (
+        camera.sensor.white_level - camera.sensor.black_level
+    )
+    factor = (
+        camera.optics.irradiance_factor
+        * camera.sensor.pixel_pitch**2
+        * exposure.exposure_time
+        * gain
+    )
     matrix = frame.rendering.display_from_camera
     for middle, shown in patches_of(frame, size):
-        reflectance = CubicSpline(nodes, scene.content.spectra[scene.content.ids[tuple(middle)][0, 0]])(fine)
+        reflectance = CubicSpline(
+            nodes, scene.content.spectra[scene.content.ids[tuple(middle)][0, 0]]
+        )(fine)
         values = factor * np.trapezoid(power * reflectance, fine, axis=1)
-        assert np.abs(shown - matrix @ values).max() <= 0.5 / 959 * np.abs(matrix).sum(axis=1).max() * 1.01
+        assert (
+            np.abs(shown - matrix @ values).max()
+            <= 0.5 / 959 * np.abs(matrix).sum(axis=1).max() * 1.01
+        )
 
 
 @pytest.mark.parametrize(("light", "most"), [("D65", 2.2), ("A", 3.8)])
@@ -147,9 +189,14 @@ def test_colorchecker_colours(light, most):
         truth.append(colour.sd_to_XYZ(reflectance, cmfs, d65, method="Integration") / 100)
         shown.append(to_xyz @ rgb)
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    errors = colour.delta_E(colour.XYZ_to_Lab(np.array(shown), white), colour.XYZ_to_Lab(np.array(truth), white),
-                            method="CIE 2000")
-    print(f"ColorChecker in {light}: mean CIEDE2000 {errors.mean():.2f}, maximum {errors.max():.2f}")
+    errors = colour.delta_E(
+        colour.XYZ_to_Lab(np.array(shown), white),
+        colour.XYZ_to_Lab(np.array(truth), white),
+        method="CIE 2000",
+    )
+    print(
+        f"ColorChecker in {light}: mean CIEDE2000 {errors.mean():.2f}, maximum {errors.max():.2f}"
+    )
     assert errors.mean() < most
 
 
@@ -176,10 +223,14 @@ def test_surroundings_take_part_in_the_blur_but_not_in_the_frame():
     whole = chart("deadleaves", size=(240, 200))
     inner = replace(whole, border="scene", margin=60)
     simulator = Simulator(open_camera("phone"), device="numpy")
-    simulator_camera = replace(open_camera("phone"), optics=replace(open_camera("phone").optics,
-                                                                    relative_illumination="none"))
+    simulator_camera = replace(
+        open_camera("phone"),
+        optics=replace(open_camera("phone").optics, relative_illumination="none"),
+    )
     simulator = Simulator(simulator_camera, device="opencl")
-    full, cut = (np.array(simulator.device.numpy(simulator.expose(s, 0.01).mean)) for s in (whole, inner))
+    full, cut = (
+        np.array(simulator.device.numpy(simulator.expose(s, 0.01).mean)) for s in (whole, inner)
+    )
     # only the surroundings of the surroundings differ, beyond 60 pixels: less than the 0.3 % of the energy out there
     np.testing.assert_allclose(cut, full[60:-60, 60:-60], rtol=3e-3)
     assert cut.shape == (80, 120)
@@ -188,9 +239,23 @@ def test_surroundings_take_part_in_the_blur_but_not_in_the_frame():
 def test_simulate_writes_every_format(tmp_path, capsys):
     outs = [tmp_path / f"a{suffix}" for suffix in (".png", ".dng", ".npz", ".exr")]
     report = tmp_path / "a.json"
-    status, out, _ = run(capsys, "simulate", "colorchecker", "--camera", "phone", "--size", "97x65", "--device",
-                         "opencl", *(a for o in outs for a in ("-o", o)), "--report", report, "--verify",
-                         "--tolerance", "video")
+    status, out, _ = run(
+        capsys,
+        "simulate",
+        "colorchecker",
+        "--camera",
+        "phone",
+        "--size",
+        "97x65",
+        "--device",
+        "opencl",
+        *(a for o in outs for a in ("-o", o)),
+        "--report",
+        report,
+        "--verify",
+        "--tolerance",
+        "video",
+    )
     assert status == 0 and "tolerance: met" in out
     stored = np.load(outs[2])
     with rawpy.imread(str(outs[1])) as raw:
@@ -200,9 +265,14 @@ def test_simulate_writes_every_format(tmp_path, capsys):
     assert stored["electrons"].shape == (65, 97) and stored["electrons"].dtype == np.float32
     facts = json.loads(report.read_text())
     stages = {stage["stage"] for stage in facts["stages"]}
-    assert stages >= {"sensor.noise", "display.encode"} and stages & {"optics.mosaic", "optics.tiles"}
+    assert stages >= {"sensor.noise", "display.encode"} and stages & {
+        "optics.mosaic",
+        "optics.tiles",
+    }
     assert all(stage["ms"] > 0 for stage in facts["stages"])
-    assert facts["error"]["p999_sigma"] <= 0.1 and facts["meets_tolerance"] is True  # the preset "video"
+    assert (
+        facts["error"]["p999_sigma"] <= 0.1 and facts["meets_tolerance"] is True
+    )  # the preset "video"
     assert 0.4 <= facts["prediction_ratio"] <= 2.5
     assert Image.open(outs[0]).size == (97, 65)
 
@@ -211,8 +281,23 @@ def test_simulate_writes_every_format(tmp_path, capsys):
 def test_photograph_on_every_device(shared_data, tmp_path, capsys, device):
     photo = tmp_path / "photo.png"
     Image.open(shared_data / "kodak" / "kodim23.png").crop((200, 100, 360, 220)).save(photo)
-    status, _, _ = run(capsys, "simulate", photo, "--camera", "phone", "--device", device, "-o", tmp_path / "a.png",
-                       "-o", tmp_path / "a.dng", "-o", tmp_path / "a.npz", "--report", tmp_path / "a.json")
+    status, _, _ = run(
+        capsys,
+        "simulate",
+        photo,
+        "--camera",
+        "phone",
+        "--device",
+        device,
+        "-o",
+        tmp_path / "a.png",
+        "-o",
+        tmp_path / "a.dng",
+        "-o",
+        tmp_path / "a.npz",
+        "--report",
+        tmp_path / "a.json",
+    )
     assert status == 0
     shown = np.asarray(Image.open(tmp_path / "a.png"), float)
     # a picture of the photograph: noise and blur differ, the content does not (another picture correlates below 0.5)
@@ -220,8 +305,19 @@ def test_photograph_on_every_device(shared_data, tmp_path, capsys, device):
     assert np.corrcoef(shown.ravel(), original.ravel())[0, 1] > 0.97
 
 
-@pytest.mark.parametrize(("text", "seconds"), [("1/60", 1 / 60), ("0.01", 0.01), ("10ms", 0.01), ("500us", 5e-4),
-                                               ("2 s", 2.0), ("1e-3", 1e-3), (".5", 0.5), ("1/2.5", 0.4)])
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("1/60", 1 / 60),
+        ("0.01", 0.01),
+        ("10ms", 0.01),
+        ("500us", 5e-4),
+        ("2 s", 2.0),
+        ("1e-3", 1e-3),
+        (".5", 0.5),
+        ("1/2.5", 0.4),
+    ],
+)
 def test_exposure_times_as_they_are_written(text, seconds):
     arguments = _parser().parse_args(["simulate", "flat", "--camera", "phone", "--exposure", text])
     assert arguments.exposure == pytest.approx(seconds, rel=1e-15)
@@ -230,18 +326,42 @@ def test_exposure_times_as_they_are_written(text, seconds):
 def test_exposure_speed_lens_and_scaling_from_the_command_line(tmp_path, capsys):
     """The same electrons, numbers and codes as of a camera with these properties; the report has them."""
     scene = ("colorchecker", "--camera", "phone", "--size", "60x40", "--device", "opencl")
-    options = ("--exposure", "1/40", "--iso", "200", "--f-number", "2.8", "--focus", "0.05", "--scaling", "normalised")
+    options = (
+        "--exposure",
+        "1/40",
+        "--iso",
+        "200",
+        "--f-number",
+        "2.8",
+        "--focus",
+        "0.05",
+        "--scaling",
+        "normalised",
+    )
     report = tmp_path / "a.json"
-    status, out, _ = run(capsys, "simulate", *scene, *options, "-o", tmp_path / "a.npz", "-o", tmp_path / "a.png",
-                         "--report", report)
+    status, out, _ = run(
+        capsys,
+        "simulate",
+        *scene,
+        *options,
+        "-o",
+        tmp_path / "a.npz",
+        "-o",
+        tmp_path / "a.png",
+        "--report",
+        report,
+    )
     assert status == 0 and "exposure 25 ms, ISO 200, frame 0" in out
     facts = json.loads(report.read_text())["camera"]
     assert (facts["f_number"], facts["exposure_time_s"]) == (2.8, 0.025)
     assert facts["iso"] == pytest.approx(200, rel=1e-12)
     camera = open_camera("phone")
-    camera = replace(camera, optics=replace(camera.optics, f_number=2.8, object_distance=0.05),
-                     sensor=replace(camera.sensor, exposure_time=0.025, analog_gain=facts["analog_gain"]),
-                     processor=replace(camera.processor, scaling="normalised"))
+    camera = replace(
+        camera,
+        optics=replace(camera.optics, f_number=2.8, object_distance=0.05),
+        sensor=replace(camera.sensor, exposure_time=0.025, analog_gain=facts["analog_gain"]),
+        processor=replace(camera.processor, scaling="normalised"),
+    )
     frame = Simulator(camera, device="opencl")(chart("colorchecker", size=(60, 40)))
     stored = np.load(tmp_path / "a.npz")
     np.testing.assert_array_equal(stored["electrons"], frame.mean)
@@ -253,12 +373,36 @@ def test_a_camera_with_a_time_is_metered_by_exposure_auto(tmp_path, capsys):
     """A camera file's time gives way; with --iso automatic exposure takes more time, not more gain."""
     text = (Path(gpusim.__file__).parent / "data" / "cameras" / "phone.toml").read_text()
     path = tmp_path / "fixed.toml"
-    path.write_text(text.replace("bits = 10", "bits = 10\nexposure_time_ms = 1\n"
-                                 "auto_exposure = {longest_ms = 5, most_gain = 64}"))
+    path.write_text(
+        text.replace(
+            "bits = 10",
+            "bits = 10\nexposure_time_ms = 1\nauto_exposure = {longest_ms = 5, most_gain = 64}",
+        )
+    )
     found = []
-    for options in ((), ("--exposure", "auto"), ("--exposure", "auto", "--iso", 104), ("--focus", "inf")):
-        assert run(capsys, "simulate", "flat", "--camera", path, "--size", "16x8", "--device", "opencl", *options,
-                   "--report", tmp_path / "r.json")[0] == 0
+    for options in (
+        (),
+        ("--exposure", "auto"),
+        ("--exposure", "auto", "--iso", 104),
+        ("--focus", "inf"),
+    ):
+        assert (
+            run(
+                capsys,
+                "simulate",
+                "flat",
+                "--camera",
+                path,
+                "--size",
+                "16x8",
+                "--device",
+                "opencl",
+                *options,
+                "--report",
+                tmp_path / "r.json",
+            )[0]
+            == 0
+        )
         facts = json.loads((tmp_path / "r.json").read_text())["camera"]
         found.append((facts["exposure_time_s"], facts["analog_gain"] > 3, facts["iso"]))
     base = found[0][2]
@@ -269,10 +413,29 @@ def test_a_camera_with_a_time_is_metered_by_exposure_auto(tmp_path, capsys):
 
 def test_numbered_frames(tmp_path, capsys):
     report = tmp_path / "r.json"
-    status, _, _ = run(capsys, "simulate", "flat", "--camera", "mono", "--size", "16x8", "--frames", 3, "-o",
-                       tmp_path / "f.npz", "--report", report, "--device", "opencl")
+    status, _, _ = run(
+        capsys,
+        "simulate",
+        "flat",
+        "--camera",
+        "mono",
+        "--size",
+        "16x8",
+        "--frames",
+        3,
+        "-o",
+        tmp_path / "f.npz",
+        "--report",
+        report,
+        "--device",
+        "opencl",
+    )
     assert status == 0
-    assert sorted(path.name for path in tmp_path.glob("f*")) == ["f_0000.npz", "f_0001.npz", "f_0002.npz"]
+    assert sorted(path.name for path in tmp_path.glob("f*")) == [
+        "f_0000.npz",
+        "f_0001.npz",
+        "f_0002.npz",
+    ]
     assert [facts["frame"] for facts in json.loads(report.read_text())] == [0, 1, 2]
 
 
@@ -293,42 +456,101 @@ BAD = [
     (["flat", "--size", "0x10"], "0"),
     (["flat", "--band", "red"], "--band"),
     (["flat", "--frames", "0"], "--frames: '0': wanted a whole number"),
-    *((["flat", "--exposure", text], f"--exposure: '{text}': wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0")
-      for text in ("0", "-1", "1/0", "5min", "nan", "1e13", "1/60/2", "")),
+    *(
+        (
+            ["flat", "--exposure", text],
+            f"--exposure: '{text}': wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0",
+        )
+        for text in ("0", "-1", "1/0", "5min", "nan", "1e13", "1/60/2", "")
+    ),
     (["flat", "--iso", "fast"], "--iso: 'fast': wanted a number above 0"),
     (["flat", "--iso", "25"], "iso = 25: allowed is 51.95, this sensor's base speed, or more"),
-    (["flat", "--iso", "1e9"], "iso = 1e+09: allowed is 51.95, this sensor's base speed, or more, up to"),
+    (
+        ["flat", "--iso", "1e9"],
+        "iso = 1e+09: allowed is 51.95, this sensor's base speed, or more, up to",
+    ),
     (["flat", "--f-number", "0"], "--f-number: '0': wanted 0.1 .. 1000"),
     (["flat", "--f-number", "0.05"], "optics.f_number = 0.05: allowed is 0.1 <= f_number <= 1000"),
     (["flat", "--focus", "-1"], "--focus: '-1': wanted metres above 0, or inf"),
     (["flat", "--focus", "nan"], "--focus: 'nan': wanted metres above 0, or inf"),
-    (["flat", "--focus", "0.004"], "optics.object_distance = 0.004 m: allowed is object_distance > focal_length"),
+    (
+        ["flat", "--focus", "0.004"],
+        "optics.object_distance = 0.004 m: allowed is object_distance > focal_length",
+    ),
     (["flat", "--scaling", "auto"], "--scaling: invalid choice: 'auto'"),
-    (["flat", "--camera", "scaled.toml"], "unknown processor.scaling 'automatic'; known: exposure, normalised"),
-    (["flat", "--camera", "psf.toml", "--focus", "2"], "--f-number, --focus: the camera's point spreads are measured"),
+    (
+        ["flat", "--camera", "scaled.toml"],
+        "unknown processor.scaling 'automatic'; known: exposure, normalised",
+    ),
+    (
+        ["flat", "--camera", "psf.toml", "--focus", "2"],
+        "--f-number, --focus: the camera's point spreads are measured",
+    ),
     (["flat", "--colour"], "unrecognized arguments: --colour"),
     (["flat", "--luminance", "1e300"], "luminance"),
     (["flat", "-o", "."], "unknown output format"),
     (["flat", "--report", "no/such/r.json"], "does not exist"),
-    (["flat", "--camera", "rccc.toml", "-o", "a.npz", "-o", "a.DNG"], "channels of a DNG = 2 (R, W): allowed is 1, 3"),
+    (
+        ["flat", "--camera", "rccc.toml", "-o", "a.npz", "-o", "a.DNG"],
+        "channels of a DNG = 2 (R, W): allowed is 1, 3",
+    ),
     (["flat", "-o", "a.png", "--bits", "32"], "bits of a .png output = 32: allowed is 8 or 16"),
     (["flat", "-o", "a.png", "--bits", "12"], "--bits: invalid choice: 12"),
-    (["flat", "--camera", "blue.toml"], "sensor.qe of blue = 400 .. 600 nm: allowed is as far as the light"),
-    (["flat", "--camera", "well.toml"], "sensor.full_well = 600 e- = 60 DN above black: allowed is at least the black"),
-    (["flat", "--camera", "bits0.toml"], "sensor.bits = 0: allowed is a whole number, 1 <= bits <= 16, or 32"),
-    (["flat", "--camera", "bits17.toml"], "sensor.bits = 17: allowed is a whole number, 1 <= bits <= 16, or 32"),
-    (["flat", "--camera", "bits33.toml"], "sensor.bits = 33: allowed is a whole number, 1 <= bits <= 16, or 32"),
+    (
+        ["flat", "--camera", "blue.toml"],
+        "sensor.qe of blue = 400 .. 600 nm: allowed is as far as the light",
+    ),
+    (
+        ["flat", "--camera", "well.toml"],
+        "sensor.full_well = 600 e- = 60 DN above black: allowed is at least the black",
+    ),
+    (
+        ["flat", "--camera", "bits0.toml"],
+        "sensor.bits = 0: allowed is a whole number, 1 <= bits <= 16, or 32",
+    ),
+    (
+        ["flat", "--camera", "bits17.toml"],
+        "sensor.bits = 17: allowed is a whole number, 1 <= bits <= 16, or 32",
+    ),
+    (
+        ["flat", "--camera", "bits33.toml"],
+        "sensor.bits = 33: allowed is a whole number, 1 <= bits <= 16, or 32",
+    ),
     (["flat", "--camera", "qe.toml"], "sensor.qe = -0.1 .. 1.2 e-/photon: allowed is 0 <= qe <= 1"),
     (["flat", "--camera", "letter.toml"], "[sensor] qe has no curve for N; it has R, G, B, W"),
-    (["flat", "--camera", "exposure0.toml"], "sensor.exposure_time = 0 s: allowed is 0 < exposure_time"),
-    (["flat", "--camera", "exposure-5.toml"], "sensor.exposure_time = -0.005 s: allowed is 0 < exposure_time"),
+    (
+        ["flat", "--camera", "exposure0.toml"],
+        "sensor.exposure_time = 0 s: allowed is 0 < exposure_time",
+    ),
+    (
+        ["flat", "--camera", "exposure-5.toml"],
+        "sensor.exposure_time = -0.005 s: allowed is 0 < exposure_time",
+    ),
     (["flat", "--camera", "binned.toml"], "sensor.binning with stacked pixels: wanted"),
-    (["flat", "--camera", "counting.toml"], "unknown noise.photon 'counting'; known: exact, fast, none"),
-    (["flat", "--camera", "dead.toml"], "noise.dead_pixels = 1.01: allowed is 0 <= dead_pixels <= 1"),
-    (["flat", "--camera", "misspelt.toml"], "unknown key 'raed_e' in [noise]; did you mean 'read_e'?"),
-    (["flat", "--camera", "moved.toml"], "unknown key 'read_noise_e' in [sensor]; did you mean 'read_e' in [noise]?"),
-    (["flat", "--camera", "ktc.toml"], 'reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v'),
-    (["flat", "--camera", "large.toml", "--size", "7x9"], "at least 8x8, one block of binning 4x4 in this mosaic"),
+    (
+        ["flat", "--camera", "counting.toml"],
+        "unknown noise.photon 'counting'; known: exact, fast, none",
+    ),
+    (
+        ["flat", "--camera", "dead.toml"],
+        "noise.dead_pixels = 1.01: allowed is 0 <= dead_pixels <= 1",
+    ),
+    (
+        ["flat", "--camera", "misspelt.toml"],
+        "unknown key 'raed_e' in [noise]; did you mean 'read_e'?",
+    ),
+    (
+        ["flat", "--camera", "moved.toml"],
+        "unknown key 'read_noise_e' in [sensor]; did you mean 'read_e' in [noise]?",
+    ),
+    (
+        ["flat", "--camera", "ktc.toml"],
+        'reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v',
+    ),
+    (
+        ["flat", "--camera", "large.toml", "--size", "7x9"],
+        "at least 8x8, one block of binning 4x4 in this mosaic",
+    ),
     (["flat", "--camera", "coarse.toml"], "f-number / pixel pitch"),
     (["light0.npz"], "allowed are 10 .."),
     (["negative.npz"], "radiance cannot be negative"),
@@ -353,20 +575,40 @@ def test_bad_input_is_one_line_and_status_2(arguments, words, capsys, tmp_path, 
 
 def make_bad_files():
     """Files that are well-formed and wrong, in the current folder."""
-    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="white-preserving",
-               optics="", processor=""):
+
+    def camera(
+        name,
+        sensor="",
+        noise="",
+        n=2,
+        pitch=1.4,
+        bits=10,
+        qe="'mt9v024'",
+        color="white-preserving",
+        optics="",
+        processor="",
+    ):
         Path(f"{name}.toml").write_text(
             f"[optics]\nf_number = {n}\nfocal_length_mm = 4\n{optics}\n[sensor]\npixel_pitch_um = {pitch}\n"
             f"full_well_e = 600\nbits = {bits}\nqe = {qe}\n{sensor}\n[noise]\n{noise}\n[processor]\ncolor = '{color}'\n"
-            f"{processor}\n")
+            f"{processor}\n"
+        )
 
-    camera("rccc", "cfa = 'rccc'", qe="{wavelengths_nm = [400, 700], R = [0.1, 0.5], W = [0.6, 0.7]}", color="none")
+    camera(
+        "rccc",
+        "cfa = 'rccc'",
+        qe="{wavelengths_nm = [400, 700], R = [0.1, 0.5], W = [0.6, 0.7]}",
+        color="none",
+    )
     camera("scaled", processor="scaling = 'automatic'")
     camera("psf", optics="psf = 'lens.npz'")
     np.savez("lens.npz", wavelengths_nm=[400.0, 700.0], psf=np.ones((2, 5, 5)), spacing_um=0.7)
     camera("coarse", n=1, pitch=40)
     for name, high, values in (("blue", 600, "0.5, 0.5"), ("qe", 700, "-0.1, 1.2")):
-        camera(name, qe=f"{{wavelengths_nm = [400, {high}], R = [0, 0.3], G = [{values}], B = [0.3, 0]}}")
+        camera(
+            name,
+            qe=f"{{wavelengths_nm = [400, {high}], R = [0, 0.3], G = [{values}], B = [0.3, 0]}}",
+        )
     camera("well", "black_level_dn = 64\ngain_dn_per_e = 0.1")
     for bits in (0, 17, 33):
         camera(f"bits{bits}", bits=bits)
@@ -390,6 +632,7 @@ def make_bad_files():
 
 def test_existing_output_survives_a_failure(tmp_path, capsys, monkeypatch):
     """The writer breaks off in the middle of the file."""
+
     def broken(self, data):
         with self.open("wb") as file:
             file.write(data[:10])
@@ -398,8 +641,19 @@ def test_existing_output_survives_a_failure(tmp_path, capsys, monkeypatch):
     target = tmp_path / "a.png"
     target.write_bytes(b"precious")
     monkeypatch.setattr(Path, "write_bytes", broken)
-    status, _, err = run(capsys, "simulate", "flat", "--camera", "phone", "--size", "8x8", "--device", "numpy", "-o",
-                         target)
+    status, _, err = run(
+        capsys,
+        "simulate",
+        "flat",
+        "--camera",
+        "phone",
+        "--size",
+        "8x8",
+        "--device",
+        "numpy",
+        "-o",
+        target,
+    )
     assert status == 2 and "disk full" in err
     assert target.read_bytes() == b"precious" and list(tmp_path.iterdir()) == [target]
 
@@ -412,11 +666,15 @@ def test_true_error_includes_the_border(chart_name, border):
     camera = open_camera("machine-vision")
     camera = replace(camera, optics=replace(camera.optics, f_number=16.0))
     frame = Simulator(camera, device="opencl", reach=8)(scene, verify=True)
-    far = Simulator(camera, device="numpy", reach=500).expose(scene, frame.report.camera["exposure_time_s"])
+    far = Simulator(camera, device="numpy", reach=500).expose(
+        scene, frame.report.camera["exposure_time_s"]
+    )
     true = np.sqrt(np.mean((frame.mean - far.mean) ** 2)) / np.sqrt(np.mean(far.mean**2))
     # what is beyond 500 pixels is a small part of the error
     assert true / 2 < frame.report.error.rms < 2 * true
-    assert border == "zero" or true > 1e-5  # far above float32's rounding: it is the border that is seen
+    assert (
+        border == "zero" or true > 1e-5
+    )  # far above float32's rounding: it is the border that is seen
 
 
 def test_verify_fails_for_a_device_that_cannot_be_opened(capsys, monkeypatch):
@@ -432,15 +690,26 @@ def test_verify_fails_for_a_device_that_cannot_be_opened(capsys, monkeypatch):
 
 @pytest.mark.parametrize("size", ["0x5", "9999999x9999999"])
 def test_bench_refuses_sizes_before_allocating(size, capsys):
-    status, _, err = run(capsys, "bench", "--device", "opencl", "--stage", "processor.linear", "--size", size)
+    status, _, err = run(
+        capsys, "bench", "--device", "opencl", "--stage", "processor.linear", "--size", size
+    )
     assert status == 2 and err.count("\n") == 1
 
 
 def test_verify_command_counts_failures(tmp_path, capsys, monkeypatch):
     rows = tmp_path / "v.json"
-    status, out, _ = run(capsys, "verify", "--device", "opencl", "--stage", "spectral.materials", "--json", rows)
+    status, out, _ = run(
+        capsys, "verify", "--device", "opencl", "--stage", "spectral.materials", "--json", rows
+    )
     assert status == 0 and "0 failed" in out
-    assert set(json.loads(rows.read_text())[0]) >= {"stage", "device", "case", "max_error", "tolerance", "ok"}
+    assert set(json.loads(rows.read_text())[0]) >= {
+        "stage",
+        "device",
+        "case",
+        "max_error",
+        "tolerance",
+        "ok",
+    }
     import gpusim.kernels.spectral.materials as stage
 
     right = stage.materials
@@ -451,19 +720,46 @@ def test_verify_command_counts_failures(tmp_path, capsys, monkeypatch):
         raise RuntimeError("the device is gone")
 
     monkeypatch.setattr(stage, "materials", broken)
-    status, out, _ = run(capsys, "verify", "--device", "opencl", "--stage", "spectral.materials", "--json", rows)
+    status, out, _ = run(
+        capsys, "verify", "--device", "opencl", "--stage", "spectral.materials", "--json", rows
+    )
     assert status == 1 and "the device is gone" in out
     assert json.loads(rows.read_text())[0]["max_error"] is None
 
 
 def test_bench_refuses_a_stage_that_fails(capsys, monkeypatch, tmp_path):
     rows = tmp_path / "b.json"
-    arguments = ("bench", "--device", "opencl", "--stage", "processor.linear", "--size", "64x48", "--json", rows)
+    arguments = (
+        "bench",
+        "--device",
+        "opencl",
+        "--stage",
+        "processor.linear",
+        "--size",
+        "64x48",
+        "--json",
+        rows,
+    )
     assert run(capsys, *arguments)[0] == 0
-    row, = json.loads(rows.read_text())
-    assert {"stage", "device", "size", "ms_p25", "ms_p50", "ms_p75", "bytes", "gbps", "operations", "gflops",
-            "floor_ms", "bound", "ratio_to_floor", "build_ms", "rel_rms_error",
-            "max_error"} <= set(row)
+    (row,) = json.loads(rows.read_text())
+    assert {
+        "stage",
+        "device",
+        "size",
+        "ms_p25",
+        "ms_p50",
+        "ms_p75",
+        "bytes",
+        "gbps",
+        "operations",
+        "gflops",
+        "floor_ms",
+        "bound",
+        "ratio_to_floor",
+        "build_ms",
+        "rel_rms_error",
+        "max_error",
+    } <= set(row)
     import gpusim.kernels.processor.linear as stage
 
     right = stage.linear
@@ -484,14 +780,18 @@ def test_a_driver_that_aborts_is_reported_not_fatal(monkeypatch):
     from gpusim.backends import probe
 
     def aborting(argument):
-        return subprocess.run([sys.executable, "-c", "import os; os.abort()"], capture_output=True, text=True)
+        return subprocess.run(
+            [sys.executable, "-c", "import os; os.abort()"], capture_output=True, text=True
+        )
 
     monkeypatch.setattr(probe, "_run", aborting)
     assert "ended the process" in probe._try("opencl:0")["error"]
 
 
 def test_version():
-    assert gpusim.__version__ == __import__("importlib.metadata", fromlist=["version"]).version("gpusim")
+    assert gpusim.__version__ == __import__("importlib.metadata", fromlist=["version"]).version(
+        "gpusim"
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -499,24 +799,34 @@ def test_version():
 def test_draws_follow_each_other_each_in_an_array_of_its_own(device, noise):
     """Those after the first start the kernels of the first again: bit for bit what one draw gives."""
     camera = open_camera("phone")
-    camera = replace(camera, sensor=replace(camera.sensor, noise=replace(camera.sensor.noise, **noise)))
+    camera = replace(
+        camera, sensor=replace(camera.sensor, noise=replace(camera.sensor.noise, **noise))
+    )
     simulator, scene = Simulator(camera, device=device), chart("ramp", size=(70, 40))
     exposures = [simulator.expose(scene, 0.01), simulator.expose(scene, 0.02, 2.0)]
     asked = [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 2**63, 2), (0, 1, 1), (0, 7, 2**32 - 1)]
     drawn = [simulator.draw(exposures[k], seed=seed, frame=frame) for k, seed, frame in asked]
     for raw, (k, seed, frame) in zip(drawn, asked, strict=True):
-        fresh = Simulator(camera, device=simulator.device).draw(exposures[k], seed=seed, frame=frame)
+        fresh = Simulator(camera, device=simulator.device).draw(
+            exposures[k], seed=seed, frame=frame
+        )
         np.testing.assert_array_equal(simulator.device.numpy(raw), simulator.device.numpy(fresh))
     with pytest.raises(OutOfRange, match="frame"):
         simulator.draw(exposures[0], frame=-1)
-    np.testing.assert_array_equal(simulator.device.numpy(simulator.draw(exposures[0], seed=7, frame=2**32 - 1)),
-                                  simulator.device.numpy(drawn[-1]))
+    np.testing.assert_array_equal(
+        simulator.device.numpy(simulator.draw(exposures[0], seed=7, frame=2**32 - 1)),
+        simulator.device.numpy(drawn[-1]),
+    )
 
 
 def test_several_scenes_give_a_frame_each():
     """Of a list and of a generator, one by one: those of each scene and number by themselves."""
     simulate = Simulator(open_camera("phone"), device="opencl", tolerance="video")
-    scenes = [chart("colorchecker", size=(48, 32)), chart("ramp", size=(60, 40)), chart("flat", size=(24, 16))]
+    scenes = [
+        chart("colorchecker", size=(48, 32)),
+        chart("ramp", size=(60, 40)),
+        chart("flat", size=(24, 16)),
+    ]
     alone = [simulate(scene, seed=3, frame=number) for number, scene in enumerate(scenes, 7)]
     for given in (scenes, tuple(scenes), iter(scenes)):
         for found, own in zip(simulate(given, seed=3, frame=7), alone, strict=True):
@@ -525,7 +835,9 @@ def test_several_scenes_give_a_frame_each():
             np.testing.assert_array_equal(found.rgb, own.rgb)
     asked = []
     frames = simulate(asked.append(number) or scenes[number] for number in range(3))
-    assert asked == [] and next(frames).raw.shape == (32, 48) and asked == [0]  # made when asked for
+    assert (
+        asked == [] and next(frames).raw.shape == (32, 48) and asked == [0]
+    )  # made when asked for
     for wrong in ("colorchecker", 3, None):
         with pytest.raises(BadData, match="wanted a Scene, such as of open_scene or chart"):
             simulate(wrong)

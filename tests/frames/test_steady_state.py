@@ -35,46 +35,128 @@ def clear_pixels():
     """Red, green, blue and clear pixels."""
     qe = PHONE.sensor.qe
     values = np.concatenate([qe.values, np.full((1, qe.values.shape[1]), 0.6)])
-    return camera_with(sensor={"qe": Spectrum(qe.wavelengths, values), "channels": ("R", "G", "B", "W"),
-                               "cfa": MOSAICS["rgbw"]})
+    return camera_with(
+        sensor={
+            "qe": Spectrum(qe.wavelengths, values),
+            "channels": ("R", "G", "B", "W"),
+            "cfa": MOSAICS["rgbw"],
+        }
+    )
 
 
 def measured():
     """A lens of measured spreads, wider to the right."""
-    line = np.exp(-np.linspace(-2, 2, 15) ** 2)
+    line = np.exp(-(np.linspace(-2, 2, 15) ** 2))
     spread = np.outer(line, line * (1 + 0.4 * np.linspace(-1, 1, 15)))
-    optics = {"model": "measured", "psf": PointSpread(np.array([400.0, 700.0]), np.stack([spread] * 2), 2e-7)}
+    optics = {
+        "model": "measured",
+        "psf": PointSpread(np.array([400.0, 700.0]), np.stack([spread] * 2), 2e-7),
+    }
     return camera_with(optics=optics)
 
 
-FOCUSED = camera_with(gs.open_camera("mono"), sensor={"pixel_pitch": 2e-6},
-                      optics={"f_number": 2.0, "focal_length": 5e-3, "object_distance": 0.4})
+FOCUSED = camera_with(
+    gs.open_camera("mono"),
+    sensor={"pixel_pitch": 2e-6},
+    optics={"f_number": 2.0, "focal_length": 5e-3, "object_distance": 0.4},
+)
 FIXED = {"sensor": {"exposure_time": 0.01}}
 FEATURES = {  # name -> camera, kind of scene, options of the Simulator
     **{f"camera {name}": (gs.open_camera(name), "materials", {}) for name in gs.camera_names()},
-    **{f"exposed by {method}": (camera_with(sensor={"auto_exposure": gs.AutoExposure(method)}), "materials", {})
-       for method in ("percentile", "mean", "centre")},
-    **{f"white by {method}": (camera_with(processor={"white_balance": method}), "materials", {})
-       for method in ("gray-world", "red-blue")},
-    **{f"binned, {mode}": (camera_with(sensor={"binning": (2, 2), "binning_mode": mode}, **{"processor": {
-        "denoise": 0.5}}), "materials", {}) for mode in ("digital", "charge")},
-    **{f"demosaicked by {name}": (camera_with(**FIXED, processor={"demosaic": name}), "materials", {})
-       for name in ("bilinear", "malvar", "adaptive", "best", "learned")},
-    "no converter": (camera_with(sensor={"bits": FLOAT_BITS}, processor={"demosaic": "malvar"}), "materials", {}),
-    "known defects": (camera_with(noise={"dead_pixels": 0.01}, processor={"defects": "known"}), "materials", {}),
-    "hot pixels": (camera_with(noise={"hot_pixels": 0.02, "hot_current": 2e3}, processor={"defects": "known"}),
-                   "materials", {}),
-    "found defects": (camera_with(**FIXED, noise={"dead_pixels": 0.01}, processor={"defects": "detect"}), "cube", {}),
-    "denoised and shaded": (camera_with(processor={"denoise": 1.0, "shading": True}), "materials", {}),
-    "stacked": (camera_with(noise={"dead_pixels": 0.01}, sensor={"stacked": True},
-                            processor={"defects": "known", "shading": True, "denoise": 1.0}), "materials", {}),
-    "stacked, no converter": (camera_with(**{"sensor": {"stacked": True, "bits": FLOAT_BITS}}), "cube", {}),
+    **{
+        f"exposed by {method}": (
+            camera_with(sensor={"auto_exposure": gs.AutoExposure(method)}),
+            "materials",
+            {},
+        )
+        for method in ("percentile", "mean", "centre")
+    },
+    **{
+        f"white by {method}": (camera_with(processor={"white_balance": method}), "materials", {})
+        for method in ("gray-world", "red-blue")
+    },
+    **{
+        f"binned, {mode}": (
+            camera_with(
+                sensor={"binning": (2, 2), "binning_mode": mode}, **{"processor": {"denoise": 0.5}}
+            ),
+            "materials",
+            {},
+        )
+        for mode in ("digital", "charge")
+    },
+    **{
+        f"demosaicked by {name}": (
+            camera_with(**FIXED, processor={"demosaic": name}),
+            "materials",
+            {},
+        )
+        for name in ("bilinear", "malvar", "adaptive", "best", "learned")
+    },
+    "no converter": (
+        camera_with(sensor={"bits": FLOAT_BITS}, processor={"demosaic": "malvar"}),
+        "materials",
+        {},
+    ),
+    "known defects": (
+        camera_with(noise={"dead_pixels": 0.01}, processor={"defects": "known"}),
+        "materials",
+        {},
+    ),
+    "hot pixels": (
+        camera_with(noise={"hot_pixels": 0.02, "hot_current": 2e3}, processor={"defects": "known"}),
+        "materials",
+        {},
+    ),
+    "found defects": (
+        camera_with(**FIXED, noise={"dead_pixels": 0.01}, processor={"defects": "detect"}),
+        "cube",
+        {},
+    ),
+    "denoised and shaded": (
+        camera_with(processor={"denoise": 1.0, "shading": True}),
+        "materials",
+        {},
+    ),
+    "stacked": (
+        camera_with(
+            noise={"dead_pixels": 0.01},
+            sensor={"stacked": True},
+            processor={"defects": "known", "shading": True, "denoise": 1.0},
+        ),
+        "materials",
+        {},
+    ),
+    "stacked, no converter": (
+        camera_with(**{"sensor": {"stacked": True, "bits": FLOAT_BITS}}),
+        "cube",
+        {},
+    ),
     "quad": (camera_with(sensor={"cfa": MOSAICS["quad-bayer"]}), "materials", {}),
     "clear pixels": (clear_pixels(), "materials", {}),
-    "noise of every kind": (camera_with(noise={
-        "telegraph_pixels": 0.1, "telegraph": 50.0, "telegraph_switching": 0.5, "row": 2.0, "column": 3.0, "prnu": 0.01,
-        "dsnu": 2.0, "reset": 3.0, "dark_current": 10.0, "adc": 0.5}), "materials", {}),
-    "distorted": (camera_with(optics={"distortion": RadialPolynomial(-0.12, 0.02, 1e-4)}), "materials", {}),
+    "noise of every kind": (
+        camera_with(
+            noise={
+                "telegraph_pixels": 0.1,
+                "telegraph": 50.0,
+                "telegraph_switching": 0.5,
+                "row": 2.0,
+                "column": 3.0,
+                "prnu": 0.01,
+                "dsnu": 2.0,
+                "reset": 3.0,
+                "dark_current": 10.0,
+                "adc": 0.5,
+            }
+        ),
+        "materials",
+        {},
+    ),
+    "distorted": (
+        camera_with(optics={"distortion": RadialPolynomial(-0.12, 0.02, 1e-4)}),
+        "materials",
+        {},
+    ),
     "lateral colour": (camera_with(**FIXED, optics={"lateral_color": 0.002}), "bands", {}),
     "measured": (measured(), "cube", {}),
     "no blur": (camera_with(optics={"model": "none"}), "cube", {}),
@@ -97,23 +179,40 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
 def first_scene(kind):
     """A scene of the kind."""
     if kind in ("points", "fine points"):
-        return gs.chart("points", size=SIZE, count=3, highest=1e5, samples_per_pixel=2 if "fine" in kind else 1)
+        return gs.chart(
+            "points", size=SIZE, count=3, highest=1e5, samples_per_pixel=2 if "fine" in kind else 1
+        )
     if "picture" in kind:
         codes = np.random.default_rng(1).integers(60, 220, (SIZE[1], SIZE[0], 3), np.uint8)
-        return gs.picture(codes, **({"border": "scene", "margin": 6} if "surrounded" in kind else {}))
-    scene = gs.chart("deadleaves", size=SIZE, samples_per_pixel=2 if kind == "fine" else 1,
-                     wavelengths=np.linspace(420, 680, 3) if kind in ("bands", "depth") else None)
+        return gs.picture(
+            codes, **({"border": "scene", "margin": 6} if "surrounded" in kind else {})
+        )
+    scene = gs.chart(
+        "deadleaves",
+        size=SIZE,
+        samples_per_pixel=2 if kind == "fine" else 1,
+        wavelengths=np.linspace(420, 680, 3) if kind in ("bands", "depth") else None,
+    )
     if kind in ("materials", "fine"):
         return scene
     bands = np.ascontiguousarray(scene.content.bands_at(slice(None)), np.float32)
     if kind == "basis":
-        basis = np.linalg.svd(bands.reshape(len(bands), -1).T.astype(float), full_matrices=False)[2][:4]
-        return replace(scene, content=Basis(scene.wavelengths, np.tensordot(basis, bands, 1).astype(np.float32), basis))
+        basis = np.linalg.svd(bands.reshape(len(bands), -1).T.astype(float), full_matrices=False)[
+            2
+        ][:4]
+        return replace(
+            scene,
+            content=Basis(
+                scene.wavelengths, np.tensordot(basis, bands, 1).astype(np.float32), basis
+            ),
+        )
     scene = replace(scene, content=Cube(scene.wavelengths, bands))
     if kind == "surrounded":
         return replace(scene, border="scene", margin=6)
     if kind == "depth":
-        return replace(scene, depth=np.full(scene.samples, 0.4) + 0.3 * (np.indices(scene.samples)[1] > 30))
+        return replace(
+            scene, depth=np.full(scene.samples, 0.4) + 0.3 * (np.indices(scene.samples)[1] > 30)
+        )
     return scene
 
 
@@ -122,9 +221,17 @@ def scenes_of(kind, device):
     scene = first_scene(kind)
     if "picture" in kind:
         codes = [scene.content.codes + np.uint8(number) for number in range(FRAMES)]
-        return [replace(scene, content=replace(scene.content, codes=device.array(one, np.uint8))) for one in codes]
-    made = [replace(scene, content=scene.content.with_planes(scene.content.planes * np.float32(1 + 0.02 * number)))
-            for number in range(FRAMES)]
+        return [
+            replace(scene, content=replace(scene.content, codes=device.array(one, np.uint8)))
+            for one in codes
+        ]
+    made = [
+        replace(
+            scene,
+            content=scene.content.with_planes(scene.content.planes * np.float32(1 + 0.02 * number)),
+        )
+        for number in range(FRAMES)
+    ]
     if kind in ("depth", "points", "fine points"):
         return made
 
@@ -176,12 +283,23 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
     fresh = gs.Simulator(camera, device=device, **options).program(scenes[0])
     assert fresh.plan.scene is scenes[0]
     fresh.update(scene=scenes[-1])
-    for ours, its in ((raw, fresh.raw(seed=1, frame=FRAMES - 1)), (codes, fresh.codes(seed=1, frame=FRAMES - 1))):
+    for ours, its in (
+        (raw, fresh.raw(seed=1, frame=FRAMES - 1)),
+        (codes, fresh.codes(seed=1, frame=FRAMES - 1)),
+    ):
         np.testing.assert_array_equal(np.array(device.numpy(ours)), np.array(device.numpy(its)))
 
 
-CHANGING = ("hot pixels", "no converter", "stacked", "binned, digital", "demosaicked by best", "denoised and shaded",
-            "white by gray-world", "noise of every kind")
+CHANGING = (
+    "hot pixels",
+    "no converter",
+    "stacked",
+    "binned, digital",
+    "demosaicked by best",
+    "denoised and shaded",
+    "white by gray-world",
+    "noise of every kind",
+)
 
 
 @pytest.mark.parametrize("name", CHANGING)
@@ -193,8 +311,14 @@ def test_nothing_is_stale_at_another_exposure_of_every_frame(device, name):
     scene = scenes_of(kind, device)[0]
     program = gs.Simulator(camera, device=device, **options).program(scene)
     for number, seconds in enumerate((1e-3, 2e-3, 4e-3, 8e-3, 0.1)):
-        found = program.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(seed=1, frame=number)
-    fresh = gs.Simulator(camera, device=device, **options).program(scene, 0.1, 1.4).codes(seed=1, frame=4)
+        found = program.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(
+            seed=1, frame=number
+        )
+    fresh = (
+        gs.Simulator(camera, device=device, **options)
+        .program(scene, 0.1, 1.4)
+        .codes(seed=1, frame=4)
+    )
     np.testing.assert_array_equal(np.array(device.numpy(found)), np.array(device.numpy(fresh)))
 
 
@@ -218,7 +342,8 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
 
     monkeypatch.setattr("gpusim.pipeline.developer.color", through_the_host)
     program = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).program(
-        scenes_of("cube", device)[0])
+        scenes_of("cube", device)[0]
+    )
     reads = Reads(device, monkeypatch)
     for number, scene in enumerate(scenes_of("cube", device)):
         program.update(scene=scene).codes(seed=1, frame=number)

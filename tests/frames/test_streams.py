@@ -14,7 +14,9 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
 SIZE = (96, 64)
 CAMERA = gs.open_camera("phone")
-CAMERA = replace(CAMERA, sensor=replace(CAMERA.sensor, noise=replace(CAMERA.sensor.noise, prnu=0.01)))
+CAMERA = replace(
+    CAMERA, sensor=replace(CAMERA.sensor, noise=replace(CAMERA.sensor.noise, prnu=0.01))
+)
 
 
 def cubes(count, size=SIZE):
@@ -35,7 +37,9 @@ def apart():
 def test_frames_of_a_stream_are_those_of_single_programs(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the stream's."""
     simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes(5)
-    found = taken(simulator.stream(scenes, output, seed=3, first=7, exposure_time=0.01), simulator.device)
+    found = taken(
+        simulator.stream(scenes, output, seed=3, first=7, exposure_time=0.01), simulator.device
+    )
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True), 7):
         own = simulator.program(scene, 0.01)
         again = taken([getattr(own, output)(seed=3, frame=number)], simulator.device)[0]
@@ -52,7 +56,10 @@ def test_metered_in_the_frame_before(device):
     late = taken(simulator.stream(scenes, "raw", seed=1), simulator.device)
     at_once = taken(simulator.stream(scenes, "raw", seed=1, meters_late=False), simulator.device)
     for number, scene in enumerate(scenes):
-        for frame, seconds in ((late[number], own[max(number - 1, 0)]), (at_once[number], own[number])):
+        for frame, seconds in (
+            (late[number], own[max(number - 1, 0)]),
+            (at_once[number], own[number]),
+        ):
             exposure = simulator.expose(scene, seconds)
             fresh = next(simulator.shoot(exposure, seed=1, first=number)).raw.astype(float)
             # metered from electrons in place of electrons a second: three roundings of 2^-24 in the time, so 2e-4 of
@@ -68,7 +75,9 @@ def test_other_kinds_and_sizes_on_the_way(device):
     scenes = [*cubes(2), gs.chart("colorchecker", size=(64, 48)), *cubes(1, (60, 40)), cubes(1)[0]]
     found = taken(simulator.stream(scenes, "raw", seed=2, exposure_time=0.01), simulator.device)
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True)):
-        fresh = taken([simulator.program(scene, 0.01).raw(seed=2, frame=number)], simulator.device)[0]
+        fresh = taken([simulator.program(scene, 0.01).raw(seed=2, frame=number)], simulator.device)[
+            0
+        ]
         np.testing.assert_array_equal(frame, fresh)
 
 
@@ -86,7 +95,9 @@ def test_a_plan_that_does_not_fit_is_made_anew(device):
     That is where no probe is due, as for the second scene that the plan was not made for.
     """
     tolerance = 1e-3
-    simulator, exact = (gs.Simulator(CAMERA, device=device, tolerance=limit) for limit in (tolerance, None))
+    simulator, exact = (
+        gs.Simulator(CAMERA, device=device, tolerance=limit) for limit in (tolerance, None)
+    )
     likely = cubes(1)[0]
     odd = of_one_band(likely, 24)
 
@@ -123,7 +134,9 @@ def test_what_comes_back_finds_a_plan_that_fits(device, monkeypatch):
         return made[-1]
 
     monkeypatch.setattr(gs.Simulator, "plan", planned)
-    scenes = [replace(odd if number % 10 == 7 else likely, name=str(number)) for number in range(40)]
+    scenes = [
+        replace(odd if number % 10 == 7 else likely, name=str(number)) for number in range(40)
+    ]
     for _ in simulator.stream(scenes, "raw", exposure_time=0.01):
         pass
     assert [one.scene.name for one in made] == ["0", "8"]
@@ -141,11 +154,14 @@ def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     report = program.update(scene=second).frame().report
     metered = gs.Simulator(CAMERA, device=device)(first).report
     assert {stage.model for stage in metered.stages if stage.stage == "sensor.meter"} == {
-        "automatic exposure, highlights"}
+        "automatic exposure, highlights"
+    }
     assert (own.scene["name"], report.scene["name"]) == ("leaves 0", "leaves 1")
     assert not any("leaves 0" in note for note in own.notes)
     assert any("by the plan of leaves 0" in note for note in report.notes)
-    assert report.account.bounds["planes"].rms == pytest.approx(own.account.bounds["planes"].rms, rel=0.05)  # 1.1 as
+    assert report.account.bounds["planes"].rms == pytest.approx(
+        own.account.bounds["planes"].rms, rel=0.05
+    )  # 1.1 as
     # bright
     odd = of_one_band(first, 24)
     frame = program.update(scene=odd).frame()
@@ -173,7 +189,9 @@ def test_light_that_is_not_finite_is_named_one_frame_late_at_most(device, value)
     simulator, scenes = gs.Simulator(CAMERA, device=device), cubes(4)
     values = scenes[1].content.values.view(gs.domain.memory.Pinned)
     values[3, 20, 30] = value
-    scenes[1] = replace(scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second")
+    scenes[1] = replace(
+        scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second"
+    )
     frames = []
     with pytest.raises(BadData, match=r"the second: .* NaN or infinite light"):
         for frame in simulator.stream(scenes, "raw", exposure_time=0.01):
@@ -198,7 +216,9 @@ def test_a_stream_that_is_left_leaves_the_device_usable(apart):
     first = taken([next(frames)], apart)[0]
     frames.close()
     assert asked == ["leaves 0", "leaves 1"]  # one ahead
-    np.testing.assert_array_equal(taken(simulator.stream(scenes, "raw", exposure_time=0.01), apart)[0], first)
+    np.testing.assert_array_equal(
+        taken(simulator.stream(scenes, "raw", exposure_time=0.01), apart)[0], first
+    )
 
     class Fails(Exception):
         pass
@@ -206,7 +226,9 @@ def test_a_stream_that_is_left_leaves_the_device_usable(apart):
     with pytest.raises(Fails):
         for _ in simulator.stream(scenes, "raw", exposure_time=0.01):
             raise Fails
-    np.testing.assert_array_equal(taken(simulator.stream(scenes, "raw", exposure_time=0.01), apart)[0], first)
+    np.testing.assert_array_equal(
+        taken(simulator.stream(scenes, "raw", exposure_time=0.01), apart)[0], first
+    )
 
 
 def test_two_buffers_are_enough_for_a_video(apart):
@@ -221,8 +243,11 @@ def test_two_buffers_are_enough_for_a_video(apart):
             yield replace(scene, content=gs.Cube(scene.wavelengths, values))
 
     found = taken(simulator.stream(coming(), "raw", seed=5, exposure_time=0.01), apart)
-    for frame, fresh in zip(found, taken(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01), apart),
-                            strict=True):
+    for frame, fresh in zip(
+        found,
+        taken(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01), apart),
+        strict=True,
+    ):
         np.testing.assert_array_equal(frame, fresh)
     assert any((a != b).any() for a, b in pairwise(found))
 
@@ -235,8 +260,11 @@ def test_refuses():
         next(simulator.stream(cubes(1), first=-1))
     with pytest.raises(BadData, match=r"wanted several, such as \[scene\]"):
         next(simulator.stream(cubes(1)[0]))
-    for asked in (lambda: next(simulator.stream([3])), lambda: simulator.program(3),
-                  lambda: simulator.program(cubes(1)[0]).update(scene="a chart")):
+    for asked in (
+        lambda: next(simulator.stream([3])),
+        lambda: simulator.program(3),
+        lambda: simulator.program(cubes(1)[0]).update(scene="a chart"),
+    ):
         with pytest.raises(BadData, match="wanted a Scene"):
             asked()
     assert list(simulator.stream([])) == []

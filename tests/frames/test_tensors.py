@@ -16,7 +16,9 @@ from gpusim.domain.foreign import to_host
 
 RANDOM = np.random.default_rng(8)
 PICTURES = RANDOM.random((4, 3, 40, 48)).astype(np.float32)
-needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
+needs_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="torch is not installed"
+)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -47,12 +49,17 @@ def compared(device, tolerance):
 @pytest.mark.parametrize("output", ["raw", "linear", "codes", "mean"])
 def test_frames_are_those_of_scenes(device, output):
     """Of linear sRGB as reflectances in D65: that of the scene that `gs.open_scene` makes of a photograph, exact."""
-    batch, simulator = gs.Batch(PHONE, device=device, output=output), gs.Simulator(PHONE, device=device)
+    batch, simulator = (
+        gs.Batch(PHONE, device=device, output=output),
+        gs.Simulator(PHONE, device=device),
+    )
     found = batch(PICTURES, first=5, seed=1, exposure_time=0.02)
     for item, linear in enumerate(PICTURES):
         content = gs.picture(np.zeros((2, 2, 3), np.uint8)).content
-        scene = gs.Scene(gs.Basis(content.wavelengths, linear, content.basis), gs.picture(
-            np.zeros((2, 2, 3), np.uint8)).illuminant)
+        scene = gs.Scene(
+            gs.Basis(content.wavelengths, linear, content.basis),
+            gs.picture(np.zeros((2, 2, 3), np.uint8)).illuminant,
+        )
         program = simulator.program(scene, 0.02)
         expected = np.array(simulator.device.numpy(program.output(output, seed=1, frame=5 + item)))
         if output == "codes":  # of which the device has the channels last
@@ -67,42 +74,65 @@ def test_spectral_pictures_are_cubes(device):
     values = np.asarray(scene.content.values, np.float32)[None]
     simulator = gs.Simulator(PHONE, device=device)
     for light, lit in (("D65", gs.picture(np.zeros((2, 2), np.uint8)).illuminant), (None, None)):
-        batch = gs.Batch(PHONE, device=device, output="mean", wavelengths=scene.content.wavelengths, light=light)
+        batch = gs.Batch(
+            PHONE, device=device, output="mean", wavelengths=scene.content.wavelengths, light=light
+        )
         if lit is None:
             from gpusim.domain.scene import unit_light
 
             lit = unit_light(scene.content.wavelengths)
-        expected = simulator.program(gs.Scene(gs.Cube(scene.content.wavelengths, values[0]), lit), 0.01).output("mean")
-        np.testing.assert_array_equal(batch(values, exposure_time=0.01)[0], simulator.device.numpy(expected))
+        expected = simulator.program(
+            gs.Scene(gs.Cube(scene.content.wavelengths, values[0]), lit), 0.01
+        ).output("mean")
+        np.testing.assert_array_equal(
+            batch(values, exposure_time=0.01)[0], simulator.device.numpy(expected)
+        )
 
 
 @pytest.mark.parametrize("device", KINDS)
 def test_settings_of_each_picture(device):
-    cameras = [camera_with(noise={"read": 1.0}), camera_with(noise={"read": 30.0}),
-               camera_with(optics={"f_number": 8.0}), camera_with(processor={"white_balance": "none"})]
+    cameras = [
+        camera_with(noise={"read": 1.0}),
+        camera_with(noise={"read": 30.0}),
+        camera_with(optics={"f_number": 8.0}),
+        camera_with(processor={"white_balance": "none"}),
+    ]
     times, gains = [0.01, 0.02, 0.01, 0.005], [1.0, 1.0, 2.0, 1.0]
     batch = gs.Batch(PHONE, device=device, output="codes")
     for turn in range(2):
         found = batch(PICTURES, first=4 * turn, exposure_time=times, gain=gains, camera=cameras)
         for item, camera in enumerate(cameras):
             alone = gs.Batch(camera, device=device, output="codes")(
-                PICTURES[[item]], first=4 * turn + item, exposure_time=times[item], gain=gains[item])
+                PICTURES[[item]], first=4 * turn + item, exposure_time=times[item], gain=gains[item]
+            )
             np.testing.assert_array_equal(found[item], alone[0])
 
 
 def test_grey_halves_and_other_shapes():
     batch = gs.Batch(PHONE, device="numpy", output="mean")
-    grey, colour = (batch(np.full((1, channels, 20, 24), 0.5, np.float16), exposure_time=0.01) for channels in (1, 3))
-    np.testing.assert_allclose(grey, colour, rtol=2e-3)  # the primaries' sum is 1 within 1e-3 at every wavelength
+    grey, colour = (
+        batch(np.full((1, channels, 20, 24), 0.5, np.float16), exposure_time=0.01)
+        for channels in (1, 3)
+    )
+    np.testing.assert_allclose(
+        grey, colour, rtol=2e-3
+    )  # the primaries' sum is 1 within 1e-3 at every wavelength
     for shape in [(2, 1, 16, 16 + n) for n in range(6)]:
         assert batch(np.ones(shape, np.float32), exposure_time=0.01).shape == (2, *shape[2:])
 
 
-@pytest.mark.parametrize("asked, error, words", [
-    (np.ones((3, 8, 8)), BadData, "wanted (pictures, channels, rows, cols)"),
-    (np.ones((1, 4, 8, 8)), BadData, "1 or 3 channels"), (np.ones((0, 3, 8, 8)), BadData, "pictures: (0, 3, 8, 8)"),
-    (np.ones((1, 3, 8, 8), np.uint8), BadData, "linear light, not codes"), ("pictures", BadData, "wanted an array"),
-    (-np.ones((1, 3, 8, 8)), BadData, "negative"), (np.full((1, 3, 8, 8), np.nan), BadData, "NaN")])
+@pytest.mark.parametrize(
+    "asked, error, words",
+    [
+        (np.ones((3, 8, 8)), BadData, "wanted (pictures, channels, rows, cols)"),
+        (np.ones((1, 4, 8, 8)), BadData, "1 or 3 channels"),
+        (np.ones((0, 3, 8, 8)), BadData, "pictures: (0, 3, 8, 8)"),
+        (np.ones((1, 3, 8, 8), np.uint8), BadData, "linear light, not codes"),
+        ("pictures", BadData, "wanted an array"),
+        (-np.ones((1, 3, 8, 8)), BadData, "negative"),
+        (np.full((1, 3, 8, 8), np.nan), BadData, "NaN"),
+    ],
+)
 def test_bad_pictures(asked, error, words):
     with pytest.raises(error) as raised:
         gs.Batch(PHONE, device="numpy")(asked, exposure_time=0.01)
@@ -141,11 +171,15 @@ def test_settings_as_arrays_and_tensors(tolerance):
     times = np.array([0.01, 0.02, 0.005, 0.01])
     batch = gs.Batch(PHONE, device="numpy", tolerance=tolerance)
     expected = batch(PICTURES, exposure_time=times.tolist(), gain=2.0)
-    np.testing.assert_array_equal(batch(PICTURES, exposure_time=times, gain=np.array(2.0)), expected)
+    np.testing.assert_array_equal(
+        batch(PICTURES, exposure_time=times, gain=np.array(2.0)), expected
+    )
     if importlib.util.find_spec("torch"):
         import torch
 
-        np.testing.assert_array_equal(batch(PICTURES, exposure_time=torch.from_numpy(times), gain=2.0), expected)
+        np.testing.assert_array_equal(
+            batch(PICTURES, exposure_time=torch.from_numpy(times), gain=2.0), expected
+        )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -172,14 +206,29 @@ def test_workers_of_a_loader_make_the_same_pairs(device, tmp_path):
 
     for number in range(3):
         Image.fromarray(np.uint8(255 * RANDOM.random((24, 30, 3)))).save(tmp_path / f"{number}.png")
-    pairs = PairSet(sorted(tmp_path.iterdir()), PHONE, vary="exposure=1/200..1/20", each=2, device=device, seed=3,
-                    pictures=True)
+    pairs = PairSet(
+        sorted(tmp_path.iterdir()),
+        PHONE,
+        vary="exposure=1/200..1/20",
+        each=2,
+        device=device,
+        seed=3,
+        pictures=True,
+    )
     expected = [pairs[number] for number in range(len(pairs))]
     assert expected[0]["rgb"].shape == (3, 24, 30) and expected[0]["clean"].dtype == torch.float32
     for workers in (1, 2):
-        loaded = list(DataLoader(pairs, batch_size=None, num_workers=workers, multiprocessing_context="spawn"))
-        streamed = list(DataLoader(PairStream(pairs), batch_size=None, num_workers=workers,
-                                   multiprocessing_context="spawn"))
+        loaded = list(
+            DataLoader(pairs, batch_size=None, num_workers=workers, multiprocessing_context="spawn")
+        )
+        streamed = list(
+            DataLoader(
+                PairStream(pairs),
+                batch_size=None,
+                num_workers=workers,
+                multiprocessing_context="spawn",
+            )
+        )
         streamed.sort(key=lambda pair: pair["told"]["frame"])
         for found in (loaded, streamed):
             assert len(found) == len(expected)

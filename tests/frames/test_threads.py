@@ -36,7 +36,9 @@ def simulators(device):
 def drawn(simulator, exposure, frame):
     """Digital numbers and display codes of an exposure."""
     raw = simulator.draw(exposure, seed=7, frame=frame)
-    return [np.array(simulator.device.numpy(part)) for part in (raw, simulator.codes(raw, exposure))]
+    return [
+        np.array(simulator.device.numpy(part)) for part in (raw, simulator.codes(raw, exposure))
+    ]
 
 
 def scene_of(number):
@@ -61,9 +63,14 @@ def test_threads_give_the_same_bits(device, shared):
     """Eight threads, fifty frames each, of Simulators of their own or shared: all that one thread gives alone."""
     scenes, ours = [scene_of(number) for number in range(2)], simulators(device)
     exposures = [simulator.expose(scene) for simulator, scene in zip(ours, scenes, strict=True)]
-    means = [np.array(one.device.numpy(exposure.mean)) for one, exposure in zip(ours, exposures, strict=True)]
-    alone = [[drawn(simulator, exposure, frame) for frame in range(FRAMES)]
-             for simulator, exposure in zip(ours, exposures, strict=True)]
+    means = [
+        np.array(one.device.numpy(exposure.mean))
+        for one, exposure in zip(ours, exposures, strict=True)
+    ]
+    alone = [
+        [drawn(simulator, exposure, frame) for frame in range(FRAMES)]
+        for simulator, exposure in zip(ours, exposures, strict=True)
+    ]
 
     def work(thread):
         own = ours if shared else simulators(device)
@@ -74,7 +81,13 @@ def test_threads_give_the_same_bits(device, shared):
                 exposure = own[camera].expose(scenes[camera])
                 if not np.array_equal(own[camera].device.numpy(exposure.mean), means[camera]):
                     wrong.append(("mean", camera))
-            if not all(map(np.array_equal, drawn(own[camera], exposures[camera], frame), alone[camera][frame])):
+            if not all(
+                map(
+                    np.array_equal,
+                    drawn(own[camera], exposures[camera], frame),
+                    alone[camera][frame],
+                )
+            ):
                 wrong.append(("frame", camera, frame))
         return wrong
 
@@ -94,7 +107,9 @@ def test_each_thread_times_its_own_stages(device):
                             np.ones(1000).sum()
                     else:
                         values = device.array(np.ones(1000, np.float32))
-                        device.launch("common.copy", "copy", (1000,), values, device.empty((1000,)), 1000)
+                        device.launch(
+                            "common.copy", "copy", (1000,), values, device.empty((1000,)), 1000
+                        )
         return dict(ms)
 
     for thread, ms in enumerate(in_threads(work)):
@@ -137,7 +152,9 @@ def test_an_exposure_of_a_varying_blur_is_pickled():
     exposure = gs.Simulator(camera, device="numpy", tolerance=1e-2).expose(scene_of(0))
     assert exposure.plan.varying is not None
     again = pickle.loads(pickle.dumps(exposure))
-    np.testing.assert_array_equal(again.plan.varying.coefficients, exposure.plan.varying.coefficients)
+    np.testing.assert_array_equal(
+        again.plan.varying.coefficients, exposure.plan.varying.coefficients
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -166,11 +183,17 @@ def used(*devices):
     return given
 
 
-@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork")
+@pytest.mark.skipif(
+    "fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork"
+)
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_forked_process_is_told_so(device):
     """Drivers do not survive a fork: an error at once, and no silence without end; NumPy goes on."""
     assert used(device) == ["works"]
     refused, numpy = elsewhere("fork", used, device, "numpy")
-    assert f"{device}: this process was forked" in refused and "spawn" in refused and "\n" not in refused
+    assert (
+        f"{device}: this process was forked" in refused
+        and "spawn" in refused
+        and "\n" not in refused
+    )
     assert numpy == "works"

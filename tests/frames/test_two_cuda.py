@@ -25,7 +25,10 @@ def two(monkeypatch, native):
 
 
 def test_the_double_refuses_what_cuda_refuses(two):
-    with pytest.raises(RuntimeError, match="Event from device cuda:1 cannot be recorded on stream from device cuda:0"):
+    with pytest.raises(
+        RuntimeError,
+        match="Event from device cuda:1 cannot be recorded on stream from device cuda:0",
+    ):
         fake_cuda.FAKE.record_event(fake_cuda.Event(two[1].wp_device))
     array = two[0].array(np.ones(4, np.float32))
     with pytest.raises(RuntimeError, match="a launch on cuda:1 of an array of cuda:0"):
@@ -61,13 +64,20 @@ def test_what_one_device_made_is_used_by_the_other(two):
     picture = gs.chart("flat", size=(16, 12))
     cube = two[0].array(picture.content.bands_at(slice(None)))
     scene = gs.scene_from(cube, picture.wavelengths)
-    raws = [gs.Simulator(gs.open_camera("phone"), device=device).program(scene, 0.01).raw(seed=1) for device in two]
-    np.testing.assert_array_equal(*(device.numpy(raw) for device, raw in zip(two, raws, strict=True)))
+    raws = [
+        gs.Simulator(gs.open_camera("phone"), device=device).program(scene, 0.01).raw(seed=1)
+        for device in two
+    ]
+    np.testing.assert_array_equal(
+        *(device.numpy(raw) for device, raw in zip(two, raws, strict=True))
+    )
 
 
 def test_a_callers_stream_is_one_of_the_same_device(two):
     ones = two[1].array(np.ones(4, np.float32))
-    with two[1].on_stream(0):  # CUDA's default stream: of cuda:1, though cuda:0 is the default device
+    with two[1].on_stream(
+        0
+    ):  # CUDA's default stream: of cuda:1, though cuda:0 is the default device
         two[1].launch("common.copy", "copy", (4,), ones, two[1].empty((4,)), 4)
         two[1].fetch(ones)()
     before = two[1].wp_device.stream
@@ -75,7 +85,10 @@ def test_a_callers_stream_is_one_of_the_same_device(two):
     class Stream:
         cuda_stream, device_index = 77, 0
 
-    with pytest.raises(BadData, match="CUDA stream: one of cuda:0, wanted one of cuda:1"), two[1].on_stream(Stream()):
+    with (
+        pytest.raises(BadData, match="CUDA stream: one of cuda:0, wanted one of cuda:1"),
+        two[1].on_stream(Stream()),
+    ):
         pass
     assert two[1].wp_device.stream is before
 
@@ -88,8 +101,13 @@ def test_memory_of_the_other_device_is_known_by_its_address(two, monkeypatch):
 
     class Foreign:
         def __init__(self, of):
-            self.__cuda_array_interface__ = {"shape": (4,), "typestr": "<f4", "data": (of.ptr, False), "version": 3,
-                                             "stream": 1}
+            self.__cuda_array_interface__ = {
+                "shape": (4,),
+                "typestr": "<f4",
+                "data": (of.ptr, False),
+                "version": 3,
+                "stream": 1,
+            }
 
         def __array__(self, dtype=None, copy=None):
             return np.arange(4, dtype=np.float32)

@@ -14,8 +14,12 @@ from gpusim.pipeline.cache import One, same
 SIZE = (96, 64)
 
 
-BASE = camera_with(gs.open_camera("phone"), processor={"demosaic": "adaptive"}, sensor={"exposure_time": 0.01},
-                   noise={"prnu": 0.01, "dsnu": 1.0, "read": 2.0})
+BASE = camera_with(
+    gs.open_camera("phone"),
+    processor={"demosaic": "adaptive"},
+    sensor={"exposure_time": 0.01},
+    noise={"prnu": 0.01, "dsnu": 1.0, "read": 2.0},
+)
 ENCODE = {"display.encode"}
 COLOUR = {"processor.color", *ENCODE}
 PROCESS = {"processor.adaptive", *COLOUR}
@@ -68,10 +72,17 @@ def test_what_is_given_to_the_program_itself(device, scene):
     simulator = gs.Simulator(BASE, device=device)
     program, other = simulator.program(scene), gs.chart("colorchecker", size=SIZE)
     first = program.frame(seed=3)
-    for seed, frame, seconds, gain, shown in ((4, 0, None, 1.0, scene), (4, 7, None, 1.0, scene),
-                                              (4, 7, 0.02, 1.0, scene), (4, 7, 0.02, 2.0, scene),
-                                              (4, 7, 0.02, 2.0, other), (3, 0, None, 1.0, scene)):
-        found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(seed=seed, frame=frame)
+    for seed, frame, seconds, gain, shown in (
+        (4, 0, None, 1.0, scene),
+        (4, 7, None, 1.0, scene),
+        (4, 7, 0.02, 1.0, scene),
+        (4, 7, 0.02, 2.0, scene),
+        (4, 7, 0.02, 2.0, other),
+        (3, 0, None, 1.0, scene),
+    ):
+        found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(
+            seed=seed, frame=frame
+        )
         exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
         fresh = next(simulator.shoot(exposure, seed=seed, first=frame))
         for key in ("mean", "raw", "linear", "rgb"):
@@ -83,18 +94,28 @@ def test_automatic_exposure_is_metered_anew_where_it_must_be(scene):
     automatic = camera_with(BASE, sensor={"exposure_time": None}, noise={"dark_current": 0.0})
     program = gs.Simulator(automatic, device="numpy").program(scene)
     first = program.exposure.exposure_time
-    darker = camera_with(automatic, sensor={"auto_exposure": gs.AutoExposure(level=0.475)})  # half of .95
-    assert program.update(camera=darker).exposure.exposure_time == pytest.approx(first / 2, rel=1e-12)
-    brighter = replace(scene, illuminant=replace(scene.illuminant, values=2 * scene.illuminant.values))
+    darker = camera_with(
+        automatic, sensor={"auto_exposure": gs.AutoExposure(level=0.475)}
+    )  # half of .95
+    assert program.update(camera=darker).exposure.exposure_time == pytest.approx(
+        first / 2, rel=1e-12
+    )
+    brighter = replace(
+        scene, illuminant=replace(scene.illuminant, values=2 * scene.illuminant.values)
+    )
     # float32 metering: the largest of values rounded to 6e-8 each
-    assert program.update(scene=brighter).exposure.exposure_time == pytest.approx(first / 4, rel=1e-6)
+    assert program.update(scene=brighter).exposure.exposure_time == pytest.approx(
+        first / 4, rel=1e-6
+    )
 
 
 def test_a_refused_change_changes_nothing(scene):
     program = gs.Simulator(BASE, device="numpy").program(scene)
     before = program.codes(seed=1)
     with pytest.raises(OutOfRange, match="exposure_time"):
-        program.update(camera=camera_with(BASE, processor={"demosaic": "malvar"}), exposure_time=-1.0)
+        program.update(
+            camera=camera_with(BASE, processor={"demosaic": "malvar"}), exposure_time=-1.0
+        )
     np.testing.assert_array_equal(program.codes(seed=1), before)
 
 
@@ -105,9 +126,20 @@ def test_the_report_has_every_stage_that_ran(scene):
     names = [stage.stage for stage in report.stages]
     assert len(names) == len(set(names))
     blur = "optics.mosaic" if program.simulator.device.is_gpu else "optics.tiles"
-    assert {"spectral.integrate", "optics.airy", blur, "sensor.noise", "display.encode"} <= set(names)
-    order = [names.index(name) for name in (blur, "sensor.collect", "sensor.noise", "processor.adaptive",
-                                            "processor.color", "display.encode")]
+    assert {"spectral.integrate", "optics.airy", blur, "sensor.noise", "display.encode"} <= set(
+        names
+    )
+    order = [
+        names.index(name)
+        for name in (
+            blur,
+            "sensor.collect",
+            "sensor.noise",
+            "processor.adaptive",
+            "processor.color",
+            "display.encode",
+        )
+    ]
     assert order == sorted(order)
     assert 0 < report.ms <= report.wall_ms
     again = program.frame(seed=1).report
@@ -118,23 +150,35 @@ def test_every_kind_of_exposure_says_how_long_it_took(scene):
     """The wall holds all stages, also of brackets and moving scenes; each is on the clock while the stages run."""
     simulator = gs.Simulator(camera_with(BASE, sensor={"row_time": 1e-5}), device="numpy")
     moving = gs.expose_moving(simulator, [scene, scene], [0.0, 0.02], 0.01)
-    frames = [*gs.bracket(simulator, scene, (0, 1)), next(simulator.shoot(moving)), simulator(scene)]
+    frames = [
+        *gs.bracket(simulator, scene, (0, 1)),
+        next(simulator.shoot(moving)),
+        simulator(scene),
+    ]
     for frame in frames:
         assert 0 < frame.report.ms <= frame.report.wall_ms
 
 
 def digital(base):
-    return camera_with(base, sensor={"binning": (2, 2), "binning_mode": "digital"}, processor={"denoise": 1.0})
+    return camera_with(
+        base, sensor={"binning": (2, 2), "binning_mode": "digital"}, processor={"denoise": 1.0}
+    )
 
 
 @pytest.mark.parametrize("device", ["numpy", "opencl"])
-@pytest.mark.parametrize("change", [
-    digital,
-    lambda base: camera_with(base, sensor={"binning": (2, 2), "binning_mode": "charge"}),
-    lambda base: camera_with(base, sensor={"cfa": ("BG", "GR"), "channels": ("B", "G", "R")}),
-    lambda base: camera_with(base, processor={"white_balance": "gray-world"}),
-    lambda base: camera_with(base, sensor={"bits": 12}),
-    lambda base: camera_with(base, processor={"denoise": 1.0, "defects": "detect", "shading": True})])
+@pytest.mark.parametrize(
+    "change",
+    [
+        digital,
+        lambda base: camera_with(base, sensor={"binning": (2, 2), "binning_mode": "charge"}),
+        lambda base: camera_with(base, sensor={"cfa": ("BG", "GR"), "channels": ("B", "G", "R")}),
+        lambda base: camera_with(base, processor={"white_balance": "gray-world"}),
+        lambda base: camera_with(base, sensor={"bits": 12}),
+        lambda base: camera_with(
+            base, processor={"denoise": 1.0, "defects": "detect", "shading": True}
+        ),
+    ],
+)
 def test_nothing_stale_is_used(device, change, scene):
     """There and back again, by a program and by one Simulator: mean, raw, pictures and what the report names."""
     start = camera_with(BASE, processor={"white_balance": "max-rgb"})
@@ -148,16 +192,31 @@ def test_nothing_stale_is_used(device, change, scene):
                 np.testing.assert_array_equal(getattr(frame, key), getattr(fresh, key), key)
             assert frame.report.camera == fresh.report.camera
             names = [stage.stage for stage in frame.report.stages]
-            assert set(names) == {stage.stage for stage in fresh.report.stages} and len(names) == len(set(names))
-            drawn = [name for name in names if name in ("sensor.noise", "processor.denoise", "processor.shade",
-                                                        "processor.adaptive", "processor.color", "display.encode")]
+            assert set(names) == {stage.stage for stage in fresh.report.stages} and len(
+                names
+            ) == len(set(names))
+            drawn = [
+                name
+                for name in names
+                if name
+                in (
+                    "sensor.noise",
+                    "processor.denoise",
+                    "processor.shade",
+                    "processor.adaptive",
+                    "processor.color",
+                    "display.encode",
+                )
+            ]
             assert drawn == [stage.stage for stage in fresh.report.stages if stage.stage in drawn]
 
 
 def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
     values = np.full((3, 24, 32), 0.5, np.float32)
     wavelengths, light = np.array([450.0, 550.0, 650.0]), gs.illuminant("D65")
-    program = gs.Simulator(BASE, device="opencl").program(gs.Scene(gs.Cube(wavelengths, values), light))
+    program = gs.Simulator(BASE, device="opencl").program(
+        gs.Scene(gs.Cube(wavelengths, values), light)
+    )
     first = program.frame().mean
     values *= np.float32(0.25)
     second = program.update(scene=gs.Scene(gs.Cube(wavelengths, values), light)).frame().mean
@@ -165,7 +224,9 @@ def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
 
 
 def test_pictures_are_the_callers_own(scene):
-    program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(scene)
+    program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(
+        scene
+    )
     first, second = program.frame(), program.frame(frame=1)
     before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
@@ -185,24 +246,39 @@ def test_a_negative_gain_is_refused_at_once(scene):
 def test_keys_are_compared_by_what_they_say():
     spectrum = gs.illuminant("D65")
     large = np.zeros(2**19)
-    for one, other, equal in ((1, 1, True), (1, 1.0, False), ("a", "a", True), ((1, [2]), (1, [2]), True),
-                              ((1,), (1, 2), False), (np.arange(3), np.arange(3), True),
-                              (np.arange(3), np.arange(4), False), (np.zeros(3), np.ones(3), False),
-                              (One(large), One(large), True), (One(large), One(large.copy()), False),
-                              (None, None, True),
-                              (large, large.copy(), True), (np.zeros(2), np.zeros(2, np.float32), False),
-                              (spectrum, replace(spectrum), True),
-                              (spectrum, replace(spectrum, values=2 * spectrum.values), False),
-                              (object(), object(), False)):
+    for one, other, equal in (
+        (1, 1, True),
+        (1, 1.0, False),
+        ("a", "a", True),
+        ((1, [2]), (1, [2]), True),
+        ((1,), (1, 2), False),
+        (np.arange(3), np.arange(3), True),
+        (np.arange(3), np.arange(4), False),
+        (np.zeros(3), np.ones(3), False),
+        (One(large), One(large), True),
+        (One(large), One(large.copy()), False),
+        (None, None, True),
+        (large, large.copy(), True),
+        (np.zeros(2), np.zeros(2, np.float32), False),
+        (spectrum, replace(spectrum), True),
+        (spectrum, replace(spectrum, values=2 * spectrum.values), False),
+        (object(), object(), False),
+    ):
         assert same(one, other) is equal
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     """Raw values alone need no processor; the report needs all, and frames of a program are made at once."""
-    simulator, scene = gs.Simulator(gs.open_camera("phone"), device=device), gs.chart("ramp", size=(48, 36))
+    simulator, scene = (
+        gs.Simulator(gs.open_camera("phone"), device=device),
+        gs.chart("ramp", size=(48, 36)),
+    )
     whole = simulator(scene, seed=3).complete()
-    assert {stage.stage for stage in whole.report.stages if stage.ms} >= {"sensor.noise", "display.encode"}
+    assert {stage.stage for stage in whole.report.stages if stage.ms} >= {
+        "sensor.noise",
+        "display.encode",
+    }
 
     def stages(*parts):
         frame = simulator(scene, seed=3)
@@ -229,16 +305,27 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
 
 
 def test_mistakes_are_said_in_one_line():
-    simulator, scene = gs.Simulator(gs.open_camera("phone"), device="numpy"), gs.chart("flat", size=(24, 18))
+    simulator, scene = (
+        gs.Simulator(gs.open_camera("phone"), device="numpy"),
+        gs.chart("flat", size=(24, 18)),
+    )
     exposure = simulator.expose(scene, 0.01)
     codes = np.zeros((18, 24, 3), np.uint8)
-    for ask in (lambda: next(simulator.shoot(exposure, "2")), lambda: next(simulator.shoot(exposure, 1.5)),
-                lambda: next(simulator.stream([scene], first="a")), lambda: gs.average(simulator, exposure, "2"),
-                lambda: gs.lengthened(simulator, exposure, None), lambda: gs.picture(codes, luminance="a"),
-                lambda: simulator.batch(True)):
+    for ask in (
+        lambda: next(simulator.shoot(exposure, "2")),
+        lambda: next(simulator.shoot(exposure, 1.5)),
+        lambda: next(simulator.stream([scene], first="a")),
+        lambda: gs.average(simulator, exposure, "2"),
+        lambda: gs.lengthened(simulator, exposure, None),
+        lambda: gs.picture(codes, luminance="a"),
+        lambda: simulator.batch(True),
+    ):
         with pytest.raises(OutOfRange, match="allowed is"):
             ask()
-    for ask in (lambda: gs.expose_moving(simulator, None, [0.0]), lambda: gs.expose_moving(simulator, [1], [0.0])):
+    for ask in (
+        lambda: gs.expose_moving(simulator, None, [0.0]),
+        lambda: gs.expose_moving(simulator, [1], [0.0]),
+    ):
         with pytest.raises(BadData, match="wanted"):
             ask()
     with pytest.raises(UnknownName, match="light"):

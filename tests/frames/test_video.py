@@ -39,7 +39,9 @@ def pictures(tmp_path_factory):
     for number in range(COUNT):
         picture = random.random((24, 36, 3)) ** (3 - number / 4)
         picture[:, : 4 * number] *= (1, 0.3, 0.1)
-        Image.fromarray(np.uint8(255 * picture)).resize((72, 66)).save(folder / f"in_{number + 7:03d}.png")
+        Image.fromarray(np.uint8(255 * picture)).resize((72, 66)).save(
+            folder / f"in_{number + 7:03d}.png"
+        )
     return folder
 
 
@@ -58,16 +60,35 @@ def refused(capsys, *arguments):
 
 
 def files(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".json")}
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".json")
+    }
 
 
-@pytest.mark.parametrize(("moving", "device", "suffix"), [
-    *((moving, device, ".png") for moving in (False, True) for device in ("numpy", *KINDS)),
-    *((False, device, ".dng") for device in KINDS)])
-def test_resumed_and_in_parts_are_the_frames_of_one_run(moving, device, suffix, pictures, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("moving", "device", "suffix"),
+    [
+        *((moving, device, ".png") for moving in (False, True) for device in ("numpy", *KINDS)),
+        *((False, device, ".dng") for device in KINDS),
+    ],
+)
+def test_resumed_and_in_parts_are_the_frames_of_one_run(
+    moving, device, suffix, pictures, tmp_path, capsys
+):
     asked = [pictures, "--device", device, "--exposure", "auto", *ASKED]
     if moving:
-        asked += ["--shake", "2", "--zoom", "1.1", "--zooming", "1.3", "--pan", "10,-20", "--roll", "30"]
+        asked += [
+            "--shake",
+            "2",
+            "--zoom",
+            "1.1",
+            "--zooming",
+            "1.3",
+            "--pan",
+            "10,-20",
+            "--roll",
+            "30",
+        ]
     if device != "numpy":
         asked += ["--tolerance", "0.5" if moving else "video"]
     whole, resumed, parts = (tmp_path / name for name in ("whole", "resumed", "parts"))
@@ -92,8 +113,21 @@ def test_resumed_and_in_parts_are_the_frames_of_one_run(moving, device, suffix, 
 def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys):
     """Of a scene that rests: its exposure is metered once."""
     scene = gs.chart("deadleaves", size=(72, 48))
-    simulator = gs.Simulator(within_period(gs.open_camera("phone"), Fraction(30)), device=device, tolerance="video")
-    asked = ["deadleaves", "--size", "72x48", "--device", device, "--tolerance", "video", "--frames", "7", *ASKED]
+    simulator = gs.Simulator(
+        within_period(gs.open_camera("phone"), Fraction(30)), device=device, tolerance="video"
+    )
+    asked = [
+        "deadleaves",
+        "--size",
+        "72x48",
+        "--device",
+        device,
+        "--tolerance",
+        "video",
+        "--frames",
+        "7",
+        *ASKED,
+    ]
     program = simulator.program(scene)
     for codec, output in (("ffv1-raw", "raw"), ("ffv1-linear", "linear")):
         path = tmp_path / f"{codec}.mkv"
@@ -108,7 +142,9 @@ def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys)
         for number, frame in enumerate(found):
             values = np.array(simulator.device.numpy(program.output(output, seed=3, frame=number)))
             if output == "linear":
-                values = np.rint(65535 * np.clip(np.moveaxis(values, 0, -1).astype(np.float64), 0, 1))
+                values = np.rint(
+                    65535 * np.clip(np.moveaxis(values, 0, -1).astype(np.float64), 0, 1)
+                )
                 assert np.abs(frame - values).max() <= 1  # float32 products round
             else:
                 assert np.array_equal(frame, values)
@@ -118,15 +154,34 @@ def decoded(path):
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         context = stream.codec_context
-        frames = [(frame.pts * frame.time_base, frame.to_ndarray()) for frame in container.decode(stream)]
-        return frames, (context.color_primaries, context.color_trc, context.colorspace, context.color_range)
+        frames = [
+            (frame.pts * frame.time_base, frame.to_ndarray()) for frame in container.decode(stream)
+        ]
+        return frames, (
+            context.color_primaries,
+            context.color_trc,
+            context.colorspace,
+            context.color_range,
+        )
 
 
 @pytest.mark.parametrize("codec", ["h264", "h265"])
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
 def test_an_encoded_video_in_parts_is_that_of_one_run(codec, suffix, pictures, tmp_path, capsys):
-    asked = [pictures, "--device", "numpy", "--codec", codec, "--quality", "6", "--exposure", "1/40", "--fps", "25",
-             *ASKED]
+    asked = [
+        pictures,
+        "--device",
+        "numpy",
+        "--codec",
+        codec,
+        "--quality",
+        "6",
+        "--exposure",
+        "1/40",
+        "--fps",
+        "25",
+        *ASKED,
+    ]
     whole, parts = tmp_path / f"whole{suffix}", tmp_path / f"parts{suffix}"
     made(capsys, *asked, "-o", whole)
     for shard in ("0/2", "1/2"):
@@ -137,31 +192,54 @@ def test_an_encoded_video_in_parts_is_that_of_one_run(codec, suffix, pictures, t
         assert abs(at - number / 25) < 2e-3 and abs(its - at) < 2e-3  # Matroska counts milliseconds
         assert np.array_equal(frame, again)
 
-    simulate = gs.Simulator(replace(gs.open_camera("phone"), sensor=replace(
-        gs.open_camera("phone").sensor, exposure_time=1 / 40)), device="numpy")
+    simulate = gs.Simulator(
+        replace(
+            gs.open_camera("phone"),
+            sensor=replace(gs.open_camera("phone").sensor, exposure_time=1 / 40),
+        ),
+        device="numpy",
+    )
     codes = simulate(gs.open_scene(pictures / "in_007.png"), seed=3).rgb / 255.0
     luma = codes @ (0.2126, 0.7152, 0.0722)  # BT.709-6, 3.2; 219 steps from 16 on
     scale = 4 if codec == "h265" else 1
     frame = one[0][1][: len(codes)] / scale
     # a quantiser's step at the rate factor 6 is 1.25 (ITU-T H.264, 8.5.9), its error half of it; luma is rounded
-    assert np.sqrt(np.mean((frame - 16 - 219 * luma) ** 2)) < 1.25 and abs(np.mean(frame - 16 - 219 * luma)) < 0.3
+    assert (
+        np.sqrt(np.mean((frame - 16 - 219 * luma) ** 2)) < 1.25
+        and abs(np.mean(frame - 16 - 219 * luma)) < 0.3
+    )
 
 
 def test_light_of_codes_is_that_of_the_standards():
     code = np.arange(1024) / 1023
     models = colour.models
-    for name, expected in (("bt709", models.oetf_inverse_BT709(code)), ("srgb", models.eotf_sRGB(code)),
-                           ("pq", models.eotf_ST2084(code) / 203), ("gamma2.2", code**2.2), ("linear", code),
-                           ("hlg", models.oetf_inverse_BT2100_HLG(code) / models.oetf_inverse_BT2100_HLG(0.75))):
+    for name, expected in (
+        ("bt709", models.oetf_inverse_BT709(code)),
+        ("srgb", models.eotf_sRGB(code)),
+        ("pq", models.eotf_ST2084(code) / 203),
+        ("gamma2.2", code**2.2),
+        ("linear", code),
+        ("hlg", models.oetf_inverse_BT2100_HLG(code) / models.oetf_inverse_BT2100_HLG(0.75)),
+    ):
         found = light_of(name, 1023)
         # BT.709's two parts meet to 1e-4 where they are joined; constants of the standards have 4 to 8 digits
         assert np.abs(found - expected).max() < 2e-4 * max(1, expected.max()), name
-    assert set(TRANSFERS.values()) == {"bt709", "srgb", "pq", "hlg", "linear", "gamma2.2", "gamma2.8"}
+    assert set(TRANSFERS.values()) == {
+        "bt709",
+        "srgb",
+        "pq",
+        "hlg",
+        "linear",
+        "gamma2.2",
+        "gamma2.8",
+    }
 
 
 def film(path, frames, codec, stored, given, tags):
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=25, options={"qp": "0"} if codec == "libx264rgb" else {})
+        stream = container.add_stream(
+            codec, rate=25, options={"qp": "0"} if codec == "libx264rgb" else {}
+        )
         stream.width, stream.height, stream.pix_fmt = frames[0].shape[1], frames[0].shape[0], stored
         context = stream.codec_context
         context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
@@ -196,7 +274,9 @@ def test_wide_gamuts_become_srgb_light(tmp_path):
     matrix = colour.matrix_RGB_to_RGB("ITU-R BT.2020", "ITU-R BT.709", None)
     for at, code in ((0, codes[0, 0]), (11, codes[0, 11])):
         expected = matrix @ (code / 65535)
-        assert np.allclose(content.planes[:, 0, at], expected, atol=2e-4)  # chromaticities of three digits
+        assert np.allclose(
+            content.planes[:, 0, at], expected, atol=2e-4
+        )  # chromaticities of three digits
 
 
 def test_codes_of_luma_and_chroma_come_back(tmp_path):
@@ -218,12 +298,19 @@ def test_a_killed_run_leaves_nothing_half_written_and_goes_on(pictures, tmp_path
     asked = [pictures, "--device", "numpy", "--codec", "ffv1-raw", *ASKED]
     made(capsys, *asked, "-o", expected)
     for seconds in (1.5, 2.5, 4.0):
-        process = subprocess.Popen([sys.executable, "-m", "gpusim", "video", *map(str, asked), "-o", folder / "a.mkv"],
-                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "gpusim", "video", *map(str, asked), "-o", folder / "a.mkv"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         time.sleep(seconds)
         process.send_signal(signal.SIGKILL)
         process.wait()
-        left = {path.name for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".gpusim")}
+        left = {
+            path.name
+            for path in folder.rglob("*")
+            if path.is_file() and not path.name.startswith(".gpusim")
+        }
         assert left <= {"a.mkv", "video.json", *(f"{first:08d}.nut" for first in (0, 3, 6))}
         if (folder / "a.mkv").exists():
             break
@@ -240,25 +327,31 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
     for folder, names in ((gap, (1, 2, 4)), (mixed, (1, 2)), (plain, ())):
         folder.mkdir()
         for number in names:
-            Image.new("RGB", (40, 30 + 2 * number * (folder is mixed))).save(folder / f"a{number}.png")
+            Image.new("RGB", (40, 30 + 2 * number * (folder is mixed))).save(
+                folder / f"a{number}.png"
+            )
     (plain / "notes.txt").write_text("")
     untagged = tmp_path / "untagged.mkv"
     film(untagged, [np.zeros((8, 8, 3), np.uint8)], "libx264rgb", "rgb24", "rgb24", (1, 2, 0, 2))
     png, mp4, chart = out / "a.png", out / "a.mp4", ["flat", "--size", "33x40"]
     for words, arguments in {
-            "number 3 is missing": [gap, "-o", png], "no scene files in it": [plain, "-o", png],
-            "one size": [mixed, "-o", png, "--exposure", "1/40"], "even numbers": [*chart, "-o", mp4],
-            "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
-            "unknown output format": [*chart, "-o", out / "a.gif"],
-            "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"], "for .mp4 and .mkv": [
-                *chart, "-o", png, "--quality", "20"], "up to 2 shards": [
-                *chart, "--frames", "5", "--segment", "4", "--shard", "0/3", "-o", png],
-            "frame's period": [*chart, "--exposure", "1/20", "-o", png], "not tagged": [untagged, "-o", png],
-            "no such file": [tmp_path / "none.mp4", "-o", png], "up to 1": [
-                untagged, "--transfer", "srgb", "--frames", "2", "-o", png], "for videos alone": [
-                *chart, "--transfer", "srgb", "-o", png], "give it alone": [untagged, "flat", "-o", png],
-            "for one scene": [pictures, "--frames", "3", "-o", png],
-            "does not exist": [*chart, "-o", out / "b" / "a.png"],
+        "number 3 is missing": [gap, "-o", png],
+        "no scene files in it": [plain, "-o", png],
+        "one size": [mixed, "-o", png, "--exposure", "1/40"],
+        "even numbers": [*chart, "-o", mp4],
+        "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
+        "unknown output format": [*chart, "-o", out / "a.gif"],
+        "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"],
+        "for .mp4 and .mkv": [*chart, "-o", png, "--quality", "20"],
+        "up to 2 shards": [*chart, "--frames", "5", "--segment", "4", "--shard", "0/3", "-o", png],
+        "frame's period": [*chart, "--exposure", "1/20", "-o", png],
+        "not tagged": [untagged, "-o", png],
+        "no such file": [tmp_path / "none.mp4", "-o", png],
+        "up to 1": [untagged, "--transfer", "srgb", "--frames", "2", "-o", png],
+        "for videos alone": [*chart, "--transfer", "srgb", "-o", png],
+        "give it alone": [untagged, "flat", "-o", png],
+        "for one scene": [pictures, "--frames", "3", "-o", png],
+        "does not exist": [*chart, "-o", out / "b" / "a.png"],
     }.items():
         assert words in refused(capsys, *arguments, *asked), words
         left = {path.name for path in out.rglob("*")}
@@ -266,14 +359,30 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         assert left <= ({"a_0000.png", "a_video.json"} if words == "one size" else set()), words
         for name in left:
             (out / name).unlink()
-    for wrong in (["--shard", "2/2"], ["--shard", "1"], ["--fps", "0"], ["--frames", "0"], ["--quality", "60"]):
+    for wrong in (
+        ["--shard", "2/2"],
+        ["--shard", "1"],
+        ["--fps", "0"],
+        ["--frames", "0"],
+        ["--quality", "60"],
+    ):
         with pytest.raises(SystemExit) as status:
             main(["video", "flat", *asked, "-o", str(png), *wrong])
         assert status.value.code == 2 and capsys.readouterr().err.count("\n") == 1
 
 
 def test_another_video_is_not_gone_on_with(tmp_path, capsys):
-    asked = ["flat", "--size", "40x30", "--frames", "2", "--device", "numpy", "-o", tmp_path / "a.png"]
+    asked = [
+        "flat",
+        "--size",
+        "40x30",
+        "--frames",
+        "2",
+        "--device",
+        "numpy",
+        "-o",
+        tmp_path / "a.png",
+    ]
     (tmp_path / "a_0001.png").write_bytes(b"mine")
     assert "is there already" in refused(capsys, *asked, "--camera", "phone")
     (tmp_path / "a_0001.png").unlink()
@@ -289,8 +398,21 @@ def test_another_video_is_not_gone_on_with(tmp_path, capsys):
 def test_a_file_that_has_changed_is_another_video(tmp_path, capsys):
     for number, grey in enumerate((50, 200)):
         Image.new("L", (40, 30), grey).save(tmp_path / "a.png")
-        asked = [tmp_path / "a.png", "--frames", "2", "--segment", "1", "--camera", "phone", "--device", "numpy", "-o",
-                 tmp_path / "out.png", "--shard", f"{number}/2"]
+        asked = [
+            tmp_path / "a.png",
+            "--frames",
+            "2",
+            "--segment",
+            "1",
+            "--camera",
+            "phone",
+            "--device",
+            "numpy",
+            "-o",
+            tmp_path / "out.png",
+            "--shard",
+            f"{number}/2",
+        ]
         if number:
             assert "contents of files" in refused(capsys, *asked)
         else:
@@ -315,14 +437,24 @@ def test_an_encoder_gives_the_same_frames_each_time(codec, runs, tmp_path):
     """x264's look-ahead did not, where rows are not whole macroblocks."""
     random = np.random.default_rng(0)
     base = np.kron(random.integers(0, 255, (25, 40, 3)), np.ones((8, 8, 1))).astype(np.uint8)
-    frames = [np.clip(np.roll(base, 3 * k, 1) + random.integers(-8, 8, base.shape), 0, 255).astype(np.uint8)
-              for k in range(5)]
+    frames = [
+        np.clip(np.roll(base, 3 * k, 1) + random.integers(-8, 8, base.shape), 0, 255).astype(
+            np.uint8
+        )
+        for k in range(5)
+    ]
     if codec == "h265":
         frames = [frame / np.float32(255) for frame in frames]
     found = set()
     for _ in range(runs):
-        junk = [random.random(random.integers(1000, 300000)) for _ in range(5)]  # memory is not what it was
-        list(Encoder(CODECS[codec], (200, 320), Fraction(30), PHONE.display).segment(tmp_path / "0.nut", frames))
+        junk = [
+            random.random(random.integers(1000, 300000)) for _ in range(5)
+        ]  # memory is not what it was
+        list(
+            Encoder(CODECS[codec], (200, 320), Fraction(30), PHONE.display).segment(
+                tmp_path / "0.nut", frames
+            )
+        )
         found.add(b"".join(frame.tobytes() for _, frame in decoded(tmp_path / "0.nut")[0]))
         del junk
     assert len(found) == 1
@@ -339,13 +471,23 @@ def test_sizes_that_an_encoder_does_not_take_are_refused(tmp_path, capsys):
 def test_a_truncated_video_is_no_short_one(tmp_path, capsys):
     random = np.random.default_rng(2)
     path = tmp_path / "a.mkv"
-    film(path, [random.integers(0, 65536, (40, 56, 3)).astype(np.uint16) for _ in range(8)], "ffv1", "gbrp16le",
-         "gbrp16le", (1, 13, 0, 2))
+    film(
+        path,
+        [random.integers(0, 65536, (40, 56, 3)).astype(np.uint16) for _ in range(8)],
+        "ffv1",
+        "gbrp16le",
+        "gbrp16le",
+        (1, 13, 0, 2),
+    )
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert "truncated" in refused(capsys, cut, "--camera", "phone", "--device", "numpy", "-o", tmp_path / "a.png")
+    assert "truncated" in refused(
+        capsys, cut, "--camera", "phone", "--device", "numpy", "-o", tmp_path / "a.png"
+    )
     (tmp_path / "text.mp4").write_text("no video")
-    assert "not a video" in refused(capsys, tmp_path / "text.mp4", "--camera", "phone", "-o", tmp_path / "a.png")
+    assert "not a video" in refused(
+        capsys, tmp_path / "text.mp4", "--camera", "phone", "-o", tmp_path / "a.png"
+    )
     assert not list(tmp_path.glob("a_*"))
 
 
@@ -354,9 +496,21 @@ def test_a_full_disk_is_one_line(pictures, tmp_path, capsys, monkeypatch):
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr("gpusim.io.atomic.os.replace", full)
-    monkeypatch.setattr("gpusim.apps.video.manifest.os.link", lambda source, path: shutil.copyfile(source, path))
-    error = refused(capsys, "flat", "--size", "40x30", "--camera", "phone", "--device", "numpy", "-o",
-                    tmp_path / "a.mp4")
+    monkeypatch.setattr(
+        "gpusim.apps.video.manifest.os.link", lambda source, path: shutil.copyfile(source, path)
+    )
+    error = refused(
+        capsys,
+        "flat",
+        "--size",
+        "40x30",
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "-o",
+        tmp_path / "a.mp4",
+    )
     assert "No space left" in error and not list(tmp_path.rglob("*.mp4"))
 
 
@@ -364,10 +518,14 @@ def test_exposure_ends_with_the_frame():
     camera = gs.open_camera("phone")
     automatic = replace(camera, sensor=replace(camera.sensor, exposure_time=None))
     assert within_period(automatic, Fraction(50)).sensor.auto_exposure.longest == 0.02
-    short = replace(automatic, sensor=replace(automatic.sensor, auto_exposure=gs.AutoExposure(longest=0.001)))
+    short = replace(
+        automatic, sensor=replace(automatic.sensor, auto_exposure=gs.AutoExposure(longest=0.001))
+    )
     assert within_period(short, Fraction(50)).sensor.auto_exposure.longest == 0.001
     with pytest.raises(OutOfRange, match="period"):
-        within_period(replace(camera, sensor=replace(camera.sensor, exposure_time=0.021)), Fraction(50))
+        within_period(
+            replace(camera, sensor=replace(camera.sensor, exposure_time=0.021)), Fraction(50)
+        )
 
 
 @pytest.mark.parametrize("frames", [1, 5, 24, 25, 100])

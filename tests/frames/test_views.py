@@ -46,9 +46,11 @@ def test_whole_samples_and_quarter_turns_are_exact(device, border, planes):
     around = np.pad(planes, [(0, 0), (9, 9), (9, 9)], mode=mode)
     y, x = np.mgrid[-29.5:30, -29.5:30]
     turned = around[:, np.rint(x - 7 + 38.5).astype(int), np.rint(-y + 4 + 38.5).astype(int)]
-    for view, expected in ((gs.View((5, -3)), around[:, 14:74, 6:66]),
-                           (gs.View(rotation=pi / 2), np.rot90(planes, 1, (1, 2))),
-                           (gs.View((-7, 4), pi / 2), turned)):  # the shift is the scene's, whatever the turn
+    for view, expected in (
+        (gs.View((5, -3)), around[:, 14:74, 6:66]),
+        (gs.View(rotation=pi / 2), np.rot90(planes, 1, (1, 2))),
+        (gs.View((-7, 4), pi / 2), turned),
+    ):  # the shift is the scene's, whatever the turn
         found = mean(device, scene_of(planes, border=border, view=view))
         own = mean(device, scene_of(expected, border=border))
         # a turn's places are good to a float32 of the frame's width, 60 x 6e-8 of a sample; samples differ by 1
@@ -58,6 +60,7 @@ def test_whole_samples_and_quarter_turns_are_exact(device, border, planes):
 @pytest.mark.parametrize("device", KINDS)
 def test_smooth_light_is_shown_where_it_is(device):
     """Waves of 20 samples: the cubic errs by 4e-4 of them, see Keys 1981; without tolerance the report says so."""
+
     def light(y, x):
         return 1 + 0.4 * np.sin(2 * pi * (0.04 * y + 0.03 * x)) * np.ones((4, 1, 1))
 
@@ -67,7 +70,10 @@ def test_smooth_light_is_shown_where_it_is(device):
         own = scene_of(light(*view.place(y, x)))
         camera = replace(PHONE, sensor=replace(PHONE.sensor, cfa=PHONE.sensor.cfa))
         simulator = gs.Simulator(camera, device=device)
-        found, expected = simulator.expose(scene_of(light(y, x), view=view), 0.01), mean(device, own)
+        found, expected = (
+            simulator.expose(scene_of(light(y, x), view=view), 0.01),
+            mean(device, own),
+        )
         inside = np.s_[25:-25, 30:-30]  # places beyond the scene are as its border says
         wrong = (np.array(simulator.device.numpy(found.mean)) - expected)[inside]
         assert np.sqrt(np.mean(wrong**2)) < 1e-3 * expected.mean()
@@ -78,8 +84,11 @@ def test_smooth_light_is_shown_where_it_is(device):
 @pytest.mark.parametrize("name", ["deadleaves", "slanted-edge"])
 def test_what_interpolation_errs_is_predicted(name, tolerance):
     """Against splines of the fifth order between the same samples, within a factor of 2.5."""
-    for view, ratio in ((gs.View((0.5, 0.3)), 1.0), (gs.View((2.2, 0.8), 0.05, 1.1), 1.0), (gs.View((0.3, 0.1), 1.0),
-                                                                                         2.0)):
+    for view, ratio in (
+        (gs.View((0.5, 0.3)), 1.0),
+        (gs.View((2.2, 0.8), 0.05, 1.1), 1.0),
+        (gs.View((0.3, 0.1), 1.0), 2.0),
+    ):
         scene = replace(gs.chart(name, size=(120, 90), samples_per_pixel=ratio), view=view)
         simulator = gs.Simulator(PHONE, device="numpy", tolerance=tolerance)
         exposure = simulator.expose(scene, 0.01)
@@ -102,7 +111,9 @@ def stars(form, size=61):
     if form == "basis":
         return gs.Basis(WAVELENGTHS, light, spectra)
     if form == "materials":
-        return gs.Materials(WAVELENGTHS, (light[1] > 0).astype(np.uint8), light.sum(axis=0), spectra)
+        return gs.Materials(
+            WAVELENGTHS, (light[1] > 0).astype(np.uint8), light.sum(axis=0), spectra
+        )
     codes = np.ascontiguousarray((250 * light).astype(np.uint8).transpose(1, 2, 0))
     return gs.Picture(WAVELENGTHS, codes, spectra, np.arange(256, dtype=np.float32))
 
@@ -117,12 +128,21 @@ def test_a_star_keeps_its_energy_between_samples(device, form):
     or more of it where a star moves by a few pixels.
     """
     for model, bound in (("none", 1e-5), ("diffraction", 3e-4)):
-        camera = replace(PHONE, optics=replace(PHONE.optics, model=model, relative_illumination="none"))
+        camera = replace(
+            PHONE, optics=replace(PHONE.optics, model=model, relative_illumination="none")
+        )
         simulator, energies = gs.Simulator(camera, device=device), []
-        for view in (gs.View(), gs.View((0.5, 0.5)), gs.View((0.3, 0.1), 0.5), gs.View((0.2, 0.6), pi / 4),
-                     gs.View((0.2, 0.1), 0.1, 1.5)):
+        for view in (
+            gs.View(),
+            gs.View((0.5, 0.5)),
+            gs.View((0.3, 0.1), 0.5),
+            gs.View((0.2, 0.6), pi / 4),
+            gs.View((0.2, 0.1), 0.1, 1.5),
+        ):
             scene = Scene(stars(form), LIGHT, border="zero", view=view)
-            electrons = simulator.device.numpy(simulator.program(scene, exposure_time=0.01).output("electrons"))
+            electrons = simulator.device.numpy(
+                simulator.program(scene, exposure_time=0.01).output("electrons")
+            )
             assert electrons.min() >= 0
             energies.append(np.sum(electrons, axis=(1, 2), dtype=np.float64) / view.zoom**2)
         assert np.abs(np.array(energies[1:]) / energies[0] - 1).max() < bound
@@ -140,8 +160,10 @@ def test_light_stays_above_0_between_samples(device):
     grid = np.zeros((1, 4, 4, 3), np.float32)
     grid[..., :2], grid[..., 2] = (0.37, 0.58), 1
     own = {"planes": planes.astype(np.float32), "grids": grid, "shape": (80, 70), "border": "edge"}
-    cubic, limited = (np.array(distort(**own, **more, device=open_device(device))) for more in (
-        {}, {"light": own["planes"]}))
+    cubic, limited = (
+        np.array(distort(**own, **more, device=open_device(device)))
+        for more in ({}, {"light": own["planes"]})
+    )
     assert cubic.min() < -1 and limited.min() > -1e-4  # float32 of sums of 1e3
     smooth = np.s_[:, 45:75, 5:25]
     np.testing.assert_allclose(limited[smooth], cubic[smooth], rtol=2e-6)
@@ -159,19 +181,30 @@ def test_a_loop_of_views_gives_the_frames_of_each(device):
         view = scene.viewed(views[k])
         found = np.array(simulator.device.numpy(program.update(scene=view).raw(seed=1, frame=k)))
         assert program.plan is plan
-        alone = np.array(simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, frame=k)))
+        alone = np.array(
+            simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, frame=k))
+        )
         assert np.array_equal(found, alone)
-    for view in (gs.View(), gs.View((4, 7))):  # nothing is interpolated there, and no error of it told
+    for view in (
+        gs.View(),
+        gs.View((4, 7)),
+    ):  # nothing is interpolated there, and no error of it told
         program.update(scene=replace(scene, view=view))
-        assert program.plan is not plan and program.plan.account.bounds.get("view", Bound()) == Bound()
+        assert (
+            program.plan is not plan and program.plan.account.bounds.get("view", Bound()) == Bound()
+        )
 
 
 def test_a_lens_distorts_what_the_view_shows(planes):
-    camera = replace(PHONE, optics=replace(PHONE.optics, distortion=RadialPolynomial(0.05, 0.0, 6e-5)))
+    camera = replace(
+        PHONE, optics=replace(PHONE.optics, distortion=RadialPolynomial(0.05, 0.0, 6e-5))
+    )
     around = np.pad(planes, [(0, 0), (9, 9), (9, 9)], mode="edge")
     found = mean("numpy", scene_of(planes, view=gs.View((3, -8))), camera)
     own = mean("numpy", scene_of(around[:, 12:72, 1:61]), camera)
-    assert np.abs(found - own)[10:-10, 10:-10].max() < 1e-3 * own.max()  # places are good to 1e-3 of a sample
+    assert (
+        np.abs(found - own)[10:-10, 10:-10].max() < 1e-3 * own.max()
+    )  # places are good to 1e-3 of a sample
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -180,8 +213,15 @@ def test_a_lens_of_many_samples_a_pixel_magnifies_without_dimming(device):
 
     Areas are quadrilaterals of corners to 1e-3 of a sample.
     """
-    camera = replace(PHONE, optics=replace(PHONE.optics, model="none", relative_illumination="none",
-                                           distortion=RadialPolynomial(0.0, 0.0, 60e-6, scale=0.4)))
+    camera = replace(
+        PHONE,
+        optics=replace(
+            PHONE.optics,
+            model="none",
+            relative_illumination="none",
+            distortion=RadialPolynomial(0.0, 0.0, 60e-6, scale=0.4),
+        ),
+    )
     flat = scene_of(np.ones((4, 60, 60)), border="edge")
     simulator = gs.Simulator(camera, device=device)
     program = simulator.program(replace(flat, view=gs.View((0.5, 0.0))), exposure_time=0.01)
@@ -189,22 +229,36 @@ def test_a_lens_of_many_samples_a_pixel_magnifies_without_dimming(device):
     means = []
     for zoom in (1.0, 2.0, 1.0, 3.0):
         program.update(scene=replace(flat, view=gs.View((0.5, 0.0), 0.0, zoom)))
-        means.append(np.array(simulator.device.numpy(program.output("electrons")), np.float64)[:, 28:32, 28:32])
+        means.append(
+            np.array(simulator.device.numpy(program.output("electrons")), np.float64)[
+                :, 28:32, 28:32
+            ]
+        )
     for one in means[1:]:
         np.testing.assert_allclose(one, means[0], rtol=4e-3)
 
 
 def test_a_margin_is_seen_by_a_camera_that_moves(planes):
     found = mean("numpy", scene_of(planes, border="scene", margin=10, view=gs.View((4, 6))))
-    own = mean("numpy", scene_of(np.pad(planes, [(0, 0), (0, 4), (0, 6)], mode="edge")[:, 4:, 6:], border="scene",
-                                 margin=10))
+    own = mean(
+        "numpy",
+        scene_of(
+            np.pad(planes, [(0, 0), (0, 4), (0, 6)], mode="edge")[:, 4:, 6:],
+            border="scene",
+            margin=10,
+        ),
+    )
     assert np.abs(found - own).max() < 1e-6 * own.max()
 
 
 def test_views_that_cannot_be_are_refused(planes, tmp_path):
-    for wrong, error in (({"zoom": 0.9}, OutOfRange), ({"zoom": np.nan}, OutOfRange),
-                         ({"shift": (1, np.inf)}, OutOfRange), ({"shift": (1,)}, BadData),
-                         ({"rotation": "a"}, BadData)):
+    for wrong, error in (
+        ({"zoom": 0.9}, OutOfRange),
+        ({"zoom": np.nan}, OutOfRange),
+        ({"shift": (1, np.inf)}, OutOfRange),
+        ({"shift": (1,)}, BadData),
+        ({"rotation": "a"}, BadData),
+    ):
         with pytest.raises(error):
             gs.View(**wrong)
     with pytest.raises(BadData, match="depth"):
@@ -239,4 +293,8 @@ def test_a_hand_shakes_as_much_as_asked():
         power = np.abs(np.fft.rfft(moves * np.hanning(len(times))[:, None], axis=0)) ** 2
         assert power[np.fft.rfftfreq(len(times), 0.02) > FASTEST + 0.1].sum() < 1e-6 * power.sum()
     assert Motion(shake=3.0, seed=1) == Motion(shake=3.0, seed=1) != Motion(shake=3.0, seed=2)
-    assert Motion(shake=3.0, seed=1).at(1.5) == Motion(shake=3.0, seed=1).at(1.5) != Motion(shake=3.0, seed=2).at(1.5)
+    assert (
+        Motion(shake=3.0, seed=1).at(1.5)
+        == Motion(shake=3.0, seed=1).at(1.5)
+        != Motion(shake=3.0, seed=2).at(1.5)
+    )

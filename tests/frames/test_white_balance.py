@@ -18,23 +18,37 @@ from gpusim.pipeline.shots import Shots
 from gpusim.pipeline.simulator import Simulator
 
 METHODS = {"malvar": malvar, "adaptive": adaptive, "best": best, "learned": learned}
-LIGHTS = ("D65", "A", *(pytest.param(light, marks=pytest.mark.slow) for light in ("FL11", "daylight-10000K")))
+LIGHTS = (
+    "D65",
+    "A",
+    *(pytest.param(light, marks=pytest.mark.slow) for light in ("FL11", "daylight-10000K")),
+)
 OPTIONS = {"black_level": 0.0, "scale": 1 / 4096}
 
 
 def noise_free(demosaic, **sensor):
     """The phone without noise, fall-off and rounding to speak of (16 bits)."""
     camera = open_camera("phone")
-    noise = replace(camera.sensor.noise, photon="none", read=0.0, prnu=0.0, dsnu=0.0, dark_current=0.0)
-    return replace(camera, sensor=replace(camera.sensor, noise=noise, vignetting=None, bits=16, **sensor),
-                   optics=replace(camera.optics, relative_illumination="none"),
-                   processor=replace(camera.processor, demosaic=demosaic))
+    noise = replace(
+        camera.sensor.noise, photon="none", read=0.0, prnu=0.0, dsnu=0.0, dark_current=0.0
+    )
+    return replace(
+        camera,
+        sensor=replace(camera.sensor, noise=noise, vignetting=None, bits=16, **sensor),
+        optics=replace(camera.optics, relative_illumination="none"),
+        processor=replace(camera.processor, demosaic=demosaic),
+    )
 
 
 def grey_structure(rows, cols):
     """Edges, ramps and noise, multiples of 16 below 4096."""
     y, x = np.mgrid[:rows, :cols]
-    smooth = 900 + 700 * ((x + y) // 7 % 2) + 9 * x + np.random.default_rng(2).integers(0, 60, (rows, cols))
+    smooth = (
+        900
+        + 700 * ((x + y) // 7 % 2)
+        + 9 * x
+        + np.random.default_rng(2).integers(0, 60, (rows, cols))
+    )
     return (smooth // 16 * 16).astype(np.uint16)
 
 
@@ -53,7 +67,9 @@ def test_a_fainter_channel_makes_no_difference(method, device):
         faint[row::2, col::2] //= 4
         faint[1 - row :: 2, 1 - col :: 2] //= 16
         plain = METHODS[method](raw, phase=phase, **OPTIONS, device=device)
-        balanced = METHODS[method](faint, phase=phase, **OPTIONS, balance=(4.0, 16.0), device=device)
+        balanced = METHODS[method](
+            faint, phase=phase, **OPTIONS, balance=(4.0, 16.0), device=device
+        )
         difference = np.abs(balanced * np.array([4, 1, 16])[:, None, None] - plain)
         if method == "learned":
             assert np.quantile(difference, 0.99) <= 2.0**-11 * 4 * 2 * 64 / 4096
@@ -80,7 +96,9 @@ def test_balanced_channels_come_nearer_to_a_sensor_without_mosaic(method, light)
         planes = developer.demosaicked(raw, white=white, blur=exposure.blur)
         shown = simulator.device.numpy(developer.colored(planes, exposure.rendering))
         errors.append(np.mean((np.clip(shown, 0, 1) - np.clip(wanted, 0, 1))[:, 8:-8, 8:-8] ** 2))
-    assert 10 * np.log10(errors[0] / errors[1]) > {"D65": 0.1, "A": 1.0}[light] * (0.8 if method == "best" else 1)
+    assert 10 * np.log10(errors[0] / errors[1]) > {"D65": 0.1, "A": 1.0}[light] * (
+        0.8 if method == "best" else 1
+    )
 
 
 def test_bilinear_and_other_mosaics_take_no_notice():
@@ -89,8 +107,14 @@ def test_bilinear_and_other_mosaics_take_no_notice():
         simulator = Simulator(camera, device="opencl")
         exposure = simulator.expose(scene)
         raw = simulator.draw(exposure)
-        planes = [np.array(simulator.device.numpy(Shots(simulator, exposure).developer.demosaicked(raw, white=white)))
-                  for white in (None, exposure.rendering.neutral)]
+        planes = [
+            np.array(
+                simulator.device.numpy(
+                    Shots(simulator, exposure).developer.demosaicked(raw, white=white)
+                )
+            )
+            for white in (None, exposure.rendering.neutral)
+        ]
         np.testing.assert_array_equal(*planes)
 
 

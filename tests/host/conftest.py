@@ -17,8 +17,11 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="module", autouse=True)  # before any other fixture of the file
 def no_device():
     """A device that is opened, used (others may have left one open) or probed fails the test."""
+
     def refuse(*_, **__):
-        raise AssertionError("tests/host works without devices: device='numpy', or this test belongs elsewhere")
+        raise AssertionError(
+            "tests/host works without devices: device='numpy', or this test belongs elsewhere"
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         for device in (opencl.OpenCLDevice, warp.WarpDevice):

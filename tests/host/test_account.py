@@ -30,22 +30,32 @@ def test_errors_of_independent_causes_add_in_the_mean_square():
     assert found.max_sigma == pytest.approx(2.5) and total([]) == Bound()
 
 
-@pytest.mark.parametrize(("tolerance", "met", "unit"), [
-    (Tolerance(rms=SAFETY * 5.01e-4), True, " rms"), (Tolerance(rms=SAFETY * 4.99e-4), False, " rms"),
-    (Tolerance(rms=1.0, p999_sigma=SAFETY * 0.49), False, " sigma at 99.9 %"),
-    (Tolerance(rms=1.0, p999_sigma=SAFETY * 0.51), True, " sigma at 99.9 %"),
-    (Tolerance(p999_sigma=10.0, max_sigma=SAFETY * 2.2), False, " sigma")])
+@pytest.mark.parametrize(
+    ("tolerance", "met", "unit"),
+    [
+        (Tolerance(rms=SAFETY * 5.01e-4), True, " rms"),
+        (Tolerance(rms=SAFETY * 4.99e-4), False, " rms"),
+        (Tolerance(rms=1.0, p999_sigma=SAFETY * 0.49), False, " sigma at 99.9 %"),
+        (Tolerance(rms=1.0, p999_sigma=SAFETY * 0.51), True, " sigma at 99.9 %"),
+        (Tolerance(p999_sigma=10.0, max_sigma=SAFETY * 2.2), False, " sigma"),
+    ],
+)
 def test_a_verdict_names_the_figure_that_binds_and_the_cause(tolerance, met, unit):
     account = Account({"border": Bound(3e-4, 0.3, 1.0), "planes": Bound(4e-4, 0.4, 2.0)})
     verdict = account.verdict(tolerance, "more would")
     assert verdict.met is met and verdict.by == "planes"
-    assert f"{unit}, predicted" in str(verdict) and str(verdict).startswith("met" if met else "NOT met: ")
-    assert ("more would" in str(verdict)) is not met and ("most of it planes" in str(verdict)) is not met
+    assert f"{unit}, predicted" in str(verdict) and str(verdict).startswith(
+        "met" if met else "NOT met: "
+    )
+    assert ("more would" in str(verdict)) is not met and (
+        "most of it planes" in str(verdict)
+    ) is not met
 
 
 def test_sigmas_at_another_time_are_not_less_than_they_are():
     """Signal S and error E of the same pixel: E t / sqrt(S t + r^2), whatever the read noise r."""
     for read in (0.0, 3.0, 1e4):
+
         def sigma(seconds, read=read):
             return 2.0 * seconds / np.sqrt(1e3 * seconds + read**2)
 
@@ -84,10 +94,18 @@ def test_the_means_of_windows_are_those_of_the_frame():
         light[y : y + 150, x : x + 250] += random.random((150, 250), np.float32)
         squares = np.square(light - 1)
         windows = Windows.of(light, 0, "edge", 12, SIDE, RIM)
-        found = sum(weight * squares[np.ix_(np.clip(rows[RIM:-RIM], 0, 399), np.clip(cols[RIM:-RIM], 0, 599))].mean()
-                    for rows, cols, weight in zip(windows.rows, windows.cols, windows.weight, strict=True))
+        found = sum(
+            weight
+            * squares[
+                np.ix_(np.clip(rows[RIM:-RIM], 0, 399), np.clip(cols[RIM:-RIM], 0, 599))
+            ].mean()
+            for rows, cols, weight in zip(windows.rows, windows.cols, windows.weight, strict=True)
+        )
         ratios.append(found / squares.mean())
-    assert abs(np.mean(ratios) - 1) < 4 * np.std(ratios) / np.sqrt(len(ratios)) + 0.05 and np.std(ratios) < 0.3
+    assert (
+        abs(np.mean(ratios) - 1) < 4 * np.std(ratios) / np.sqrt(len(ratios)) + 0.05
+        and np.std(ratios) < 0.3
+    )
 
 
 def test_fixed_patterns_far_below_a_tolerance_are_left_out():
@@ -105,12 +123,18 @@ def test_fixed_patterns_far_below_a_tolerance_are_left_out():
     found, words = without_negligible(own, Tolerance(rms=1e-3))
     assert found.noise.prnu == 0 and found.noise.dsnu == 1e-9 and len(words) == 1
     report = gs.Simulator(replace(PHONE, sensor=own), device="numpy", tolerance="preview")(
-        gs.chart("colorchecker", size=(24, 16))).report
-    assert any("PRNU" in line for line in report.left_out) and "sensor.pattern" not in {s.stage for s in report.stages}
+        gs.chart("colorchecker", size=(24, 16))
+    ).report
+    assert any("PRNU" in line for line in report.left_out) and "sensor.pattern" not in {
+        s.stage for s in report.stages
+    }
 
 
-@pytest.mark.parametrize("camera", [PHONE, replace(PHONE, optics=replace(PHONE.optics, f_number=8.0)),
-                                    gs.open_camera("mono")], ids=["phone", "f/8", "mono"])
+@pytest.mark.parametrize(
+    "camera",
+    [PHONE, replace(PHONE, optics=replace(PHONE.optics, f_number=8.0)), gs.open_camera("mono")],
+    ids=["phone", "f/8", "mono"],
+)
 @pytest.mark.parametrize("form", ["colorchecker", "slanted-edge", "deadleaves"])
 def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked(camera, form):
     scene = gs.chart(form, size=(96, 64))
@@ -133,8 +157,13 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
 def _cost(plan):
     if plan.mix is None:
         return 0.0
-    asked = SimpleNamespace(on_gpu=False, content=plan.content, weights=plan.weights, size=plan.content.shape,
-                            scene=plan.scene)
+    asked = SimpleNamespace(
+        on_gpu=False,
+        content=plan.content,
+        weights=plan.weights,
+        size=plan.content.shape,
+        scene=plan.scene,
+    )
     around = SimpleNamespace(period=plan.period, far=plan.far, tiling=plan.tiling)
     return cost_of(asked, plan.count, around, plan.folded)
 
@@ -151,11 +180,27 @@ def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():
 
 def test_strict_refuses_in_one_line_what_is_not_met(tmp_path, capsys):
     scene = gs.chart("slanted-edge", size=(96, 64))
-    hexagon = replace(PHONE, optics=replace(PHONE.optics, pupil=Pupil(blades=6)))  # its light from afar is no blur
-    with pytest.raises(NotMet, match=r"^slanted-edge: tolerance NOT met: .* of 1e-05 rms.*border.*reach"):
+    hexagon = replace(
+        PHONE, optics=replace(PHONE.optics, pupil=Pupil(blades=6))
+    )  # its light from afar is no blur
+    with pytest.raises(
+        NotMet, match=r"^slanted-edge: tolerance NOT met: .* of 1e-05 rms.*border.*reach"
+    ):
         gs.Simulator(hexagon, device="numpy", tolerance=1e-5, strict=True)(scene)
-    assert gs.Simulator(PHONE, device="numpy", tolerance=1e-2, strict=True)(scene).report.verdict.met
-    asked = ["slanted-edge", "--size", "96x64", "--camera", "phone", "--device", "numpy", "--tolerance", "1e-8"]
+    assert gs.Simulator(PHONE, device="numpy", tolerance=1e-2, strict=True)(
+        scene
+    ).report.verdict.met
+    asked = [
+        "slanted-edge",
+        "--size",
+        "96x64",
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--tolerance",
+        "1e-8",
+    ]
     out = tmp_path / "a.png"
     assert main(["simulate", *asked, "--strict", "-o", str(out)]) == 2 and not out.exists()
     assert capsys.readouterr().err.count("\n") == 1
@@ -163,11 +208,26 @@ def test_strict_refuses_in_one_line_what_is_not_met(tmp_path, capsys):
 
 def test_a_plan_is_printed_and_written(tmp_path, capsys):
     path = tmp_path / "plan.json"
-    asked = ["plan", "deadleaves", "--size", "96x64", "--camera", "phone", "--device", "numpy", "--json", str(path)]
+    asked = [
+        "plan",
+        "deadleaves",
+        "--size",
+        "96x64",
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--json",
+        str(path),
+    ]
     assert main([*asked, "--tolerance", "1e-2"]) == 0
     text, found = capsys.readouterr().out, json.loads(path.read_text())
     assert "tolerance: met" in text and "error: all together" in text and "(chosen)" in text
-    assert found["verdict"]["met"] and found["front"] and found["frame_ms"] == pytest.approx(sum(found["ms"].values()))
+    assert (
+        found["verdict"]["met"]
+        and found["front"]
+        and found["frame_ms"] == pytest.approx(sum(found["ms"].values()))
+    )
     assert [row["ms"] for row in found["front"]] == sorted(row["ms"] for row in found["front"])
     assert main([*asked, "--tolerance", "1e-8"]) == 1 and "NOT met" in capsys.readouterr().out
     for wrong in ("0", "-1", "nan", "soon"):
@@ -176,7 +236,9 @@ def test_a_plan_is_printed_and_written(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rms", [3e-2, 1e-3, 1e-4])
-def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_judged_before(monkeypatch, rms):
+def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_judged_before(
+    monkeypatch, rms
+):
     judged = []
 
     def counted(*given):
@@ -189,23 +251,36 @@ def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_jud
     before = len(judged)
     good = [one for one in made.front if HEADROOM * SAFETY * one.error.ratio(tolerance) <= 1]
     assert made.verdict.met and before <= 1 < len(judged)
-    assert (good[0].planes, good[0].tiling, good[0].period) == (made.count, made.tiling, made.period)
+    assert (good[0].planes, good[0].tiling, good[0].period) == (
+        made.count,
+        made.tiling,
+        made.period,
+    )
     assert (good[0].far is None) == (made.far is None)
-    assert all(one.error.ratio(tolerance) > other.error.ratio(tolerance)
-               for one, other in zip(made.front, made.front[1:], strict=False))
+    assert all(
+        one.error.ratio(tolerance) > other.error.ratio(tolerance)
+        for one, other in zip(made.front, made.front[1:], strict=False)
+    )
 
 
 def test_a_lens_that_varies_over_a_small_frame_is_not_vouched_for():
     """Though its predicted error is far within the tolerance."""
     lateral = gs.Spectrum(np.array([400.0, 700.0]), np.array([-1e-3, 1e-3]))
     camera = replace(PHONE, optics=replace(PHONE.optics, lateral_color=lateral))
-    verdict = gs.Simulator(camera, device="numpy", tolerance=0.5).plan(gs.chart("colorchecker", size=(96, 64))).verdict
+    verdict = (
+        gs.Simulator(camera, device="numpy", tolerance=0.5)
+        .plan(gs.chart("colorchecker", size=(96, 64)))
+        .verdict
+    )
     assert not verdict.met and "varies over a frame of less than 400" in str(verdict)
 
 
 def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
     """In the dark a picture errs by few sigmas; exposed longer, the same planes would break the tolerance."""
-    scene, simulator = gs.chart("deadleaves", size=(96, 64)), gs.Simulator(PHONE, device="numpy", tolerance="video")
+    scene, simulator = (
+        gs.chart("deadleaves", size=(96, 64)),
+        gs.Simulator(PHONE, device="numpy", tolerance="video"),
+    )
     short, long = (simulator.program(scene, seconds).plan for seconds in (1e-4, 0.1))
     assert short.mix is None or short.mix.shape[1] <= long.mix.shape[1]
     program = simulator.program(scene, 1e-4)
@@ -219,7 +294,11 @@ def test_what_float32_cannot_hold_float64_does():
     flat = Scene(Cube(wavelengths, np.ones((31, 40, 50), np.float32)), unit_light(wavelengths))
     tolerance = Tolerance(rms=1e-7)  # 2^-24 / 3^(1/2) is what storing leaves
     verdict = plan(flat, PHONE, tolerance=tolerance).verdict
-    assert not verdict.met and verdict.by in ("rounding", "transforms") and "device numpy" in verdict.remedy
+    assert (
+        not verdict.met
+        and verdict.by in ("rounding", "transforms")
+        and "device numpy" in verdict.remedy
+    )
     assert plan(flat, PHONE, tolerance=tolerance, single=False).verdict.met
     frame = gs.Simulator(PHONE, device="numpy", tolerance=tolerance)(flat, verify=True)
     assert frame.report.verdict.met and frame.report.meets_tolerance

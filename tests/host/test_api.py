@@ -32,12 +32,22 @@ def test_settings_are_those_of_a_camera_file(tmp_path):
         'base = "phone"\n[optics]\nf_number = 2.0\nobject_distance_m = 1.5\nseidel_waves = [0.1, 0, 0, 0, 0]\n'
         'defocus_diopters = 0.25\n[sensor]\nexposure_time_ms = 10\nbits = 12\ncfa = ["GR", "BG"]\nfull_well_e = 9000\n'
         '[noise]\nread_e = 3\nseed = 7\n[processor]\nwhite = [2.0, 1.0, 1.5]\nwhite_balance = "preset"\n'
-        '[display]\nluminance_cd_per_m2 = 80\n')
-    found = PHONE.with_(f_number=2.0, object_distance_m=1.5, seidel_waves=(0.1, 0, 0, 0, 0), defocus_diopters=0.25,
-                        exposure_time_ms=10, bits=np.int64(12), cfa=["GR", "BG"], full_well_e=9000,
-                        read_e=np.float32(3),
-                        **{"noise.seed": 7, "processor.white": np.array([2.0, 1.0, 1.5])},
-                        white_balance="preset", luminance_cd_per_m2=80)
+        "[display]\nluminance_cd_per_m2 = 80\n"
+    )
+    found = PHONE.with_(
+        f_number=2.0,
+        object_distance_m=1.5,
+        seidel_waves=(0.1, 0, 0, 0, 0),
+        defocus_diopters=0.25,
+        exposure_time_ms=10,
+        bits=np.int64(12),
+        cfa=["GR", "BG"],
+        full_well_e=9000,
+        read_e=np.float32(3),
+        **{"noise.seed": 7, "processor.white": np.array([2.0, 1.0, 1.5])},
+        white_balance="preset",
+        luminance_cd_per_m2=80,
+    )
     wanted = gs.open_camera(tmp_path / "a.toml")
     assert found.optics == wanted.optics and found.processor == wanted.processor
     for one, other in ((found.sensor, wanted.sensor), (found.display, wanted.display)):
@@ -56,22 +66,29 @@ def test_objects_stand_for_what_files_name():
     assert found.with_(distortion=None).optics.distortion is None
 
 
-@pytest.mark.parametrize("changes, error, words", [
-    ({"f_numbr": 2}, UnknownName, "unknown key of a camera 'f_numbr'; did you mean 'f_number'"),
-    ({"noise.f_number": 2}, UnknownName, "did you mean 'optics.f_number'"),
-    ({"white": [1, 1, 1]}, BadData, "white: a key of processor and display; wanted .*processor.white"),
-    ({"f_number": "fast"}, BadData, "f_number = 'fast': wanted a number"),
-    ({"f_number": -1}, OutOfRange, "optics.f_number = -1"),
-    ({"f_number": None}, BadData, "f_number = None: wanted a number"),
-    ({"qe": "imx"}, BadData, "qe = 'imx': wanted a Spectrum"),
-    ({"psf": "lens.npz"}, BadData, "psf = 'lens.npz': wanted a PointSpread"),
-    ({"ir_cut": "x"}, BadData, "ir_cut: a camera has it in its qe"),
-    ({"defocus_um": "x"}, BadData, "defocus_um = 'x': wanted a number or a Spectrum"),
-    ({"defocus_um": 1.0, "defocus_diopters": 1.0}, BadData, "wanted one of them"),
-    ({"cfa": "nope"}, BadData, "cfa: unknown mosaic 'nope'"),
-    ({"optics": 3}, BadData, "optics: int, wanted Optics"),
-    ({"reset_e": "kTC"}, BadData, "needs conversion_gain_uv_per_e"),
-])
+@pytest.mark.parametrize(
+    "changes, error, words",
+    [
+        ({"f_numbr": 2}, UnknownName, "unknown key of a camera 'f_numbr'; did you mean 'f_number'"),
+        ({"noise.f_number": 2}, UnknownName, "did you mean 'optics.f_number'"),
+        (
+            {"white": [1, 1, 1]},
+            BadData,
+            "white: a key of processor and display; wanted .*processor.white",
+        ),
+        ({"f_number": "fast"}, BadData, "f_number = 'fast': wanted a number"),
+        ({"f_number": -1}, OutOfRange, "optics.f_number = -1"),
+        ({"f_number": None}, BadData, "f_number = None: wanted a number"),
+        ({"qe": "imx"}, BadData, "qe = 'imx': wanted a Spectrum"),
+        ({"psf": "lens.npz"}, BadData, "psf = 'lens.npz': wanted a PointSpread"),
+        ({"ir_cut": "x"}, BadData, "ir_cut: a camera has it in its qe"),
+        ({"defocus_um": "x"}, BadData, "defocus_um = 'x': wanted a number or a Spectrum"),
+        ({"defocus_um": 1.0, "defocus_diopters": 1.0}, BadData, "wanted one of them"),
+        ({"cfa": "nope"}, BadData, "cfa: unknown mosaic 'nope'"),
+        ({"optics": 3}, BadData, "optics: int, wanted Optics"),
+        ({"reset_e": "kTC"}, BadData, "needs conversion_gain_uv_per_e"),
+    ],
+)
 def test_bad_settings_are_refused_in_one_line(changes, error, words):
     with pytest.raises(error, match=words) as refused:
         PHONE.with_(**changes)
@@ -98,32 +115,54 @@ def write(path, text):
 def test_a_camera_on_another(tmp_path):
     (tmp_path / "lenses").mkdir()
     (tmp_path / "lenses" / "qe.csv").write_text("wavelength_nm,R,G,B\n400,.1,.2,.3\n700,.3,.2,.1\n")
-    write(tmp_path / "lenses" / "base.toml", 'base = "phone"\nname = "its"\n[sensor]\nqe = "qe.csv"\n'
-                                            '[optics]\ndefocus_um = 3\n')
-    found = gs.open_camera(write(tmp_path / "own.toml", 'base = "lenses/base.toml"\n[noise]\nread_e = 1\n'
-                                                       '[optics]\ndefocus_diopters = 0\n'))
-    assert found.name == "own" and found.sensor.noise.read == 1 and found.sensor.noise.prnu == PHONE.sensor.noise.prnu
+    write(
+        tmp_path / "lenses" / "base.toml",
+        'base = "phone"\nname = "its"\n[sensor]\nqe = "qe.csv"\n[optics]\ndefocus_um = 3\n',
+    )
+    found = gs.open_camera(
+        write(
+            tmp_path / "own.toml",
+            'base = "lenses/base.toml"\n[noise]\nread_e = 1\n[optics]\ndefocus_diopters = 0\n',
+        )
+    )
+    assert (
+        found.name == "own"
+        and found.sensor.noise.read == 1
+        and found.sensor.noise.prnu == PHONE.sensor.noise.prnu
+    )
     assert found.optics.defocus == 0  # its base's, in another unit, is gone
     # the file beside the base; factors of the phone's own quantum efficiency stay, so it is the lower one everywhere
     assert found.sensor.qe.values.max() <= 0.3
-    assert gs.open_camera(write(tmp_path / "named.toml", 'base = "mono"\nname = "mine"\n')).name == "mine"
+    assert (
+        gs.open_camera(write(tmp_path / "named.toml", 'base = "mono"\nname = "mine"\n')).name
+        == "mine"
+    )
 
 
 def test_an_empty_file_is_the_phone(tmp_path):
     found = gs.open_camera(write(tmp_path / "mine.toml", "# nothing yet\n"))
-    assert found.name == "mine" and found.optics == PHONE.optics and found.sensor.noise == PHONE.sensor.noise
-    with pytest.raises(BadFile, match=r"\[optics\] lacks focal_length_mm"):  # a file that is begun is all of a camera
+    assert (
+        found.name == "mine"
+        and found.optics == PHONE.optics
+        and found.sensor.noise == PHONE.sensor.noise
+    )
+    with pytest.raises(
+        BadFile, match=r"\[optics\] lacks focal_length_mm"
+    ):  # a file that is begun is all of a camera
         gs.open_camera(write(tmp_path / "begun.toml", "[optics]\nf_number = 2\n"))
 
 
-@pytest.mark.parametrize("text, words", [
-    ("base = 3", "base = 3: wanted a camera's name or file"),
-    ('base = "nope"', "base = 'nope': no such camera or file; cameras are figure8, "),
-    ('base = "a.toml"', "base = 'a.toml': is based on this file itself"),
-    ('base = "b.toml"', "base = 'a.toml': is based on this file itself"),
-    ('base = "phone"\noptics = 3', "optics = 3: wanted a section"),
-    ('base = "phone"\n[optics]\nf_numbr = 3', "unknown key 'f_numbr' in .optics."),
-])
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("base = 3", "base = 3: wanted a camera's name or file"),
+        ('base = "nope"', "base = 'nope': no such camera or file; cameras are figure8, "),
+        ('base = "a.toml"', "base = 'a.toml': is based on this file itself"),
+        ('base = "b.toml"', "base = 'a.toml': is based on this file itself"),
+        ('base = "phone"\noptics = 3', "optics = 3: wanted a section"),
+        ('base = "phone"\n[optics]\nf_numbr = 3', "unknown key 'f_numbr' in .optics."),
+    ],
+)
 def test_bad_bases_are_refused_with_the_file_and_the_key(tmp_path, text, words):
     write(tmp_path / "b.toml", 'base = "a.toml"\n')
     with pytest.raises(BadFile, match=words) as refused:
@@ -131,8 +170,22 @@ def test_bad_bases_are_refused_with_the_file_and_the_key(tmp_path, text, words):
     assert str(tmp_path) in str(refused.value) and "\n" not in str(refused.value)
 
 
-TRIED = ("-1e30", "nan", "1e30", "-3", "99999", "true", "[]", "{a = 1}", '"zzz"', '"zzz.csv"', '"zzz.npz"', "[-1, -1]",
-         "[[-1, 2], [3]]", "1979-05-27")
+TRIED = (
+    "-1e30",
+    "nan",
+    "1e30",
+    "-3",
+    "99999",
+    "true",
+    "[]",
+    "{a = 1}",
+    '"zzz"',
+    '"zzz.csv"',
+    '"zzz.npz"',
+    "[-1, -1]",
+    "[[-1, 2], [3]]",
+    "1979-05-27",
+)
 
 
 @pytest.mark.parametrize("section", SECTIONS)
@@ -152,20 +205,47 @@ def test_errors_of_camera_files_name_the_file_and_the_key(section, tmp_path):
     assert refused >= 9 * len(SECTIONS[section])
 
 
-@pytest.mark.parametrize("text, words", [
-    ("[optics]\nfocal_length_mm = -3", r"\[optics\] focal_length_mm = -3: optics.focal_length = -0.003 m: allowed is "),
-    ("[optics]\nfocal_length_mm = '4'", r"\[optics\] focal_length_mm = '4': wanted a number"),
-    ("[optics]\nfocal_length = 4", r"unknown key 'focal_length' in \[optics\]; did you mean 'focal_length_mm'"),
-    ("[sensor]\nread_e = 4", r"unknown key 'read_e' in \[sensor\]; did you mean 'read_e' in \[noise\]"),
-    ("[sensro]\nbits = 4", r"unknown section \[sensro\]; did you mean 'sensor'"),
-    ("[sensor]\nbits = 8\nbits = 9", r"not TOML: Cannot overwrite a value \(at line 4, column 9\)"),
-    ("[sensor]\nbits = ", r"not TOML: Invalid value \(at line 3, column "),
-    ("[sensor]\nqe = 'mine.csv'", r"\[sensor\] qe: .*mine.csv: wanted 2 numbers on every line after the first"),
-    ("[optics]\npsf = 'mine.csv'", r"\[optics\] psf: .*mine.csv: not "),
-    ("[optics]\ndefocus_diopters = 9e9", r"\[optics\] defocus_diopters = 9000000000.0: optics.defocus = "),
-    ("[optics]\nzernike_waves = [[0.1], [0.1, 0.2]]", r"\[optics\] zernike_waves = .*: wanted a list of numbers"),
-    ("[display]\nname = 'a'\nluminance_cd_per_m2 = 0", r"\[display\] luminance_cd_per_m2 = 0: display.luminance = 0 "),
-])
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (
+            "[optics]\nfocal_length_mm = -3",
+            r"\[optics\] focal_length_mm = -3: optics.focal_length = -0.003 m: allowed is ",
+        ),
+        ("[optics]\nfocal_length_mm = '4'", r"\[optics\] focal_length_mm = '4': wanted a number"),
+        (
+            "[optics]\nfocal_length = 4",
+            r"unknown key 'focal_length' in \[optics\]; did you mean 'focal_length_mm'",
+        ),
+        (
+            "[sensor]\nread_e = 4",
+            r"unknown key 'read_e' in \[sensor\]; did you mean 'read_e' in \[noise\]",
+        ),
+        ("[sensro]\nbits = 4", r"unknown section \[sensro\]; did you mean 'sensor'"),
+        (
+            "[sensor]\nbits = 8\nbits = 9",
+            r"not TOML: Cannot overwrite a value \(at line 4, column 9\)",
+        ),
+        ("[sensor]\nbits = ", r"not TOML: Invalid value \(at line 3, column "),
+        (
+            "[sensor]\nqe = 'mine.csv'",
+            r"\[sensor\] qe: .*mine.csv: wanted 2 numbers on every line after the first",
+        ),
+        ("[optics]\npsf = 'mine.csv'", r"\[optics\] psf: .*mine.csv: not "),
+        (
+            "[optics]\ndefocus_diopters = 9e9",
+            r"\[optics\] defocus_diopters = 9000000000.0: optics.defocus = ",
+        ),
+        (
+            "[optics]\nzernike_waves = [[0.1], [0.1, 0.2]]",
+            r"\[optics\] zernike_waves = .*: wanted a list of numbers",
+        ),
+        (
+            "[display]\nname = 'a'\nluminance_cd_per_m2 = 0",
+            r"\[display\] luminance_cd_per_m2 = 0: display.luminance = 0 ",
+        ),
+    ],
+)
 def test_each_kind_of_error_of_a_camera_file(text, words, tmp_path):
     """The key in the file's words and unit, what is wrong, and what is allowed or where the file is broken."""
     write(tmp_path / "mine.csv", "wavelength_nm,Y\n400,0.5\n700\n")
@@ -178,10 +258,14 @@ def test_each_kind_of_error_of_a_camera_file(text, words, tmp_path):
 def test_a_key_of_the_base_is_said_to_be_there(tmp_path):
     base = write(tmp_path / "base.toml", 'base = "phone"\n[noise]\nread_e = -1\n')
     own = write(tmp_path / "own.toml", 'base = "base.toml"\n[optics]\nf_number = 2\n')
-    with pytest.raises(BadFile, match=r"\[noise\] read_e = -1: .* \(the key is its base's, ") as refused:
+    with pytest.raises(
+        BadFile, match=r"\[noise\] read_e = -1: .* \(the key is its base's, "
+    ) as refused:
         gs.open_camera(own)
     assert str(refused.value).startswith(f"{own}: ") and str(base) in str(refused.value)
-    with pytest.raises(BadFile, match=r"base.toml: \[noise\] read_e = -1: noise.read = -1 e-: allowed is [^(]*$"):
+    with pytest.raises(
+        BadFile, match=r"base.toml: \[noise\] read_e = -1: noise.read = -1 e-: allowed is [^(]*$"
+    ):
         gs.open_camera(base)
 
 
@@ -220,30 +304,47 @@ def test_pictures_are_those_of_files(tmp_path):
     Image.fromarray(codes).save(tmp_path / "a.png")
     wanted = gs.open_scene(tmp_path / "a.png")
     encoded = codes / 255
-    light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    for found in (gs.scene_from(codes), gs.scene_from(encoded), gs.scene_from(light, linear=True),
-                  gs.scene_from(codes.astype(np.uint16) * 257)):
-        np.testing.assert_allclose(found.content.on_host().coefficients, wanted.content.coefficients, atol=1e-6)
+    light = np.where(
+        encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
+    )  # IEC 61966-2-1
+    for found in (
+        gs.scene_from(codes),
+        gs.scene_from(encoded),
+        gs.scene_from(light, linear=True),
+        gs.scene_from(codes.astype(np.uint16) * 257),
+    ):
+        np.testing.assert_allclose(
+            found.content.on_host().coefficients, wanted.content.coefficients, atol=1e-6
+        )
         np.testing.assert_array_equal(found.illuminant.values, wanted.illuminant.values)
     grey = gs.scene_from(encoded[..., 0])
     assert np.ptp(grey.content.coefficients, axis=0).max() == 0
-    half = gs.scene_from(np.full((4, 4, 3), 128, np.uint8), linear=True).content.on_host().coefficients
+    half = (
+        gs.scene_from(np.full((4, 4, 3), 128, np.uint8), linear=True).content.on_host().coefficients
+    )
     np.testing.assert_allclose(half, 128 / 255, rtol=1e-6)
 
 
-@pytest.mark.parametrize("given, options, words", [
-    ((VALUES, NODES[:-1]), {}, r"array of shape \(5, 6, 7\) for 4 wavelengths, wanted"),
-    ((np.ones((5, 6, 5)), NODES), {}, "both ends have 5 samples; say axis = 0 or axis = -1"),
-    ((VALUES, NODES), {"axis": 1}, "axis = 1 of shape"),
-    ((VALUES, NODES), {"linear": True}, "linear = True of a cube"),
-    ((VALUES, NODES), {"unit": "lumen"}, "unknown unit 'lumen'"),
-    ((-VALUES, NODES), {}, "negative samples"),
-    ((VALUES,), {}, r"wanted \(rows, cols, 3\)"),
-    ((np.full((4, 4, 3), 2.0),), {}, "encoded picture up to 2, wanted 0 .. 1; or linear = True"),
-    ((np.full((4, 4, 3), np.nan),), {}, "picture from nan"),
-    ((np.ones((4, 4, 3), int),), {}, "a picture of int64, wanted uint8"),
-    ((np.ones((4, 4, 3), "U1"),), {}, "wanted real numbers"),
-])
+@pytest.mark.parametrize(
+    "given, options, words",
+    [
+        ((VALUES, NODES[:-1]), {}, r"array of shape \(5, 6, 7\) for 4 wavelengths, wanted"),
+        ((np.ones((5, 6, 5)), NODES), {}, "both ends have 5 samples; say axis = 0 or axis = -1"),
+        ((VALUES, NODES), {"axis": 1}, "axis = 1 of shape"),
+        ((VALUES, NODES), {"linear": True}, "linear = True of a cube"),
+        ((VALUES, NODES), {"unit": "lumen"}, "unknown unit 'lumen'"),
+        ((-VALUES, NODES), {}, "negative samples"),
+        ((VALUES,), {}, r"wanted \(rows, cols, 3\)"),
+        (
+            (np.full((4, 4, 3), 2.0),),
+            {},
+            "encoded picture up to 2, wanted 0 .. 1; or linear = True",
+        ),
+        ((np.full((4, 4, 3), np.nan),), {}, "picture from nan"),
+        ((np.ones((4, 4, 3), int),), {}, "a picture of int64, wanted uint8"),
+        ((np.ones((4, 4, 3), "U1"),), {}, "wanted real numbers"),
+    ],
+)
 def test_bad_arrays_are_refused_in_one_line(given, options, words):
     with pytest.raises((BadData, UnknownName), match=words) as refused:
         gs.scene_from(*given, **options)
@@ -255,14 +356,20 @@ def test_bad_arrays_are_refused_in_one_line(given, options, words):
 
 def test_type_checkers_see_every_public_name():
     tree = ast.parse(Path(gs.__file__).read_text())
-    block = next(node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    block = next(
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    )
     seen = {alias.name: node.module for node in block.body for alias in node.names}
-    assert all(alias.asname == alias.name for node in block.body for alias in node.names)  # exported, to a strict one
+    assert all(
+        alias.asname == alias.name for node in block.body for alias in node.names
+    )  # exported, to a strict one
     assert seen == gs._PUBLIC and sorted(seen) == gs.__all__
     assert (Path(gs.__file__).parent / "py.typed").exists()
 
 
-SCRIPT = '''
+SCRIPT = """
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -329,15 +436,15 @@ def run(folder: Path) -> None:
 
 if __name__ == "__main__":
     run(Path("."))
-'''
-SHOWN = '''import gpusim as gs
+"""
+SHOWN = """import gpusim as gs
 simulate = gs.Simulator(gs.open_camera('phone'))
 reveal_type(gs.open_camera)
 reveal_type(simulate(gs.chart("flat")))
 reveal_type(simulate([gs.chart("flat")]))
 reveal_type(gs.burst(simulate, gs.chart("flat"), 2))
 simulate.camera.nothing
-'''
+"""
 
 
 def test_a_users_script_passes_a_strict_type_checker(tmp_path):
@@ -346,13 +453,32 @@ def test_a_users_script_passes_a_strict_type_checker(tmp_path):
     assert len(SCRIPT.strip().splitlines()) >= 60
     write(tmp_path / "user.py", SCRIPT)
     write(tmp_path / "shown.py", SHOWN)
-    checked = subprocess.run([sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir",
-                              str(tmp_path / "cache"), "user.py", "shown.py"], capture_output=True, text=True,
-                             cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""}, check=False).stdout
+    checked = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mypy",
+            "--strict",
+            "--follow-imports=silent",
+            "--cache-dir",
+            str(tmp_path / "cache"),
+            "user.py",
+            "shown.py",
+        ],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={"MYPYPATH": str(ROOT), "PATH": ""},
+        check=False,
+    ).stdout
     assert "user.py" not in checked and "Found 1 error in 1 file" in checked, checked
-    for type_ in ("def (name_or_path: Any) -> gpusim.domain.camera.Camera", '"gpusim.pipeline.frame.Frame"',
-                  'Iterator[gpusim.pipeline.frame.Frame]"', 'list[gpusim.pipeline.frame.Frame]"',
-                  '"Camera" has no attribute "nothing"'):
+    for type_ in (
+        "def (name_or_path: Any) -> gpusim.domain.camera.Camera",
+        '"gpusim.pipeline.frame.Frame"',
+        'Iterator[gpusim.pipeline.frame.Frame]"',
+        'list[gpusim.pipeline.frame.Frame]"',
+        '"Camera" has no attribute "nothing"',
+    ):
         assert type_ in checked, (type_, checked)
 
 
@@ -362,24 +488,59 @@ def test_the_same_script_runs(tmp_path, capsys):
     exec(compile(SCRIPT, "user.py", "exec"), names)
     names["run"](tmp_path)
     assert "did you mean 'colorchecker'" in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == {"own.toml", "hdr.exr", *(f"frame{n}.png" for n in range(4))}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "own.toml",
+        "hdr.exr",
+        *(f"frame{n}.png" for n in range(4)),
+    }
 
 
 def test_what_public_functions_give_has_a_type():
     """Those without any are an error of a strict checker wherever they are called."""
-    named = [(name, getattr(owner, name)) for owner in (gs, measure, gs.plot) for name in owner.__all__]
-    named += [(f"{kind.__name__}.{name}", method) for kind in (
-        gs.Simulator, gs.Program, gs.Batch, gs.Readout, gs.Frame, gs.Camera, gs.Scene, gs.Spectrum, gs.Optics, gs.View,
-        gs.Motion, gs.Actor, gs.Animation, gs.Calibration, gs.EventSensor, Exposure, Report)
-        for name, method in vars(kind).items() if not name.startswith("_") and inspect.isfunction(method)]
-    assert [name for name, made in named if inspect.isfunction(made)
-            and inspect.signature(made).return_annotation is inspect.Signature.empty] == []
+    named = [
+        (name, getattr(owner, name)) for owner in (gs, measure, gs.plot) for name in owner.__all__
+    ]
+    named += [
+        (f"{kind.__name__}.{name}", method)
+        for kind in (
+            gs.Simulator,
+            gs.Program,
+            gs.Batch,
+            gs.Readout,
+            gs.Frame,
+            gs.Camera,
+            gs.Scene,
+            gs.Spectrum,
+            gs.Optics,
+            gs.View,
+            gs.Motion,
+            gs.Actor,
+            gs.Animation,
+            gs.Calibration,
+            gs.EventSensor,
+            Exposure,
+            Report,
+        )
+        for name, method in vars(kind).items()
+        if not name.startswith("_") and inspect.isfunction(method)
+    ]
+    assert [
+        name
+        for name, made in named
+        if inspect.isfunction(made)
+        and inspect.signature(made).return_annotation is inspect.Signature.empty
+    ] == []
 
 
 def test_editors_complete_every_public_name():
     jedi = pytest.importorskip("jedi", reason="jedi is not installed")
     project = jedi.Project(ROOT)
-    names = {found.name for found in jedi.Script("import gpusim as gs\ngs.", project=project).complete(2, 3)}
+    names = {
+        found.name
+        for found in jedi.Script("import gpusim as gs\ngs.", project=project).complete(2, 3)
+    }
     assert set(gs.__all__) <= names
     code = "import gpusim as gs\ncamera = gs.open_camera('phone')\ncamera."
-    assert {"optics", "sensor", "with_"} <= {found.name for found in jedi.Script(code, project=project).complete(3, 7)}
+    assert {"optics", "sensor", "with_"} <= {
+        found.name for found in jedi.Script(code, project=project).complete(3, 7)
+    }

@@ -18,7 +18,9 @@ ROUNDING = 1e-14  # means of some thousand numbers, in pairs: 12 roundings of 2^
 def transforms():
     """A measured camera's, in the stored lights."""
     curves, cut = curve("mt9v024"), curve("ir-cut-phone")
-    return transform_set(Spectrum(curves.wavelengths, curves.values[:3] * cut.values), "objects", channels="RGB")
+    return transform_set(
+        Spectrum(curves.wavelengths, curves.values[:3] * cut.values), "objects", channels="RGB"
+    )
 
 
 def reflecting(channels=3, rows=12, cols=16):
@@ -49,12 +51,16 @@ def test_shades_of_gray_finds_the_white_where_the_sixth_powers_are_equal():
     surfaces = reflecting()
     surfaces /= np.mean(surfaces**6, (1, 2), keepdims=True) ** (1 / 6)
     picture = WHITE[:, None, None] * surfaces
-    np.testing.assert_allclose(estimate_white(picture, "shades-of-gray").white, WHITE, rtol=ROUNDING)
+    np.testing.assert_allclose(
+        estimate_white(picture, "shades-of-gray").white, WHITE, rtol=ROUNDING
+    )
     assert np.abs(estimate_white(picture, "max-rgb").white - WHITE).max() > 0.02
 
 
 def test_red_blue_finds_every_light_that_it_was_trained_in(transforms):
-    for name, responses, own in zip(transforms.names, transforms.responses, transforms.transforms, strict=True):
+    for name, responses, own in zip(
+        transforms.names, transforms.responses, transforms.transforms, strict=True
+    ):
         found = estimate_white(responses.reshape(3, 10, -1) * 0.3, "red-blue", transforms)
         np.testing.assert_array_equal(found.white, own.white)
         assert found.model == f"red-blue correlation 1.00 with {name}"
@@ -66,7 +72,9 @@ def test_red_blue_correlation_is_overlap_by_root_of_product():
     The line to (0.6, 0.8) leaves the first at 1/1.4 of it: overlap 0.8/1.4/2 = 0.2857, by sqrt(0.2) = 0.64. The other
     light has no blue: no area, no correlation.
     """
-    responses = np.array([[[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], [[1.0, 0.5], [0.0, 0.5], [0.0, 0.0]]])
+    responses = np.array(
+        [[[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], [[1.0, 0.5], [0.0, 0.5], [0.0, 0.0]]]
+    )
     own = [ColorTransform(np.eye(3), np.eye(3), white) for white in (WHITE, WHITE[::-1])]
     lights = TransformSet(("one", "other"), tuple("RGB"), tuple(own), responses, np.ones(3))
     picture = np.array([[1.0, 0.6], [0.0, 0.0], [0.0, 0.8]])[:, None] * 7
@@ -87,11 +95,15 @@ def test_red_blue_knows_a_light_by_surfaces_it_was_not_trained_on(transforms):
     curves, cut = curve("mt9v024"), curve("ir-cut-phone")
     camera = Spectrum(curves.wavelengths, curves.values[:3] * cut.values)
     for light in ("A", "D65"):
-        weights = product_weights(surfaces.wavelengths, camera, photons_from_energy(illuminant(light)))
+        weights = product_weights(
+            surfaces.wavelengths, camera, photons_from_energy(illuminant(light))
+        )
         picture = (weights @ surfaces.values.T).reshape(3, 4, 6)
         found[light] = estimate_white(picture, "red-blue", transforms).white
         white = weights.sum(1)
-        angle = np.arccos(found[light] @ white / np.linalg.norm(found[light]) / np.linalg.norm(white))
+        angle = np.arccos(
+            found[light] @ white / np.linalg.norm(found[light]) / np.linalg.norm(white)
+        )
         assert np.rad2deg(angle) < 6
     assert found["A"][0] / found["A"][2] > 1.5 * found["D65"][0] / found["D65"][2]
 
@@ -101,7 +113,9 @@ def test_exposure_does_not_matter(method, transforms):
     picture = WHITE[:, None, None] * reflecting()
     base = estimate_white(picture, method, transforms)
     for factor in (2.0**-20, 2.0**20):  # powers of two round alike
-        np.testing.assert_array_equal(estimate_white(picture * factor, method, transforms).white, base.white)
+        np.testing.assert_array_equal(
+            estimate_white(picture * factor, method, transforms).white, base.white
+        )
     assert base.white.max() == 1
 
 
@@ -126,7 +140,12 @@ def test_clipped_pixels_are_left_out(method, transforms):
 def test_a_picture_without_light_falls_back_and_says_so(method, transforms):
     black, clipped = np.zeros((3, 4, 4)), np.full((3, 4, 4), np.nan)
     blue = np.ones((3, 4, 4)) * np.array([0.0, 0.0, 1.0])[:, None, None]
-    for picture, reason in ((black, "dark"), (clipped, "clipped"), (blue, "dark"), (black - 1e-3, "dark")):
+    for picture, reason in (
+        (black, "dark"),
+        (clipped, "clipped"),
+        (blue, "dark"),
+        (black - 1e-3, "dark"),
+    ):
         found = estimate_white(picture, method, transforms)
         np.testing.assert_array_equal(found.white, transforms.target_white)
         assert reason in found.model and "target light" in found.model
@@ -137,24 +156,31 @@ def test_a_picture_without_light_falls_back_and_says_so(method, transforms):
 
 
 def test_target_white_is_that_of_the_target_light(transforms):
-    np.testing.assert_allclose(transforms.target_white, transforms.whites[transforms.names.index("D65")], rtol=1e-14)
+    np.testing.assert_allclose(
+        transforms.target_white, transforms.whites[transforms.names.index("D65")], rtol=1e-14
+    )
 
 
 def test_red_blue_needs_more_than_one_color(transforms):
-    found = estimate_white(WHITE[:, None, None] * np.linspace(0.5, 1, 12).reshape(3, 4), "red-blue", transforms)
+    found = estimate_white(
+        WHITE[:, None, None] * np.linspace(0.5, 1, 12).reshape(3, 4), "red-blue", transforms
+    )
     assert "one color" in found.model
 
 
 def test_wrong_calls_are_refused_in_one_line(transforms):
     picture = reflecting()
-    nameless = TransformSet(transforms.names, (), transforms.transforms, transforms.responses, transforms.target_white)
+    nameless = TransformSet(
+        transforms.names, (), transforms.transforms, transforms.responses, transforms.target_white
+    )
     for error, words, arguments, options in (
-            (UnknownName, "gray-world", (picture, "grey-world"), {}),
-            (BadData, "shape", (picture[0], "gray-world"), {}),
-            (BadData, "4", (reflecting(4), "gray-world", transforms), {}),
-            (OutOfRange, "floor", (picture, "gray-world"), {"floor": -1}),
-            (BadData, "give it", (picture, "red-blue"), {}),
-            (BadData, "channels R and B", (picture, "red-blue", nameless), {})):
+        (UnknownName, "gray-world", (picture, "grey-world"), {}),
+        (BadData, "shape", (picture[0], "gray-world"), {}),
+        (BadData, "4", (reflecting(4), "gray-world", transforms), {}),
+        (OutOfRange, "floor", (picture, "gray-world"), {"floor": -1}),
+        (BadData, "give it", (picture, "red-blue"), {}),
+        (BadData, "channels R and B", (picture, "red-blue", nameless), {}),
+    ):
         with pytest.raises(error, match=words) as refusal:
             estimate_white(*arguments, **options)
         assert "\n" not in str(refusal.value)

@@ -18,41 +18,149 @@ import tables  # noqa: E402
 from gpusim.domain.errors import BadFile  # noqa: E402
 from gpusim.kernels.stage import stage_module, stage_names  # noqa: E402
 
-MACHINE = {"cpu": "some CPU", "cores": 2, "device": "some device", "driver": "some driver", "python": "3.12"}
-ABOUT = {"device": "opencl:0", "machine": MACHINE, "commit": "abc", "dirty": False, "date": "2026-01-02T03:04:05+00:00"}
+MACHINE = {
+    "cpu": "some CPU",
+    "cores": 2,
+    "device": "some device",
+    "driver": "some driver",
+    "python": "3.12",
+}
+ABOUT = {
+    "device": "opencl:0",
+    "machine": MACHINE,
+    "commit": "abc",
+    "dirty": False,
+    "date": "2026-01-02T03:04:05+00:00",
+}
 
 
 def timed(name, p25, p50, p75, **more):
-    return {"name": name, "ms_least": p25, "ms_p25": p25, "ms_p50": p50, "ms_p75": p75, "ms_most": p75, **more}
+    return {
+        "name": name,
+        "ms_least": p25,
+        "ms_p25": p25,
+        "ms_p50": p50,
+        "ms_p75": p75,
+        "ms_most": p75,
+        **more,
+    }
 
 
 def result(bench="noise", rows=(), **more):
     return {"bench": bench, **ABOUT, "rows": list(rows), **more}
 
 
-STAGE = {"gbps": 8.0, "gflops": None, "ratio_to_floor": 2.0, "bound": None, "build_ms": 5.0, "rel_rms_error": 1e-7,
-         "max_error": 0.0}
-FRAME = {"megapixels": 2.0736, "planes": 4, "planning_ms": 100.0, "bytes_predicted": 2**21, "bytes_peak": 2**20,
-         "rss": 2**22, "bands": 31}
+STAGE = {
+    "gbps": 8.0,
+    "gflops": None,
+    "ratio_to_floor": 2.0,
+    "bound": None,
+    "build_ms": 5.0,
+    "rel_rms_error": 1e-7,
+    "max_error": 0.0,
+}
+FRAME = {
+    "megapixels": 2.0736,
+    "planes": 4,
+    "planning_ms": 100.0,
+    "bytes_predicted": 2**21,
+    "bytes_peak": 2**20,
+    "rss": 2**22,
+    "bands": 31,
+}
 EXAMPLES = [
-    result("stages", [timed("optics.blur", 1.0, 2.0, 3.0, **STAGE), {"name": "optics.falloff", "failed": "error 1"}],
-           size=[64, 48], limits={"copy_gbps": 10.0, "fma_gflops": 100.0}),
+    result(
+        "stages",
+        [
+            timed("optics.blur", 1.0, 2.0, 3.0, **STAGE),
+            {"name": "optics.falloff", "failed": "error 1"},
+        ],
+        size=[64, 48],
+        limits={"copy_gbps": 10.0, "fma_gflops": 100.0},
+    ),
     result("loops", [timed("a loop", 1.0, 2.0, 4.0, events_ms=1.0, check="rms 1")], tolerance=None),
-    result("scaling", [timed("1920x1080, 31 bands", 1.0, 2.0736, 4.0, **FRAME), {"name": "8K", "failed": "no room"},
-                       timed("1280x720, 31 bands", 1.0, 1.8432, 2.0, **FRAME | {"megapixels": 0.9216})]),
-    result("threads", [timed("1 of 2", 7.0, 8.0, 9.0, threads=1, busy=1.0),
-                       timed("2 of 2", 4.0, 5.0, 6.0, threads=2, busy=1.9)]),
-    result("compare", [timed("SciPy", 7.0, 8.0, 9.0, error="rms 1"), {"name": "torch", "failed": "not installed"},
-                       timed("ours", 1.0, 2.0, 3.0, error="", base="SciPy", over_p25=3.0, over_p50=4.0, over_p75=5.0)]),
-    result("triples", [{"name": "seed 1", "seed": 1, "words": "1: a scene", "status": "ok", "tolerance": "1e-3",
-                        "met": True, "within": False, "nearest": "0.002 of 0.001 rms", "verdict": "", "bound": "rms",
-                        "allowed": 1e-3, "true": {"rms": 2e-3}, "ratio": 0.25, "ratio_rms": 0.25,
-                        "bounds": {"border": {"rms": 5e-4}}}], half="development"),
-    result("tolerances", [timed("phone, deadleaves, 1e-3", 1.0, 2.0, 3.0, tolerance="1e-3", exact_p50=4.0,
-                                baseline_p50=8.0, predicted_ms=3.0, stages_ms=2.5, error=2e-4, met=True)],
-           size=[64, 48], cameras=["phone"], charts=["deadleaves"]),
-    result("color", [{"name": "ridge", "table": "Errors", "cells": ["1.0", "2.0"]}],
-           columns={"Errors": ["method", "D65", "A"]}),
+    result(
+        "scaling",
+        [
+            timed("1920x1080, 31 bands", 1.0, 2.0736, 4.0, **FRAME),
+            {"name": "8K", "failed": "no room"},
+            timed("1280x720, 31 bands", 1.0, 1.8432, 2.0, **FRAME | {"megapixels": 0.9216}),
+        ],
+    ),
+    result(
+        "threads",
+        [
+            timed("1 of 2", 7.0, 8.0, 9.0, threads=1, busy=1.0),
+            timed("2 of 2", 4.0, 5.0, 6.0, threads=2, busy=1.9),
+        ],
+    ),
+    result(
+        "compare",
+        [
+            timed("SciPy", 7.0, 8.0, 9.0, error="rms 1"),
+            {"name": "torch", "failed": "not installed"},
+            timed(
+                "ours",
+                1.0,
+                2.0,
+                3.0,
+                error="",
+                base="SciPy",
+                over_p25=3.0,
+                over_p50=4.0,
+                over_p75=5.0,
+            ),
+        ],
+    ),
+    result(
+        "triples",
+        [
+            {
+                "name": "seed 1",
+                "seed": 1,
+                "words": "1: a scene",
+                "status": "ok",
+                "tolerance": "1e-3",
+                "met": True,
+                "within": False,
+                "nearest": "0.002 of 0.001 rms",
+                "verdict": "",
+                "bound": "rms",
+                "allowed": 1e-3,
+                "true": {"rms": 2e-3},
+                "ratio": 0.25,
+                "ratio_rms": 0.25,
+                "bounds": {"border": {"rms": 5e-4}},
+            }
+        ],
+        half="development",
+    ),
+    result(
+        "tolerances",
+        [
+            timed(
+                "phone, deadleaves, 1e-3",
+                1.0,
+                2.0,
+                3.0,
+                tolerance="1e-3",
+                exact_p50=4.0,
+                baseline_p50=8.0,
+                predicted_ms=3.0,
+                stages_ms=2.5,
+                error=2e-4,
+                met=True,
+            )
+        ],
+        size=[64, 48],
+        cameras=["phone"],
+        charts=["deadleaves"],
+    ),
+    result(
+        "color",
+        [{"name": "ridge", "table": "Errors", "cells": ["1.0", "2.0"]}],
+        columns={"Errors": ["method", "D65", "A"]},
+    ),
 ]
 
 
@@ -65,7 +173,9 @@ def stored(tmp_path):
 
 
 def marks(*names):
-    return "".join(f"words\n<!-- {name} -->\npasted {name}\n<!-- end of {name} -->\n" for name in names)
+    return "".join(
+        f"words\n<!-- {name} -->\npasted {name}\n<!-- end of {name} -->\n" for name in names
+    )
 
 
 def test_readme_has_what_the_command_writes():
@@ -84,16 +194,24 @@ def test_tables_are_made_of_the_results_alone(stored):
     once = tables.filled(marks(*names, "noise"), tables.stored_results(stored))
     assert tables.filled(once, tables.stored_results(stored)) == once
     assert once.count("words") == len(names) + 1
-    assert "pasted noise" in once and once.count("pasted") == 1  # nothing stored backs it: it is left
-    for row in ("| optics.blur | 2 | 1 .. 3 | 8 |  | 2 |  | 5 | 1.0e-07 | 0.0e+00 |",
-                "| optics.falloff | no speed: verification failed |",
-                "| a loop | 2 | 1 .. 4 | 1 | 2.00 | rms 1 |",
-                "| 1920x1080, 31 bands | 2.07 | 1 .. 4 | 1 | 1.00 | 4 | 100 | 2 | 1 | 4 |",
-                "| 1280x720, 31 bands | 1.84 | 1 .. 2 | 2 | 2.00 |", "| 8K | no room |",
-                "| 2 of 2 | 5 | 4 .. 6 | 1.60 | 0.80 | 1.90 |",
-                "| ours | 2 | 1 .. 3 | SciPy | 4.00 (3.00 .. 5.00) |  |", "| torch | not installed |",
-                "| 1e-3 | 1 | 1 | 0 | 1 | 0 | 0.25 | 2 |", "| ridge | 1.0 | 2.0 |",
-                "10 GB/s copied, 100 GFLOP/s measured", "commit abc, 2026-01-02"):
+    assert (
+        "pasted noise" in once and once.count("pasted") == 1
+    )  # nothing stored backs it: it is left
+    for row in (
+        "| optics.blur | 2 | 1 .. 3 | 8 |  | 2 |  | 5 | 1.0e-07 | 0.0e+00 |",
+        "| optics.falloff | no speed: verification failed |",
+        "| a loop | 2 | 1 .. 4 | 1 | 2.00 | rms 1 |",
+        "| 1920x1080, 31 bands | 2.07 | 1 .. 4 | 1 | 1.00 | 4 | 100 | 2 | 1 | 4 |",
+        "| 1280x720, 31 bands | 1.84 | 1 .. 2 | 2 | 2.00 |",
+        "| 8K | no room |",
+        "| 2 of 2 | 5 | 4 .. 6 | 1.60 | 0.80 | 1.90 |",
+        "| ours | 2 | 1 .. 3 | SciPy | 4.00 (3.00 .. 5.00) |  |",
+        "| torch | not installed |",
+        "| 1e-3 | 1 | 1 | 0 | 1 | 0 | 0.25 | 2 |",
+        "| ridge | 1.0 | 2.0 |",
+        "10 GB/s copied, 100 GFLOP/s measured",
+        "commit abc, 2026-01-02",
+    ):
         assert row in once, row
 
 
@@ -109,12 +227,24 @@ def test_result_is_read_as_it_was_written(tmp_path):
 
 
 def test_against_tells_what_changed():
-    old = result(rows=[*(timed(name, 9.0, 10.0, 11.0) for name in ("same", "slower", "faster")),
-                       {"name": "least and most", "ms_least": 1.0, "ms_p50": 2.0, "ms_most": 3.0},
-                       timed("gone", 1.0, 1.0, 1.0), {"name": "failed", "failed": "why"}])
-    new = result(rows=[timed("same", 10.5, 12.0, 13.0), timed("slower", 18.0, 20.0, 22.0),
-                       timed("faster", 4.0, 5.0, 6.0), timed("least and most", 2.5, 3.0, 3.5),
-                       timed("new", 1.0, 1.0, 1.0), timed("failed", 1.0, 1.0, 1.0)])
+    old = result(
+        rows=[
+            *(timed(name, 9.0, 10.0, 11.0) for name in ("same", "slower", "faster")),
+            {"name": "least and most", "ms_least": 1.0, "ms_p50": 2.0, "ms_most": 3.0},
+            timed("gone", 1.0, 1.0, 1.0),
+            {"name": "failed", "failed": "why"},
+        ]
+    )
+    new = result(
+        rows=[
+            timed("same", 10.5, 12.0, 13.0),
+            timed("slower", 18.0, 20.0, 22.0),
+            timed("faster", 4.0, 5.0, 6.0),
+            timed("least and most", 2.5, 3.0, 3.5),
+            timed("new", 1.0, 1.0, 1.0),
+            timed("failed", 1.0, 1.0, 1.0),
+        ]
+    )
     head, *lines = results.against(old, new).splitlines()
     assert head.startswith("now over abc")
     found = {line[:40].strip(): line[40:].split() for line in lines}
@@ -127,8 +257,13 @@ def test_against_tells_what_changed():
 
 def test_against_compares_text_by_its_table():
     def texts(first, second):
-        return result("color", [{"name": "ridge", "table": "A", "cells": [first]},
-                                {"name": "ridge", "table": "B", "cells": [second]}])
+        return result(
+            "color",
+            [
+                {"name": "ridge", "table": "A", "cells": [first]},
+                {"name": "ridge", "table": "B", "cells": [second]},
+            ],
+        )
 
     lines = results.against(texts("1", "2"), texts("1", "3")).splitlines()[1:]
     assert lines[0].endswith("same") and lines[1].endswith("was 2, is 3")
@@ -141,23 +276,46 @@ def test_against_warns_of_another_machine_in_one_line(key):
     assert warning.startswith("warning") and key in warning and "'another' now" in warning
     assert "warning" not in results.against(result(), result(commit="other"))
     assert "warning" not in results.against(result(limits=1), result(limits=2))
-    assert "size [1, 2] then, [3, 4] now" in results.against(result(size=[1, 2]), result(size=[3, 4]))
+    assert "size [1, 2] then, [3, 4] now" in results.against(
+        result(size=[1, 2]), result(size=[3, 4])
+    )
 
 
 def test_quartiles_and_ratios_are_of_the_rounds():
-    rows = results.peer_rows({"base": 2.0 * results.np.arange(1, 6), "form": results.np.full(5, 2.0)}, {"form": "base"},
-                             {"form": "rms 1"}, {"form": 2})
-    assert [rows[0][f"ms_{part}"] for part in ("least", "p25", "p50", "p75", "most")] == [2, 4, 6, 8, 10]
+    rows = results.peer_rows(
+        {"base": 2.0 * results.np.arange(1, 6), "form": results.np.full(5, 2.0)},
+        {"form": "base"},
+        {"form": "rms 1"},
+        {"form": 2},
+    )
+    assert [rows[0][f"ms_{part}"] for part in ("least", "p25", "p50", "p75", "most")] == [
+        2,
+        4,
+        6,
+        8,
+        10,
+    ]
     assert rows[1]["ms_p50"] == 1.0 and rows[1]["error"] == "rms 1"  # two frames in a call
     assert [rows[1][f"over_{part}"] for part in ("least", "p50", "most")] == [2, 6, 10]
 
 
 def test_loop_that_does_not_fit_is_a_row_and_no_failure():
-    asked = {"device": "numpy", "size": [10**6, 10**6], "bands": 31, "tolerance": None, "camera": "phone", "repeat": 1}
-    assert results.in_process("frames", asked)["failed"].startswith("DoesNotFit: three times a scene of 1000000x")
+    asked = {
+        "device": "numpy",
+        "size": [10**6, 10**6],
+        "bands": 31,
+        "tolerance": None,
+        "camera": "phone",
+        "repeat": 1,
+    }
+    assert results.in_process("frames", asked)["failed"].startswith(
+        "DoesNotFit: three times a scene of 1000000x"
+    )
 
 
-@pytest.mark.parametrize("name", [name for name in stage_names() if hasattr(stage_module(name), "operations")])
+@pytest.mark.parametrize(
+    "name", [name for name in stage_names() if hasattr(stage_module(name), "operations")]
+)
 def test_operations_of_a_stage_grow_with_its_pixels(name):
     module = stage_module(name)
     small, large = (module.operations(**module.bench(*size)) for size in ((96, 160), (192, 320)))
@@ -167,13 +325,19 @@ def test_operations_of_a_stage_grow_with_its_pixels(name):
 
 def test_rounds_alternate_and_leave_the_warm_ones_out():
     order = []
-    times = results.rounds({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeat=2, warm=1)
-    assert order == ["a", "b"] * 3 and {name: len(taken) for name, taken in times.items()} == {"a": 2, "b": 2}
+    times = results.rounds(
+        {"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeat=2, warm=1
+    )
+    assert order == ["a", "b"] * 3 and {name: len(taken) for name, taken in times.items()} == {
+        "a": 2,
+        "b": 2,
+    }
 
 
 @pytest.fixture
 def run(monkeypatch, capsys):
     """A script in this process, which has loaded what all of them need: its exit status, and what it says of errors."""
+
     def of(script, *arguments):
         monkeypatch.setattr(sys, "argv", [str(BENCH / script), *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
@@ -183,27 +347,40 @@ def run(monkeypatch, capsys):
     return of
 
 
-@pytest.mark.parametrize(("script", "arguments", "said"), [
-    ("tables.py", ("--results", "missing"), "is no folder"),
-    ("tables.py", ("--readme", "missing/README.md"), "cannot be read"),
-    ("stages.py", ("--device", "nonsense"), "unknown device"),
-    ("stages.py", ("--device", "numpy", "--stage", "optics.blurr"), "did you mean 'optics.blur'"),
-    ("loops.py", ("--device", "numpy", "--size", "0x0"), "size = 0 x 0"),
-    ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
-    ("compare.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
-    ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
-    ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
-    ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
-    ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
-])
+@pytest.mark.parametrize(
+    ("script", "arguments", "said"),
+    [
+        ("tables.py", ("--results", "missing"), "is no folder"),
+        ("tables.py", ("--readme", "missing/README.md"), "cannot be read"),
+        ("stages.py", ("--device", "nonsense"), "unknown device"),
+        (
+            "stages.py",
+            ("--device", "numpy", "--stage", "optics.blurr"),
+            "did you mean 'optics.blur'",
+        ),
+        ("loops.py", ("--device", "numpy", "--size", "0x0"), "size = 0 x 0"),
+        ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
+        ("compare.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
+        ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
+        ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
+        ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
+        ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
+    ],
+)
 def test_mistakes_are_said_in_one_line(script, arguments, said, run):
     status, error = run(script, *arguments)
     assert status == 2 and said in error and error.count("\n") == 1, error
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("no JSON", "is no JSON"), ("[]", "is no result"), ('{"bench": "noise"}', "is no result"),
-    (json.dumps(EXAMPLES[0]), "is a result of 'stages'; wanted one of 'noise'")])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("no JSON", "is no JSON"),
+        ("[]", "is no result"),
+        ('{"bench": "noise"}', "is no result"),
+        (json.dumps(EXAMPLES[0]), "is a result of 'stages'; wanted one of 'noise'"),
+    ],
+)
 def test_what_is_no_result_is_refused(text, said, run, tmp_path):
     (tmp_path / "old.json").write_text(text)
     status, error = run("noise.py", "--device", "numpy", "--against", tmp_path / "old.json")
@@ -214,7 +391,10 @@ def test_table_of_a_result_that_lacks_something_is_refused(stored):
     lacking = result("loops", [{"name": "a loop"}])
     (stored / "loops-here.json").write_text(json.dumps(lacking))
     with pytest.raises(BadFile, match=r"loops-here.json: lacks what its table shows"):
-        tables.filled(marks("stages", "loops", "scaling", "threads", "compare", "color"), tables.stored_results(stored))
+        tables.filled(
+            marks("stages", "loops", "scaling", "threads", "compare", "color"),
+            tables.stored_results(stored),
+        )
 
 
 def test_command_writes_the_readme(stored, tmp_path):
@@ -222,13 +402,19 @@ def test_command_writes_the_readme(stored, tmp_path):
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
     readme.write_text(marks("loops", "threads", "compare", "triples", "tolerances", "color"))
-    subprocess.run([sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True)
-    assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "tolerances", "color"),
-                                               tables.stored_results(stored))
+    subprocess.run(
+        [sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True
+    )
+    assert readme.read_text() == tables.filled(
+        marks("loops", "threads", "compare", "triples", "tolerances", "color"),
+        tables.stored_results(stored),
+    )
 
 
 def test_a_process_of_its_own_finds_what_this_one_finds(tmp_path, monkeypatch):
     """Packages may be on PYTHONPATH alone."""
     (tmp_path / "only_there.py").write_text("def one(number):\n    return {'twice': 2 * number}\n")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")])))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    )
     assert results.in_process("only_there", {"number": 4}) == {"twice": 8}

@@ -22,9 +22,16 @@ def test_what_is_not_seen_comes_along_the_normals(blades, border):
 
     The kernel ends at FARTHEST, beyond which there is REACH / FARTHEST of the light; cells of REACH / 12 smooth it.
     """
-    optics = replace(gs.open_camera("mono").optics, model="diffraction", f_number=4.0, pupil=Pupil(blades, 0.0, 0.3))
+    optics = replace(
+        gs.open_camera("mono").optics,
+        model="diffraction",
+        f_number=4.0,
+        pupil=Pupil(blades, 0.0, 0.3),
+    )
     pitch = 550e-9 * optics.working_f_number / Q
-    kernel = open_lens(optics, pitch, (1.0, 1.0), (SIDE, SIDE)).kernels([550.0], (0.0, 0.0), 2 * FARTHEST + 1)[0]
+    kernel = open_lens(optics, pitch, (1.0, 1.0), (SIDE, SIDE)).kernels(
+        [550.0], (0.0, 0.0), 2 * FARTHEST + 1
+    )[0]
     image = np.random.default_rng(blades).random((SIDE, SIDE))
     image = gaussian_filter(image, 4, mode="nearest")
     image = (image - image.min()) / np.ptp(image)

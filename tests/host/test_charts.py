@@ -22,15 +22,26 @@ def gray(scene):
 
 @pytest.mark.parametrize("name", CHARTS)
 def test_every_chart_is_a_scene_in_the_light_asked_for(name):
-    scene = chart(name, size=(60, 40), light="A", luminance=300.0, wavelengths=np.arange(380.0, 781.0, 20))
-    assert scene.shape == (40, 60) and scene.name == name and scene.border == ("zero" if name == "points" else "edge")
+    scene = chart(
+        name, size=(60, 40), light="A", luminance=300.0, wavelengths=np.arange(380.0, 781.0, 20)
+    )
+    assert (
+        scene.shape == (40, 60)
+        and scene.name == name
+        and scene.border == ("zero" if name == "points" else "edge")
+    )
     assert isinstance(scene.content, Materials) and scene.light_is_known
     assert scene.content.spectra.shape[1] == len(scene.wavelengths) == 21
     assert scene.content.shading.dtype == np.float32 and scene.content.ids.dtype == np.uint8
-    assert xyz(energy_from_photons(scene.illuminant))[1] == pytest.approx(300, rel=1e-13)  # rounding
+    assert xyz(energy_from_photons(scene.illuminant))[1] == pytest.approx(
+        300, rel=1e-13
+    )  # rounding
     white = energy_from_photons(scene.illuminant)
-    np.testing.assert_allclose(white.values / white.values.max(),
-                               illuminant("A").values / illuminant("A").values.max(), rtol=1e-14)
+    np.testing.assert_allclose(
+        white.values / white.values.max(),
+        illuminant("A").values / illuminant("A").values.max(),
+        rtol=1e-14,
+    )
 
 
 @pytest.mark.parametrize("name", CHARTS)
@@ -52,8 +63,9 @@ def test_small_sizes(name, size):
 # ---- ColorChecker
 
 
-@pytest.mark.parametrize("size", [(24, 16), (25, 18), (31, 22), (40, 27), (97, 65), (768, 512), (1920, 1080),
-                                  (64, 500)])
+@pytest.mark.parametrize(
+    "size", [(24, 16), (25, 18), (31, 22), (40, 27), (97, 65), (768, 512), (1920, 1080), (64, 500)]
+)
 def test_colorchecker_patches_are_where_they_are_said_to_be(size):
     patches = colorchecker_patches(size)
     content = chart("colorchecker", size=size).content
@@ -82,9 +94,13 @@ def test_colorchecker_colours_are_those_of_colour_science():
 
         sds = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
         light = colour.SDS_ILLUMINANTS["D50"]
-        theirs = np.array([colour.sd_to_XYZ(sd, illuminant=light, method="Integration") for sd in sds.values()])
+        theirs = np.array(
+            [colour.sd_to_XYZ(sd, illuminant=light, method="Integration") for sd in sds.values()]
+        )
     scene = chart("colorchecker", light="D50", luminance=100, wavelengths=np.arange(380.0, 781, 5))
-    ours = xyz(Spectrum(scene.wavelengths, scene.content.spectra), energy_from_photons(scene.illuminant))
+    ours = xyz(
+        Spectrum(scene.wavelengths, scene.content.spectra), energy_from_photons(scene.illuminant)
+    )
     # theirs: 1 nm sums of tables interpolated by Sprague's polynomial, ours: exact integrals of linear ones. The tables
     # differ by 5^2 / 12 of second derivatives: measured 1e-4 of white (100) in the dark blue; anything else, such as
     # a wrong patch, is 1 or more.
@@ -108,9 +124,13 @@ def test_half_plane_coverage_is_the_area(angle):
     inside = sub[None, None, :] * across + sub[None, :, None] * along + distance[:, None, None]
     counted = ((inside > 0) + 0.5 * (np.abs(inside) < 1e-12)).mean((1, 2))
     # A line crosses at most 2 n of the n^2 cells, and each counts wrongly by at most 1/2.
-    np.testing.assert_allclose(half_plane_coverage(distance, across, along), counted, rtol=0, atol=1 / n)
+    np.testing.assert_allclose(
+        half_plane_coverage(distance, across, along), counted, rtol=0, atol=1 / n
+    )
     # Exact: a pixel and its mirror image make one whole.
-    both = half_plane_coverage(distance, across, along) + half_plane_coverage(-distance, across, along)
+    both = half_plane_coverage(distance, across, along) + half_plane_coverage(
+        -distance, across, along
+    )
     np.testing.assert_allclose(both, 1, rtol=0, atol=1e-12)
 
 
@@ -125,8 +145,10 @@ def test_slanted_edge_runs_where_the_angle_says():
     np.testing.assert_allclose(bright.sum(1), 100 + y * np.tan(np.deg2rad(5)), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("options", [{"angle_deg": 91}, {"contrast": 0.9}, {"bright": 0}, {"bright": 1.1},
-                                     {"contrast": np.nan}])
+@pytest.mark.parametrize(
+    "options",
+    [{"angle_deg": 91}, {"contrast": 0.9}, {"bright": 0}, {"bright": 1.1}, {"contrast": np.nan}],
+)
 def test_slanted_edge_options(options):
     with pytest.raises(OutOfRange, match=f"slanted-edge: {next(iter(options))} = "):
         chart("slanted-edge", **options)
@@ -140,7 +162,9 @@ def test_ramp_is_linear_or_logarithmic():
     # Averages of a linear ramp over its pixels are the values in their middles; float32 holds them to 6e-8.
     np.testing.assert_allclose(values[1], (np.arange(1000) + 0.5) / 1000, rtol=6e-8)
     values = gray(chart("ramp", size=(4, 1), high=100.0, decades=4.0))
-    np.testing.assert_allclose(values[0], 100 * 10.0 ** np.array([-3.5, -2.5, -1.5, -0.5]), rtol=6e-8)
+    np.testing.assert_allclose(
+        values[0], 100 * 10.0 ** np.array([-3.5, -2.5, -1.5, -0.5]), rtol=6e-8
+    )
 
 
 def test_flat_is_flat():
@@ -153,7 +177,9 @@ def test_sweep_is_the_average_over_each_pixel():
     cols = 64
     values = gray(chart("sweep", size=(cols, 1), contrast=0.7))[0]
     for x in (0, 1, 31, 62, 63):
-        wanted = quad(lambda t: 0.5 * (1 + 0.7 * np.cos(np.pi * t**2 / (2 * cols))), x, x + 1, epsabs=1e-12)[0]
+        wanted = quad(
+            lambda t: 0.5 * (1 + 0.7 * np.cos(np.pi * t**2 / (2 * cols))), x, x + 1, epsabs=1e-12
+        )[0]
         assert values[x] == pytest.approx(wanted, abs=6e-8)  # float32
     # The phase grows by pi / 2 (2 x + 1) / cols per pixel: half a period, Nyquist, at the right end.
     assert np.pi / 2 * (2 * cols - 1) / cols == pytest.approx(np.pi, rel=1 / cols)
@@ -174,8 +200,17 @@ def test_points_span_their_range_on_a_dim_background():
     assert (shading != other).any()
 
 
-@pytest.mark.parametrize("options", [{"count": 0}, {"count": 8001}, {"count": 1.5}, {"background": 0}, {"lowest": 0},
-                                     {"highest": 1.0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"count": 0},
+        {"count": 8001},
+        {"count": 1.5},
+        {"background": 0},
+        {"lowest": 0},
+        {"highest": 1.0},
+    ],
+)
 def test_points_options(options):
     with pytest.raises(OutOfRange, match=f"points: {next(iter(options))} = "):
         chart("points", size=(100, 80), **options)
@@ -219,8 +254,13 @@ def test_deadleaves_correlate_as_theory_says(lag):
     assert 4.5 * np.std(found, ddof=1) / 4 < 0.07  # so that it can fail
 
 
-@pytest.mark.parametrize("options, error, message", [
-    ({"smallest": 0.5}, OutOfRange, "deadleaves: smallest"), ({"surfaces": "munsel"}, UnknownName, "'munsell'")])
+@pytest.mark.parametrize(
+    "options, error, message",
+    [
+        ({"smallest": 0.5}, OutOfRange, "deadleaves: smallest"),
+        ({"surfaces": "munsel"}, UnknownName, "'munsell'"),
+    ],
+)
 def test_deadleaves_options(options, error, message):
     with pytest.raises(error, match=message):
         chart("deadleaves", size=(20, 20), **options)
@@ -230,12 +270,17 @@ def test_deadleaves_options(options, error, message):
 
 
 def test_unknown_chart_names_the_nearest():
-    with pytest.raises(UnknownName, match="unknown chart 'slanted_edge'; did you mean 'slanted-edge'"):
+    with pytest.raises(
+        UnknownName, match="unknown chart 'slanted_edge'; did you mean 'slanted-edge'"
+    ):
         chart("slanted_edge")
 
 
 def test_unknown_option_names_the_nearest():
-    with pytest.raises(UnknownName, match="unknown option of chart 'flat' 'reflectanse'; did you mean 'reflectance'"):
+    with pytest.raises(
+        UnknownName,
+        match="unknown option of chart 'flat' 'reflectanse'; did you mean 'reflectance'",
+    ):
         chart("flat", reflectanse=0.5)
     with pytest.raises(UnknownName, match="unknown option of chart 'flat' 'rows'"):
         chart("flat", rows=5)

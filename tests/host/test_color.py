@@ -14,7 +14,9 @@ from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_e
 from gpusim.kernels.processor.color import color
 from gpusim.optics.weights import product_weights
 
-pytestmark = pytest.mark.filterwarnings("ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib")  # colour's chatter
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib"
+)  # colour's chatter
 D65, A = (photons_from_energy(illuminant(name)) for name in ("D65", "A"))
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 KEEP_WHITE = ("white-preserving", "cielab", "diagonal", "fixed-diagonal")
@@ -25,7 +27,9 @@ FINE = np.arange(3600, 8301) / 10  # the step of the planner's quadrature
 def nikon(shared_data):
     """A real camera: Nikon D100 filters on a CMOS photodiode behind an infrared filter."""
     with np.load(shared_data / "isetcam" / "isetcam_spectra.npz") as spectra:
-        channels = spectra["cf_NikonD100"].T * spectra["qe_photodetector"] * spectra["qe_ircf_public"]
+        channels = (
+            spectra["cf_NikonD100"].T * spectra["qe_photodetector"] * spectra["qe_ircf_public"]
+        )
         return Spectrum(spectra["wave"], channels, "Nikon D100")
 
 
@@ -60,7 +64,9 @@ def responses(camera, light, surfaces, nodes):
 def test_perfect_white_is_display_white(channels, light):
     transform = color_matrix(some_camera(channels), light, reflectances("munsell"))
     # The constraint is met to rounding, 2^-52 times the largest products: entries of six channels reach thousands.
-    np.testing.assert_allclose(transform.matrix @ transform.white, 1, atol=2.0**-46 * np.abs(transform.matrix).max())
+    np.testing.assert_allclose(
+        transform.matrix @ transform.white, 1, atol=2.0**-46 * np.abs(transform.matrix).max()
+    )
     assert transform.white.max() == 1
     assert transform.xyz.shape == transform.matrix.shape == (3, channels)
     assert (transform.xyz @ transform.white)[1] == pytest.approx(1, abs=1e-12)
@@ -80,7 +86,9 @@ def test_a_colorimeter_is_inverted_exactly(method):
     """Then the residual is zero and L H-mixture = 1: XYZ is reproduced for surfaces outside the training too."""
     light = Spectrum(FINE, D65.at(FINE))  # energy and photons agree only at a table's entries
     # snr: the ridge is 1e-18 of the responses' squares, below rounding
-    transform = color_matrix(as_colorimeter(), light, "munsell", target_light=light, method=method, snr=1e9)
+    transform = color_matrix(
+        as_colorimeter(), light, "munsell", target_light=light, method=method, snr=1e9
+    )
     mixture = np.linalg.inv(transform.xyz)
     # Rows of the mixture are known up to one common factor (the normalisation to white).
     expected = np.array([[0.5, 0.2, 0.1], [0.1, 0.6, 0.05], [0.0, 0.1, 0.4]])
@@ -90,7 +98,9 @@ def test_a_colorimeter_is_inverted_exactly(method):
 
 def test_scales_of_light_and_efficiency_cancel():
     base = color_matrix(some_camera(3), A, reflectances("munsell")).matrix
-    scaled = color_matrix(Spectrum(WAVELENGTHS, 1e-3 * some_camera(3).values), A.scaled(1e20), reflectances("munsell"))
+    scaled = color_matrix(
+        Spectrum(WAVELENGTHS, 1e-3 * some_camera(3).values), A.scaled(1e20), reflectances("munsell")
+    )
     np.testing.assert_allclose(scaled.matrix, base, rtol=1e-11)  # condition ~1e3 times 2^-52
 
 
@@ -98,14 +108,22 @@ def test_no_matrix_with_the_same_white_fits_the_training_better():
     surfaces, camera = reflectances("munsell"), some_camera(3)
     transform = color_matrix(camera, D65, surfaces)
     seen = responses(camera, D65, surfaces, surfaces.wavelengths)
-    wanted = responses(Spectrum(cmf().wavelengths, cmf().values), energy_from_photons(D65), surfaces,
-                       surfaces.wavelengths)
-    wanted /= responses(cmf(), energy_from_photons(D65), Spectrum([400, 700], [[1, 1]]), [400, 700])[1]
+    wanted = responses(
+        Spectrum(cmf().wavelengths, cmf().values),
+        energy_from_photons(D65),
+        surfaces,
+        surfaces.wavelengths,
+    )
+    wanted /= responses(
+        cmf(), energy_from_photons(D65), Spectrum([400, 700], [[1, 1]]), [400, 700]
+    )[1]
     best = np.sum((transform.xyz @ seen - wanted) ** 2)
     random = np.random.default_rng(1)
     for _ in range(50):
         step = random.normal(0, 1e-2, (3, 3))
-        step -= np.outer(step @ transform.white, transform.white) / (transform.white @ transform.white)
+        step -= np.outer(step @ transform.white, transform.white) / (
+            transform.white @ transform.white
+        )
         # 1e-6: the product-integrated weights of the planner and this trapezoid differ by the spline between nodes.
         assert np.sum(((transform.xyz + step) @ seen - wanted) ** 2) > best * (1 - 1e-6)
 
@@ -115,8 +133,12 @@ def training(camera, light, surfaces):
     weights = product_weights(surfaces.wavelengths, camera, light)
     eye = product_weights(surfaces.wavelengths, cmf(), energy_from_photons(D65))
     scale, luminance = weights.sum(1).max(), eye.sum(1)[1]
-    return (weights @ surfaces.values.T / scale, weights.sum(1) / scale, eye @ surfaces.values.T / luminance,
-            eye.sum(1) / luminance)
+    return (
+        weights @ surfaces.values.T / scale,
+        weights.sum(1) / scale,
+        eye @ surfaces.values.T / luminance,
+        eye.sum(1) / luminance,
+    )
 
 
 def test_pseudo_inverse_is_the_least_squares_of_colour_science():
@@ -125,7 +147,9 @@ def test_pseudo_inverse_is_the_least_squares_of_colour_science():
     seen, _, wanted, _ = training(rgb_camera(), A, reflectances("objects"))
     ours = color_matrix(rgb_camera(), A, "objects", method="pseudo-inverse").xyz
     # Theirs solves normal equations: the square of the condition number, below 100^2, times 2^-52.
-    np.testing.assert_allclose(ours, matrix_colour_correction_Cheung2004(seen.T, wanted.T, terms=3), atol=1e-11)
+    np.testing.assert_allclose(
+        ours, matrix_colour_correction_Cheung2004(seen.T, wanted.T, terms=3), atol=1e-11
+    )
 
 
 def test_responses_and_colors_are_integrals():
@@ -136,7 +160,10 @@ def test_responses_and_colors_are_integrals():
     """
     nodes = np.arange(400.0, 701.0)
     centres, widths = np.meshgrid(np.linspace(420, 680, 8), [30.0, 60.0, 120.0])
-    surfaces = Spectrum(nodes, 0.2 + 0.5 * np.exp(-(((nodes - centres.reshape(-1, 1)) / widths.reshape(-1, 1)) ** 2)))
+    surfaces = Spectrum(
+        nodes,
+        0.2 + 0.5 * np.exp(-(((nodes - centres.reshape(-1, 1)) / widths.reshape(-1, 1)) ** 2)),
+    )
     seen = responses(rgb_camera(), A, surfaces, nodes)
     wanted = responses(cmf(), energy_from_photons(D65), surfaces, nodes)
     white = responses(cmf(), energy_from_photons(D65), Spectrum([400, 700], [[1, 1]]), nodes)
@@ -150,9 +177,15 @@ def test_ridge_is_the_pseudo_inverse_without_noise():
     plain = color_matrix(rgb_camera(), A, "objects", method="pseudo-inverse")
     np.testing.assert_array_equal(ridge.matrix, plain.matrix)
     # The ridge falls as 1 / snr^2, and so does what it changes.
-    steps = [np.abs(color_matrix(rgb_camera(), A, "objects", method="ridge", snr=snr).xyz - plain.xyz).max()
-             for snr in (300, 3000)]
-    assert steps[0] / steps[1] == pytest.approx(100, rel=0.05)  # the next order of the series: 1 % at 300
+    steps = [
+        np.abs(
+            color_matrix(rgb_camera(), A, "objects", method="ridge", snr=snr).xyz - plain.xyz
+        ).max()
+        for snr in (300, 3000)
+    ]
+    assert steps[0] / steps[1] == pytest.approx(
+        100, rel=0.05
+    )  # the next order of the series: 1 % at 300
 
 
 def test_ridge_is_the_least_squares_of_noisy_pictures():
@@ -161,7 +194,9 @@ def test_ridge_is_the_least_squares_of_noisy_pictures():
     seen, _, wanted, _ = training(rgb_camera(), A, reflectances("objects"))
     drawn = []
     for _ in range(24):
-        noisy = random.poisson(seen[:, :, None] * snr**2, (*seen.shape, 400)).reshape(3, -1) / snr**2
+        noisy = (
+            random.poisson(seen[:, :, None] * snr**2, (*seen.shape, 400)).reshape(3, -1) / snr**2
+        )
         drawn.append(np.linalg.lstsq(noisy.T, np.repeat(wanted, 400, 1).T, rcond=None)[0].T)
     ours = color_matrix(rgb_camera(), A, "objects", method="ridge", snr=snr).xyz
     error = np.std(drawn, 0, ddof=1) / np.sqrt(len(drawn))
@@ -174,16 +209,22 @@ def test_ridge_is_the_least_squares_of_noisy_pictures():
 def mean_lab_difference(matrix, seen, wanted, white):
     import colour
 
-    lab = [colour.XYZ_to_Lab(colors.T, white[:2] / white.sum()) for colors in (matrix @ seen, wanted)]
+    lab = [
+        colour.XYZ_to_Lab(colors.T, white[:2] / white.sum()) for colors in (matrix @ seen, wanted)
+    ]
     return np.linalg.norm(lab[0] - lab[1], axis=1).mean()
 
 
 @pytest.mark.parametrize("surfaces", ["objects", "munsell", "macbeth"])
-@pytest.mark.parametrize("light", [D65, A, photons_from_energy(illuminant("FL11"))], ids=["D65", "A", "FL11"])
+@pytest.mark.parametrize(
+    "light", [D65, A, photons_from_energy(illuminant("FL11"))], ids=["D65", "A", "FL11"]
+)
 def test_cielab_search_is_a_minimum_and_better_than_its_start(light, surfaces):
     seen, camera_white, wanted, white = training(rgb_camera(), light, reflectances(surfaces))
-    found, start = (color_matrix(rgb_camera(), light, surfaces, method=method).xyz
-                    for method in ("cielab", "white-preserving"))
+    found, start = (
+        color_matrix(rgb_camera(), light, surfaces, method=method).xyz
+        for method in ("cielab", "white-preserving")
+    )
     least = mean_lab_difference(found, seen, wanted, white)
     assert least < mean_lab_difference(start, seen, wanted, white)
     random = np.random.default_rng(2)
@@ -198,10 +239,14 @@ def test_cielab_search_is_a_minimum_and_better_than_its_start(light, surfaces):
 def test_cielab_of_more_channels_counts_the_noise():
     curves, cut = curve("mt9v024"), curve("ir-cut-phone")
     rgbw = Spectrum(curves.wavelengths, curves.values * cut.values)
-    found, start = (color_matrix(rgbw, A, "objects", method=method) for method in ("cielab", "white-preserving"))
+    found, start = (
+        color_matrix(rgbw, A, "objects", method=method) for method in ("cielab", "white-preserving")
+    )
     np.testing.assert_allclose(found.matrix @ found.white, 1, atol=1e-13)
     seen, _, wanted, white = training(rgbw, A, reflectances("objects"))
-    assert mean_lab_difference(found.xyz, seen, wanted, white) < mean_lab_difference(start.xyz, seen, wanted, white)
+    assert mean_lab_difference(found.xyz, seen, wanted, white) < mean_lab_difference(
+        start.xyz, seen, wanted, white
+    )
     plain = color_matrix(rgbw, A, "objects", method="pseudo-inverse")
     assert noise_of_white(found).max() < noise_of_white(plain).max() / 2
 
@@ -216,23 +261,33 @@ def test_diagonal_is_exact_where_channels_see_the_displays_primaries():
     display = Display(white=tuple(white[:2] / white.sum()))
     functions = display.rgb_from_xyz @ cmf().at(FINE) / FINE
     camera = Spectrum(FINE, np.array([[0.3], [1.0], [7.0]]) * functions)
-    transform = color_matrix(camera, light, "munsell", target_light=light, method="diagonal", display=display)
+    transform = color_matrix(
+        camera, light, "munsell", target_light=light, method="diagonal", display=display
+    )
     surfaces = reflectances("munsell").values.T
     seen = product_weights(nodes, camera, light)
     eye = product_weights(nodes, cmf(), energy_from_photons(light))
     # rounding; the sums have terms of both signs, ten times their value
-    np.testing.assert_allclose(transform.matrix @ seen @ surfaces / seen.sum(1).max(),
-                               display.rgb_from_xyz @ eye @ surfaces / white[1], atol=1e-13)
+    np.testing.assert_allclose(
+        transform.matrix @ seen @ surfaces / seen.sum(1).max(),
+        display.rgb_from_xyz @ eye @ surfaces / white[1],
+        atol=1e-13,
+    )
     np.testing.assert_allclose(transform.xyz, display.xyz_from_rgb @ transform.matrix, atol=1e-12)
     assert np.count_nonzero(transform.matrix) == 3
 
 
 def test_diagonal_finds_its_channels_by_name():
     camera = rgb_camera()
-    turned = Spectrum(camera.wavelengths, np.vstack([camera.values[[2, 0]], camera.values.sum(0), camera.values[1]]))
+    turned = Spectrum(
+        camera.wavelengths,
+        np.vstack([camera.values[[2, 0]], camera.values.sum(0), camera.values[1]]),
+    )
     plain = color_matrix(camera, A, "objects", method="diagonal").matrix
     found = color_matrix(turned, A, "objects", method="diagonal", channels="BRWG")
-    np.testing.assert_allclose(found.matrix[:, [1, 3, 0]] / found.matrix[0, 1], plain / plain[0, 0], rtol=1e-14)
+    np.testing.assert_allclose(
+        found.matrix[:, [1, 3, 0]] / found.matrix[0, 1], plain / plain[0, 0], rtol=1e-14
+    )
     assert not found.matrix[:, 2].any()
     for qe, letters in ((turned, "RGBW"[:3]), (turned, "RGGB"), (camera, "CMY")):
         with pytest.raises(BadData, match="R, G and B"):
@@ -272,9 +327,16 @@ def colorchecker_differences(camera, light, matrix):
     rgb = color(responses(camera, light, surfaces, nodes)[:, None], matrix, device="numpy")[:, 0].T
     shown = rgb @ DISPLAYS["srgb"].xyz_from_rgb.T
     # The truth shares nothing with gpusim: ASTM E308 tables of colour-science.
-    true = np.array([colour.sd_to_XYZ(patch, illuminant=colour.SDS_ILLUMINANTS["D65"]) for patch in patches]) / 100
+    true = (
+        np.array(
+            [colour.sd_to_XYZ(patch, illuminant=colour.SDS_ILLUMINANTS["D65"]) for patch in patches]
+        )
+        / 100
+    )
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    return colour.delta_E(colour.XYZ_to_Lab(shown, white), colour.XYZ_to_Lab(true, white), method="CIE 2000")
+    return colour.delta_E(
+        colour.XYZ_to_Lab(shown, white), colour.XYZ_to_Lab(true, white), method="CIE 2000"
+    )
 
 
 def test_colorimeter_shows_the_colorchecker_as_it_is():
@@ -324,13 +386,19 @@ def test_a_clear_channel_helps_color_without_its_noise(light, monkeypatch):
     rgbw = Spectrum(curves.wavelengths, curves.values * cut.values, "MT9V024")
     rgb = Spectrum(curves.wavelengths, rgbw.values[:3], "MT9V024, three of four")
     four, three = (color_matrix(camera, light, reflectances("objects")) for camera in (rgbw, rgb))
-    errors = [checker_differences(camera, light, reflectances("objects")).mean() for camera in (rgbw, rgb)]
+    errors = [
+        checker_differences(camera, light, reflectances("objects")).mean() for camera in (rgbw, rgb)
+    ]
     assert errors[0] <= errors[1] + 1e-9
-    np.testing.assert_allclose(four.matrix @ four.white, 1, atol=1e-13)  # white is met exactly: rounding of the sums
+    np.testing.assert_allclose(
+        four.matrix @ four.white, 1, atol=1e-13
+    )  # white is met exactly: rounding of the sums
     same_exposure = noise_of_white(three).max() / np.sqrt(four.white[:3].max())
     assert noise_of_white(four).max() < 4 / 3 * same_exposure
     monkeypatch.setattr("gpusim.color.color.WHITE_ELECTRONS", 1e30)
-    assert noise_of_white(color_matrix(rgbw, light, reflectances("objects"))).max() > 2 * same_exposure
+    assert (
+        noise_of_white(color_matrix(rgbw, light, reflectances("objects"))).max() > 2 * same_exposure
+    )
 
 
 def test_bad_training_is_refused_in_one_line():
@@ -348,15 +416,23 @@ def test_what_is_asked_for_wrongly_is_refused_in_one_line():
     def match(qe=None, light=A, surfaces="objects", **options):
         return color_matrix(qe or rgb_camera(), light, surfaces, **options)
 
-    infrared, sodium = Spectrum([800, 900], [1.0, 1.0], "infrared"), Spectrum([588, 589, 590], [0, 1.0, 0], "sodium")
+    infrared, sodium = (
+        Spectrum([800, 900], [1.0, 1.0], "infrared"),
+        Spectrum([588, 589, 590], [0, 1.0, 0], "sodium"),
+    )
     for error, words, options in (
-            (UnknownName, "white-preserving", {"method": "magic"}), (UnknownName, "light", {"light": "X"}),
-            (UnknownName, "set", {"surfaces": "no"}), (OutOfRange, "snr", {"method": "ridge", "snr": 0}),
-            (BadData, "no overlap", {"light": infrared}), (BadData, "no overlap", {"target_light": infrared}),
-            (BadData, "span only", {"light": sodium}), (BadData, "span only", {"light": sodium, "method": "ridge"}),
-            (BadData, "scaled to white", {"light": sodium, "method": "fixed-diagonal"}),
-            (BadData, "training", {"surfaces": Spectrum(WAVELENGTHS, np.ones((2, 31)))}),
-            (BadData, "no lights", None)):
+        (UnknownName, "white-preserving", {"method": "magic"}),
+        (UnknownName, "light", {"light": "X"}),
+        (UnknownName, "set", {"surfaces": "no"}),
+        (OutOfRange, "snr", {"method": "ridge", "snr": 0}),
+        (BadData, "no overlap", {"light": infrared}),
+        (BadData, "no overlap", {"target_light": infrared}),
+        (BadData, "span only", {"light": sodium}),
+        (BadData, "span only", {"light": sodium, "method": "ridge"}),
+        (BadData, "scaled to white", {"light": sodium, "method": "fixed-diagonal"}),
+        (BadData, "training", {"surfaces": Spectrum(WAVELENGTHS, np.ones((2, 31)))}),
+        (BadData, "no lights", None),
+    ):
         with pytest.raises(error, match=words) as refusal:
             match(**options) if options else transform_set(rgb_camera(), "objects", [])
         assert "\n" not in str(refusal.value)
@@ -376,13 +452,17 @@ def test_stored_transforms_are_exact_in_their_lights(transforms):
         alone, found = color_matrix(rgb_camera(), name, "objects"), transforms.at(3 * own.white)
         for part in ("matrix", "xyz", "white"):
             np.testing.assert_array_equal(getattr(own, part), getattr(alone, part))
-            np.testing.assert_allclose(getattr(found, part), getattr(own, part), rtol=1e-14)  # times w, over w
+            np.testing.assert_allclose(
+                getattr(found, part), getattr(own, part), rtol=1e-14
+            )  # times w, over w
 
 
 def test_stored_transforms_keep_every_white(transforms):
     for white in np.exp(np.random.default_rng(3).normal(0, 1, (50, 3))):
         found = transforms.at(white)
-        np.testing.assert_allclose(found.matrix @ found.white, 1, atol=1e-13)  # rounding: the sum of weights is 1
+        np.testing.assert_allclose(
+            found.matrix @ found.white, 1, atol=1e-13
+        )  # rounding: the sum of weights is 1
         assert found.white.max() == 1
 
 
@@ -397,7 +477,9 @@ def test_stored_transforms_are_continuous(transforms):
         largest = []
         for count in (201, 1601):
             places = np.linspace(0, 3, count)
-            walk = np.exp([[np.interp(p, range(4), axis) for axis in np.transpose(path)] for p in places])
+            walk = np.exp(
+                [[np.interp(p, range(4), axis) for axis in np.transpose(path)] for p in places]
+            )
             found = np.array([transforms.at(white).matrix for white in walk])
             largest.append(np.abs(np.diff(found, axis=0)).max())
         assert largest[1] < largest[0] / 4  # 8 where the slope is even
@@ -405,11 +487,19 @@ def test_stored_transforms_are_continuous(transforms):
 
 def test_stored_transforms_serve_the_lights_between(transforms):
     """Halfway between two stored lights colours are those of the light's own matrix: no eye sees 0.1."""
-    for light in ("blackbody-2580K", "blackbody-3200K", "daylight-4700K", "daylight-6100K", "daylight-9000K"):
+    for light in (
+        "blackbody-2580K",
+        "blackbody-3200K",
+        "daylight-4700K",
+        "daylight-6100K",
+        "daylight-9000K",
+    ):
         own = color_matrix(rgb_camera(), light, "objects")
         photons = photons_from_energy(illuminant(light))
-        differences = [colorchecker_differences(rgb_camera(), photons, transform.matrix).mean()
-                       for transform in (own, transforms.at(own.white))]
+        differences = [
+            colorchecker_differences(rgb_camera(), photons, transform.matrix).mean()
+            for transform in (own, transforms.at(own.white))
+        ]
         assert abs(differences[0] - differences[1]) < 0.1
 
 
@@ -426,9 +516,17 @@ def test_one_stored_light_is_white_balance_and_one_matrix():
 def test_the_wrong_light_is_worse_than_its_own():
     """Figure 12 of Farrell & Wandell: a transform in another light than its own."""
     lights = ("D65", "A", "FL11")
-    means = [[colorchecker_differences(rgb_camera(), photons_from_energy(illuminant(light)),
-                                       color_matrix(rgb_camera(), taken, "objects").matrix).mean()
-              for taken in lights] for light in lights]
+    means = [
+        [
+            colorchecker_differences(
+                rgb_camera(),
+                photons_from_energy(illuminant(light)),
+                color_matrix(rgb_camera(), taken, "objects").matrix,
+            ).mean()
+            for taken in lights
+        ]
+        for light in lights
+    ]
     right = np.diag(means)
     assert (np.array(means)[~np.eye(3, dtype=bool)].reshape(3, 2) > 3 * right[:, None]).all(), means
 

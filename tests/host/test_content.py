@@ -17,13 +17,20 @@ SHADING = RANDOM.uniform(0.2, 2, (5, 6)).astype(np.float32)
 TRUTH = np.moveaxis(SHADING[..., None].astype(float) * SPECTRA[IDS], -1, 0)
 ONE_OF_FOUR = np.stack([(IDS == k) * SHADING for k in range(4)]).astype(np.float32)
 # every sample's shading has a code of its own
-CODES = (IDS[..., None] == np.arange(4)) * (200 * np.arange(1, 31).reshape(5, 6, 1)).astype(np.uint16)
+CODES = (IDS[..., None] == np.arange(4)) * (200 * np.arange(1, 31).reshape(5, 6, 1)).astype(
+    np.uint16
+)
 CURVE = np.zeros(2**16, np.float32)
 CURVE[200 * np.arange(1, 31)] = SHADING.ravel()
-FORMS = {"cube": Cube(WAVELENGTHS, TRUTH.astype(np.float32)), "basis": Basis(WAVELENGTHS, ONE_OF_FOUR, SPECTRA),
-         "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA),
-         "picture": Picture(WAVELENGTHS, CODES, SPECTRA, CURVE),
-         "illuminated": Illuminated(WAVELENGTHS, ONE_OF_FOUR, np.ones((1, 5, 6), np.float32), np.ones((1, 7)), SPECTRA)}
+FORMS = {
+    "cube": Cube(WAVELENGTHS, TRUTH.astype(np.float32)),
+    "basis": Basis(WAVELENGTHS, ONE_OF_FOUR, SPECTRA),
+    "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA),
+    "picture": Picture(WAVELENGTHS, CODES, SPECTRA, CURVE),
+    "illuminated": Illuminated(
+        WAVELENGTHS, ONE_OF_FOUR, np.ones((1, 5, 6), np.float32), np.ones((1, 7)), SPECTRA
+    ),
+}
 ROUNDING = 2e-7  # float32 samples, once more in sums that are float32: 2 x 6e-8 and the sum's own
 
 
@@ -88,8 +95,16 @@ def test_what_is_alike(content):
     assert content.is_spectral is (content.form == "cube")
     # float32 samples, and ids as the 16 bits that devices take; codes of 16 bits, and what they are decoded to;
     # maps and surfaces, and their products
-    assert content.nbytes == {"cube": 4 * 7 * 30, "basis": 4 * 4 * 30, "materials": 6 * 30,
-                              "picture": (2 + 4) * 4 * 30, "illuminated": 4 * (4 + 1 + 4) * 30}[content.form]
+    assert (
+        content.nbytes
+        == {
+            "cube": 4 * 7 * 30,
+            "basis": 4 * 4 * 30,
+            "materials": 6 * 30,
+            "picture": (2 + 4) * 4 * 30,
+            "illuminated": 4 * (4 + 1 + 4) * 30,
+        }[content.form]
+    )
 
 
 def test_bad_content(content):
@@ -103,7 +118,9 @@ def test_bad_content(content):
 
 
 def test_what_is_no_content():
-    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis, Materials, Picture or Illuminated"):
+    with pytest.raises(
+        BadData, match="content ndarray, wanted a Cube, Basis, Materials, Picture or Illuminated"
+    ):
         Scene(TRUTH, unit_light(WAVELENGTHS))
     with pytest.raises(OutOfRange, match=r"material id = 9: allowed is 0 \.\. 3"):
         Materials(WAVELENGTHS, np.full((5, 6), 9), SHADING, SPECTRA).check("s")
@@ -129,24 +146,36 @@ def curve(*first):
 BYTES = CODES.astype(np.uint8)
 
 
-@pytest.mark.parametrize(("content", "words"), [
-    ((BYTES / 255, SPECTRA, curve()), "codes of type float64, wanted uint8 or uint16; give linear light as the planes"),
-    ((BYTES.astype(int), SPECTRA, curve()), "codes of type int64"),
-    ((BYTES[..., :3], SPECTRA, curve()), r"codes of shape \(5, 6, 3\), wanted \(rows, cols, 4\), channels last"),
-    ((BYTES, SPECTRA[:3], curve()), r"codes of shape \(5, 6, 4\), .* no alpha: codes\[..., :3\]"),
-    ((BYTES[..., 0], SPECTRA, curve()), r"codes of shape \(5, 6\), wanted \(rows, cols, 4\)"),
-    ((BYTES[..., None], SPECTRA[:1], curve()), r"codes of shape \(5, 6, 4, 1\)"),
-    ((BYTES[0, 0, :1], SPECTRA[:1], curve()), r"codes of shape \(1,\)"),
-    ((BYTES, SPECTRA[:, :5], curve()), r"basis \(4, 5\) does not match 7 wavelengths"),
-    ((BYTES, SPECTRA, CURVE), r"curve of shape \(65536,\), wanted \(256,\) for uint8"),
-    ((CODES, SPECTRA, curve()), r"curve of shape \(256,\), wanted \(65536,\) for uint16"),
-    ((BYTES, SPECTRA, curve(-0.5)), "curve from -0.5 to 1, wanted finite light"),
-    ((BYTES, SPECTRA, curve(np.nan)), "curve from nan to nan"),
-    ((BYTES, SPECTRA, curve(np.inf)), "curve from 1 to inf"),
-    ((BYTES, -SPECTRA, curve()), "negative spectra"),
-    ((BYTES, SPECTRA * np.nan, curve()), "NaN or infinite spectra"),
-    ((BYTES[:0], SPECTRA, curve()), r"zero-size scene \(0, 6, 4\)"),
-])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            (BYTES / 255, SPECTRA, curve()),
+            "codes of type float64, wanted uint8 or uint16; give linear light as the planes",
+        ),
+        ((BYTES.astype(int), SPECTRA, curve()), "codes of type int64"),
+        (
+            (BYTES[..., :3], SPECTRA, curve()),
+            r"codes of shape \(5, 6, 3\), wanted \(rows, cols, 4\), channels last",
+        ),
+        (
+            (BYTES, SPECTRA[:3], curve()),
+            r"codes of shape \(5, 6, 4\), .* no alpha: codes\[..., :3\]",
+        ),
+        ((BYTES[..., 0], SPECTRA, curve()), r"codes of shape \(5, 6\), wanted \(rows, cols, 4\)"),
+        ((BYTES[..., None], SPECTRA[:1], curve()), r"codes of shape \(5, 6, 4, 1\)"),
+        ((BYTES[0, 0, :1], SPECTRA[:1], curve()), r"codes of shape \(1,\)"),
+        ((BYTES, SPECTRA[:, :5], curve()), r"basis \(4, 5\) does not match 7 wavelengths"),
+        ((BYTES, SPECTRA, CURVE), r"curve of shape \(65536,\), wanted \(256,\) for uint8"),
+        ((CODES, SPECTRA, curve()), r"curve of shape \(256,\), wanted \(65536,\) for uint16"),
+        ((BYTES, SPECTRA, curve(-0.5)), "curve from -0.5 to 1, wanted finite light"),
+        ((BYTES, SPECTRA, curve(np.nan)), "curve from nan to nan"),
+        ((BYTES, SPECTRA, curve(np.inf)), "curve from 1 to inf"),
+        ((BYTES, -SPECTRA, curve()), "negative spectra"),
+        ((BYTES, SPECTRA * np.nan, curve()), "NaN or infinite spectra"),
+        ((BYTES[:0], SPECTRA, curve()), r"zero-size scene \(0, 6, 4\)"),
+    ],
+)
 def test_what_is_no_picture(content, words):
     with pytest.raises(BadData, match=rf"^s: .*{words}") as caught:
         Picture(WAVELENGTHS, *content).check("s")

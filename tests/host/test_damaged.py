@@ -15,21 +15,51 @@ from gpusim.apps.video.loops import Lags, Loops
 from gpusim.apps.video.manifest import Plans, kept
 from gpusim.domain.errors import BadData, BadFile, GpusimError
 
-SHEET = {"pixel_pitch": 3.45e-6, "quantum_efficiency": 0.6, "wavelength": 525.0, "gain": 0.4, "bits": 12,
-         "saturation_capacity": 8000.0, "dark_noise": 5.0}
+SHEET = {
+    "pixel_pitch": 3.45e-6,
+    "quantum_efficiency": 0.6,
+    "wavelength": 525.0,
+    "gain": 0.4,
+    "bits": 12,
+    "saturation_capacity": 8000.0,
+    "dark_noise": 5.0,
+}
 
 
-@pytest.mark.parametrize("change", [
-    {"gain": 10**400}, {"wavelength": 10**5000}, {"quantum_efficiency": 10**400}, {"response": 3.0}, {"cfa": 3},
-    {"channels": (1,)}, {"channels": None}, {"cfa": (("R",),)}, {"bits": 10**400}, {"black_level": 10**400}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"gain": 10**400},
+        {"wavelength": 10**5000},
+        {"quantum_efficiency": 10**400},
+        {"response": 3.0},
+        {"cfa": 3},
+        {"channels": (1,)},
+        {"channels": None},
+        {"cfa": (("R",),)},
+        {"bits": 10**400},
+        {"black_level": 10**400},
+    ],
+)
 def test_data_sheets_of_other_kinds_are_refused(change):
     with refused(error=GpusimError):
         gs.sensor_from_emva1288(**SHEET | change)
 
 
-@pytest.mark.parametrize("text", [
-    "[" * 4000, '{"against":{"camera":3}}', '{"against":{"view":"raw"}}', '{"luminance":"x"}', '{"luminance":1e400}',
-    '{"changes":{"optics.f_number":[2]}}', '{"changes":{"processor.tone":{}}}', '{"light":3}', '{"is_live":3}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 4000,
+        '{"against":{"camera":3}}',
+        '{"against":{"view":"raw"}}',
+        '{"luminance":"x"}',
+        '{"luminance":1e400}',
+        '{"changes":{"optics.f_number":[2]}}',
+        '{"changes":{"processor.tone":{}}}',
+        '{"light":3}',
+        '{"is_live":3}',
+    ],
+)
 def test_links_of_other_kinds_are_refused(text):
     with refused("link: not one of this preview's", error=BadData):
         State.of_link(text, "phone")
@@ -42,23 +72,41 @@ def test_settings_far_beyond_a_slider_are_refused_at_once(control, value):
         State("phone", {control.name: value}).built()
 
 
-@pytest.mark.parametrize("text", ["[" * 10**5, "3", "{}", '{"loops": {"seconds": ["x", 1]}}',
-                                  '{"loops": {"seconds": [1]}}', '{"loops": {}}', '{"loops": {"seconds": [1, -1]}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 10**5,
+        "3",
+        "{}",
+        '{"loops": {"seconds": ["x", 1]}}',
+        '{"loops": {"seconds": [1]}}',
+        '{"loops": {}}',
+        '{"loops": {"seconds": [1, -1]}}',
+    ],
+)
 def test_damaged_manifests(text, tmp_path):
     path = tmp_path / "video.json"
     path.write_text(text)
     assert Loops.kept_in(path, Lags(exposure=1.0), 2) is None
-    with refused(error=BadFile), kept(path, {"loops": {"seconds": [1.0, 2.0]}}, "the rest", lambda: False):
+    with (
+        refused(error=BadFile),
+        kept(path, {"loops": {"seconds": [1.0, 2.0]}}, "the rest", lambda: False),
+    ):
         pass
     path.write_text(json.dumps({"loops": {"seconds": [1.0, 2.0]}}))
     assert Loops.kept_in(path, Lags(exposure=1.0), 2) == Loops(seconds=[1.0, 2.0])
 
 
-@pytest.mark.parametrize("plans", [3, [], None, *({"a": runs} for runs in (3, [3], [[1]], [["0", 1]], [[0, 1.5]]))])
+@pytest.mark.parametrize(
+    "plans", [3, [], None, *({"a": runs} for runs in (3, [3], [[1]], [["0", 1]], [[0, 1.5]]))]
+)
 def test_manifests_with_other_things_for_plans(plans, tmp_path):
     path = tmp_path / "video.json"
     path.write_text(json.dumps({"frames": 2, "plans": plans}))
-    with refused("not a manifest", error=BadFile), kept(path, {"frames": 2}, "the rest", lambda: False):
+    with (
+        refused("not a manifest", error=BadFile),
+        kept(path, {"frames": 2}, "the rest", lambda: False),
+    ):
         pass
     Plans(path).write()  # of a run that had begun: what was damaged since is not its fault
     assert json.loads(path.read_text())["plans"] == plans
@@ -90,7 +138,7 @@ def test_truncated_and_damaged_videos(tmp_path):
     with refused("truncated", error=BadFile):
         read()
     damaged = bytearray(data)
-    damaged[len(data) // 3:len(data) // 3 + 600] = bytes(600)
+    damaged[len(data) // 3 : len(data) // 3 + 600] = bytes(600)
     path.write_bytes(damaged)
     for _ in range(24):
         with refused(error=BadFile):
@@ -107,7 +155,7 @@ def test_damaged_scans_of_jpegs_are_noted(tmp_path):
     assert gs.open_scene(path).notes == ()
     data = bytearray(buffer.getvalue())
     middle = (data.index(b"\xff\xda") + len(data)) // 2
-    data[middle:middle + 40] = bytes(40)
+    data[middle : middle + 40] = bytes(40)
     path.write_bytes(data)
     assert "libjpeg" in gs.open_scene(path).notes[0]
 

@@ -1,6 +1,5 @@
 """Displays: curves, tone, what the screen radiates; measured ones against ISETCam's figures."""
 
-
 import numpy as np
 import pytest
 
@@ -15,7 +14,9 @@ from gpusim.domain.spectrum import Spectrum, energy_from_photons
 CODES = np.arange(256) / 255
 
 
-@pytest.mark.parametrize("display", [Display(), Display(curve=1.0), Display(curve=2.2), DISPLAYS["display-p3"]])
+@pytest.mark.parametrize(
+    "display", [Display(), Display(curve=1.0), Display(curve=2.2), DISPLAYS["display-p3"]]
+)
 def test_curves_go_there_and_back(display):
     light = display.decode(CODES)
     assert (light[0], light[-1]) == (0, pytest.approx(1, abs=1e-15)) and (np.diff(light) > 0).all()
@@ -27,7 +28,9 @@ def test_curves_go_there_and_back(display):
 def test_srgb_curve_is_that_of_colour_science():
     import colour
 
-    np.testing.assert_allclose(Display().decode(CODES), colour.models.eotf_sRGB(CODES), atol=1e-12)  # roundings
+    np.testing.assert_allclose(
+        Display().decode(CODES), colour.models.eotf_sRGB(CODES), atol=1e-12
+    )  # roundings
 
 
 def test_display_p3_is_that_of_colour_science():
@@ -45,14 +48,23 @@ def test_a_red_beyond_srgb_fits_display_p3():
     np.testing.assert_allclose(DISPLAYS["display-p3"].rgb_from_xyz @ red, [1, 0, 0], atol=1e-14)
 
 
-@pytest.mark.parametrize(("name", "white"), [
-    # Y of white [cd m-2] as ISETCam's displays have it (`whitexyz` of its files)
-    ("lcd-apple", 118.13991102), ("lcd-dell", 161.60696464), ("crt-dell", 98.82545429), ("oled-sony", 157.23115481)])
+@pytest.mark.parametrize(
+    ("name", "white"),
+    [
+        # Y of white [cd m-2] as ISETCam's displays have it (`whitexyz` of its files)
+        ("lcd-apple", 118.13991102),
+        ("lcd-dell", 161.60696464),
+        ("crt-dell", 98.82545429),
+        ("oled-sony", 157.23115481),
+    ],
+)
 def test_measured_displays_have_isetcam_s_luminance(name, white):
     """ISETCam sums 10 nm samples, ours integrates the curves between them: 0.5 % apart on spectra with narrow peaks."""
     display = open_display(name)
     assert display.luminance == pytest.approx(white, rel=5e-3)
-    np.testing.assert_allclose(display.xyz([255, 255, 255]), xyz(display.spectra).sum(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(
+        display.xyz([255, 255, 255]), xyz(display.spectra).sum(axis=0), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["srgb", "lcd-apple", "crt-dell"])
@@ -71,9 +83,12 @@ def test_the_screen_radiates_what_the_display_model_says(name):
             reflectance = content.planes[:, y, x].astype(float) @ content.basis
             light = scene.illuminant.at(nodes)
             radiance = energy_from_photons(Spectrum(nodes, reflectance * light))
-            tolerance = 5e-3 if name == "srgb" else 1e-6  # srgb: basis and light have different nodes, products differ
-            np.testing.assert_allclose(xyz(radiance), display.xyz(codes[y, x]), rtol=0,
-                                       atol=tolerance * display.luminance)
+            tolerance = (
+                5e-3 if name == "srgb" else 1e-6
+            )  # srgb: basis and light have different nodes, products differ
+            np.testing.assert_allclose(
+                xyz(radiance), display.xyz(codes[y, x]), rtol=0, atol=tolerance * display.luminance
+            )
 
 
 def test_displayed_refuses():
@@ -113,9 +128,16 @@ def test_tone_nodes_are_met():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("tone", [
-    ((0, 0), (1e3, 1)), ((0, 0), (1e-6, 0.5), (1e3, 1)), ((0, 0), (999.999999, 1e-9), (1e3, 1)),
-    ((999.999, 0), (1e3, 1)), ((0, 0), (1e-9, 1e-9), (1, 1 - 1e-9), (1e3, 1))])
+@pytest.mark.parametrize(
+    "tone",
+    [
+        ((0, 0), (1e3, 1)),
+        ((0, 0), (1e-6, 0.5), (1e3, 1)),
+        ((0, 0), (999.999999, 1e-9), (1e3, 1)),
+        ((999.999, 0), (1e3, 1)),
+        ((0, 0), (1e-9, 1e-9), (1, 1 - 1e-9), (1e3, 1)),
+    ],
+)
 def test_steep_and_long_tone_curves_give_light_that_rises(tone):
     """To 1000, as sRGB encodes it: ((1000 + .055) / 1.055)^2.4 = 1.4e7 times white.
 
@@ -163,6 +185,11 @@ def test_pictures_say_what_display_they_are_for(tmp_path):
         found = OpenEXR.File(str(tmp_path / f"{name}.exr")).header()["chromaticities"]
         np.testing.assert_allclose(found, np.ravel((*display.primaries, display.white)), rtol=1e-7)
     assert b"cICP" + bytes([12, 13, 0, 1]) in chunks["p3"]
-    assert b"gAMA" + (55556).to_bytes(4, "big") in chunks["gamma"] and b"cICP" not in chunks["gamma"]
+    assert (
+        b"gAMA" + (55556).to_bytes(4, "big") in chunks["gamma"] and b"cICP" not in chunks["gamma"]
+    )
     assert b"sRGB" in chunks["srgb"] and b"sRGB" not in chunks["p3"]
-    assert b"cHRM" + b"".join(x.to_bytes(4, "big") for x in (31270, 32900, 68000, 32000)) in chunks["p3"]
+    assert (
+        b"cHRM" + b"".join(x.to_bytes(4, "big") for x in (31270, 32900, 68000, 32000))
+        in chunks["p3"]
+    )

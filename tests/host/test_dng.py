@@ -14,8 +14,14 @@ from gpusim.io.frame.dng import write_dng
 RANDOM = np.random.default_rng(21)
 RAW = RANDOM.integers(0, 4096, (48, 50)).astype(np.uint16)
 BAYER = ("RG", "GB")
-WRITABLE = [name for name, cfa in MOSAICS.items() if name not in ("mono", "rccc") and not {*"NE"} & {*"".join(cfa)}]
-BY_LIBRAW = [name for name in WRITABLE if name.startswith("bayer") or name in ("x-trans", "rgbw", "cygm")]
+WRITABLE = [
+    name
+    for name, cfa in MOSAICS.items()
+    if name not in ("mono", "rccc") and not {*"NE"} & {*"".join(cfa)}
+]
+BY_LIBRAW = [
+    name for name in WRITABLE if name.startswith("bayer") or name in ("x-trans", "rgbw", "cygm")
+]
 
 
 def letters_of(cfa):
@@ -30,7 +36,17 @@ def matrices(count):
 def write(path, raw=RAW, cfa=BAYER, black=64, white=4095, channels=None, **options):
     channels = channels or letters_of(cfa) or "RGB"
     count = len(channels)
-    write_dng(path, raw, cfa, black, white, matrices(count), np.linspace(0.5, 1, count), channels=channels, **options)
+    write_dng(
+        path,
+        raw,
+        cfa,
+        black,
+        white,
+        matrices(count),
+        np.linspace(0.5, 1, count),
+        channels=channels,
+        **options,
+    )
 
 
 @pytest.mark.parametrize("name", WRITABLE)
@@ -47,16 +63,22 @@ def test_every_mosaic_that_dng_can_tell(tmp_path, name):
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         np.testing.assert_array_equal(file.raw_image_visible, RAW)
         assert file.num_colors == len(letters_of(cfa))
-        np.testing.assert_allclose(file.camera_whitebalance[:file.num_colors],
-                                   1 / np.linspace(0.5, 1, file.num_colors), rtol=1e-6)  # LibRaw's float32
+        np.testing.assert_allclose(
+            file.camera_whitebalance[: file.num_colors],
+            1 / np.linspace(0.5, 1, file.num_colors),
+            rtol=1e-6,
+        )  # LibRaw's float32
         if name in BY_LIBRAW:  # others it decodes as far as 8 rows of 2 columns say
             assert_same_places(file.raw_pattern, cfa)
 
 
 def assert_same_places(pattern, cfa):
     """LibRaw's numbers of planes, among them a second green, stand where the letters do."""
-    pairs = {(int(number), letter) for row, letters in zip(pattern, cfa, strict=True)
-             for number, letter in zip(row, letters, strict=True)}
+    pairs = {
+        (int(number), letter)
+        for row, letters in zip(pattern, cfa, strict=True)
+        for number, letter in zip(row, letters, strict=True)
+    }
     assert len({number for number, _ in pairs}) == len(pairs)
     assert {letter for _, letter in pairs} == {*"".join(cfa)}
 
@@ -67,9 +89,13 @@ def test_stacked_pixels_are_layers(tmp_path, channels):
     write(tmp_path / "a.dng", raw, (), channels=channels)
     tags = exiftool(tmp_path / "a.dng")
     assert tags["PhotometricInterpretation"] == 34892 and tags["SamplesPerPixel"] == len(channels)
-    assert tags["BlackLevel"] == [64] * len(channels) and tags["WhiteLevel"] == [4095] * len(channels)
+    assert tags["BlackLevel"] == [64] * len(channels) and tags["WhiteLevel"] == [4095] * len(
+        channels
+    )
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
-        np.testing.assert_array_equal(np.moveaxis(file.raw_image_visible, -1, 0)[:len(channels)], raw)
+        np.testing.assert_array_equal(
+            np.moveaxis(file.raw_image_visible, -1, 0)[: len(channels)], raw
+        )
 
 
 @pytest.mark.parametrize("cfa", [BAYER, ()], ids=["Bayer", "monochrome"])
@@ -79,7 +105,9 @@ def test_floats_stay_floats(tmp_path, cfa):
     raw[0, 0] = 4095
     write(tmp_path / "a.dng", raw, cfa, channels=None if cfa else "Y")
     tags = exiftool(tmp_path / "a.dng")
-    assert (tags["SampleFormat"], tags["BitsPerSample"]) == (3, 32) and tags["DNGBackwardVersion"] == [1, 4, 0, 0]
+    assert (tags["SampleFormat"], tags["BitsPerSample"]) == (3, 32) and tags[
+        "DNGBackwardVersion"
+    ] == [1, 4, 0, 0]
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng"), raw)
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         scale = file.white_level / 4095
@@ -105,11 +133,18 @@ def test_matrices_of_two_lights_and_white(tmp_path):
     neutral = np.array([0.5432109876, 1.0, 1e-3])
     write_dng(tmp_path / "a.dng", RAW, BAYER, 64, 4095, given, neutral, noise=(1.25e-4, 3e-9))
     tags = exiftool(tmp_path / "a.dng")
-    assert (tags["CalibrationIlluminant1"], tags["CalibrationIlluminant2"]) == (17, 21)  # EXIF: A, D65
+    assert (tags["CalibrationIlluminant1"], tags["CalibrationIlluminant2"]) == (
+        17,
+        21,
+    )  # EXIF: A, D65
     for place, (color, forward) in enumerate(given.values(), 1):
         # fractions of 31 bits, printed with 10 digits
-        np.testing.assert_allclose(np.reshape(tags[f"ColorMatrix{place}"], (count, 3)), color, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(np.reshape(tags[f"ForwardMatrix{place}"], (3, count)), forward, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            np.reshape(tags[f"ColorMatrix{place}"], (count, 3)), color, rtol=1e-9, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            np.reshape(tags[f"ForwardMatrix{place}"], (3, count)), forward, rtol=1e-9, atol=1e-9
+        )
     np.testing.assert_allclose(tags["AsShotNeutral"], neutral, rtol=0, atol=1e-9)
     np.testing.assert_allclose(tags["NoiseProfile"], [1.25e-4, 3e-9], rtol=1e-14)
 
@@ -123,7 +158,17 @@ def test_mosaics_that_dng_cannot_tell(tmp_path, cfa):
 
 def test_noise_profile_by_hand():
     """5000 e- at x = 1, 3 e- of reading, 1 e- of lines, no rounding: (e + 10) / 5000^2; four of them averaged: / 4."""
-    noise = {"photons": 1.0, "read": 9.0, "lines": 1.0, "offsets": 7.0, "line_offsets": 5.0, "response": 1e-4,
-             "line_response": 1e-4, "rounding": 0.0}
+    noise = {
+        "photons": 1.0,
+        "read": 9.0,
+        "lines": 1.0,
+        "offsets": 7.0,
+        "line_offsets": 5.0,
+        "response": 1e-4,
+        "line_response": 1e-4,
+        "rounding": 0.0,
+    }
     assert RawNoise(**noise).profile(5000.0) == pytest.approx((1 / 5000, 10 / 5000**2), rel=1e-12)
-    assert RawNoise(**noise, averaged=4).profile(5000.0) == pytest.approx((1 / 20000, 2.5 / 5000**2), rel=1e-12)
+    assert RawNoise(**noise, averaged=4).profile(5000.0) == pytest.approx(
+        (1 / 20000, 2.5 / 5000**2), rel=1e-12
+    )

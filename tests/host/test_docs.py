@@ -26,7 +26,9 @@ def docs_are_found(monkeypatch):
 def commands(text):
     """Command lines in blocks and in quotes, continued lines joined."""
     blocks = re.findall(r"```\n(.*?)```", text, re.S)
-    lines = [line for block in blocks for line in block.split("\n")] + re.findall(r"`(gpusim [^`]+)`", text)
+    lines = [line for block in blocks for line in block.split("\n")] + re.findall(
+        r"`(gpusim [^`]+)`", text
+    )
     known = re.compile(r"(pip .* && )?(gpusim (simulate|plan|look|video|pairs) .*)")
     return [found[2] for line in lines if (found := known.fullmatch(line))]
 
@@ -48,7 +50,10 @@ def test_pictures_of_plots_have_their_commands_and_all_panels():
     found = [command for command in commands(page) if " -o " in command]
     assert len(found) == page.count("](pictures/") == 2
     for command in found:
-        assert f'"{command}"' in pictures and (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+        assert (
+            f'"{command}"' in pictures
+            and (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+        )
     assert {*re.findall(r"^\| `(\w+)` \|", page, re.M)} == {*PANELS}
 
 
@@ -71,14 +76,23 @@ def test_links_lead_somewhere(page):
 def test_broken_links_are_found(tmp_path):
     from links import broken
 
-    (tmp_path / "a.md").write_text("# Head\n\n[good](#head) [bad](#no) [gone](b.md) [far](https://example.org)\n")
-    assert [line.rpartition(": ")[2] for line in broken([tmp_path / "a.md"])] == ["no such place", "no such file"]
+    (tmp_path / "a.md").write_text(
+        "# Head\n\n[good](#head) [bad](#no) [gone](b.md) [far](https://example.org)\n"
+    )
+    assert [line.rpartition(": ")[2] for line in broken([tmp_path / "a.md"])] == [
+        "no such place",
+        "no such file",
+    ]
 
 
 def test_every_key_and_stage_has_a_place():
-    code = ("import generate, stage_pages; print('\\n'.join(generate.keys())); "
-            "print('\\n'.join(generate.commands())); print('\\n'.join(generate.names()))")
-    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "docs", capture_output=True, text=True, check=True)
+    code = (
+        "import generate, stage_pages; print('\\n'.join(generate.keys())); "
+        "print('\\n'.join(generate.commands())); print('\\n'.join(generate.names()))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT / "docs", capture_output=True, text=True, check=True
+    )
     for keys in SECTIONS.values():
         for key in keys:
             assert f"``{key}``" in said.stdout, key
@@ -96,8 +110,12 @@ def test_defaults_are_in_the_units_of_the_file():
     from generate import keys
 
     text = "\n".join(keys())
-    for key, cells in (("reference_nm", ("nm", "``550``")), ("temperature_c", ("°C", "``25``")),
-                       ("exposure_time_ms", ("ms", '``"auto"``')), ("pixel_pitch_um", ("µm",))):
+    for key, cells in (
+        ("reference_nm", ("nm", "``550``")),
+        ("temperature_c", ("°C", "``25``")),
+        ("exposure_time_ms", ("ms", '``"auto"``')),
+        ("pixel_pitch_um", ("µm",)),
+    ):
         row = text.partition(f"* - ``{key}``\n")[2].partition("* - ")[0]
         assert all(f"- {cell}\n" in row for cell in cells), (key, row)
 
@@ -105,9 +123,18 @@ def test_defaults_are_in_the_units_of_the_file():
 def test_docstrings_become_lists():
     from prose import rst
 
-    said = rst("Blur it.\n\nplanes: of light, shape (n,). mix_: `weights`\n    of each. Returns shape (m,). Raises "
-               "BadData.\n\n"
-               "    e = mc^2\n\nDone.", ["planes", "mix_"])
+    said = rst(
+        "Blur it.\n\nplanes: of light, shape (n,). mix_: `weights`\n    of each. Returns shape (m,). Raises "
+        "BadData.\n\n"
+        "    e = mc^2\n\nDone.",
+        ["planes", "mix_"],
+    )
     assert [line for line in said if line] == [
-        "Blur it.", "* ``planes``: of light, shape (n,).", "* ``mix_``: ``weights`` of each.",
-        "Returns shape (m,). Raises BadData.", "::", "    e = mc^2", "Done."]
+        "Blur it.",
+        "* ``planes``: of light, shape (n,).",
+        "* ``mix_``: ``weights`` of each.",
+        "Returns shape (m,). Raises BadData.",
+        "::",
+        "    e = mc^2",
+        "Done.",
+    ]

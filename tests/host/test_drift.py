@@ -47,12 +47,19 @@ def contents():
     for shape in ((1, 1), (1, 50), (50, 1), (2, 2)):
         yield Cube(WAVELENGTHS, random.random((31, *shape), np.float32))
     for count in (3, 12):
-        coefficients = random.normal(0, 1, (count, 600, 100)) * np.exp(-np.arange(count))[:, None, None]
+        coefficients = (
+            random.normal(0, 1, (count, 600, 100)) * np.exp(-np.arange(count))[:, None, None]
+        )
         coefficients[0] += 5  # the others are of either sign
         yield Basis(WAVELENGTHS, coefficients.astype(np.float32), BASIS[:count])
     for spectra in (LIKELY[:200], random.random((4, 31)), np.eye(31)):
         shading = (10.0 ** random.uniform(-2, 1, (40, 70))).astype(np.float32)
-        yield Materials(WAVELENGTHS, random.integers(0, len(spectra), (40, 70)).astype(np.uint16), shading, spectra)
+        yield Materials(
+            WAVELENGTHS,
+            random.integers(0, len(spectra), (40, 70)).astype(np.uint16),
+            shading,
+            spectra,
+        )
 
 
 def surveyed(watch, content):
@@ -67,8 +74,10 @@ def spectra_by_hand(content):
     rows, cols = content.shape
     first = row_pairs(rows, cols)
     upper, lower = content.bands_at(first), content.bands_at(np.minimum(first + 1, rows - 1))
-    values, down, across = (np.einsum("lyx,myx->lm", part, part) / max(part[0].size, 1)
-                            for part in (upper, lower - upper, np.diff(upper, axis=2)))
+    values, down, across = (
+        np.einsum("lyx,myx->lm", part, part) / max(part[0].size, 1)
+        for part in (upper, lower - upper, np.diff(upper, axis=2))
+    )
     return Spectra(values, down + across)
 
 
@@ -76,7 +85,7 @@ def test_moments_are_those_of_the_spectra():
     """To float64's rounding; of cubes to that of float32 sums of a row, relative to the magnitudes of its terms."""
     for content in contents():
         own, exact = Spectra.of(content), spectra_by_hand(content)
-        allowed = (content.shape[1] * 2.0**-24 if content.is_spectral else 1e-12)
+        allowed = content.shape[1] * 2.0**-24 if content.is_spectral else 1e-12
         for name in ("values", "differences"):
             wanted = getattr(exact, name)
             terms = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
@@ -87,7 +96,9 @@ def moments_by_hand(response, table, transfers):
     """M, channel by channel: W_c = sum over k of transfers_ck table_k^T - diag(weights_c), M = sum share W^T G W."""
     total = 0
     for weights, share, own in zip(response.weights, response.share, transfers, strict=True):
-        wrong = sum(np.outer(transfer, row) for transfer, row in zip(own, table, strict=True)) - np.diag(weights)
+        wrong = sum(
+            np.outer(transfer, row) for transfer, row in zip(own, table, strict=True)
+        ) - np.diag(weights)
         total = total + share * wrong.T @ response.optical @ wrong
     return total
 
@@ -115,7 +126,8 @@ def test_the_moments_give_the_error(response):
         np.testing.assert_allclose(moments, by_hand, atol=rounding, rtol=0)
         error = response.error(table, transfers, own) ** 2
         assert np.sum(moments * own.differences) / signal == pytest.approx(
-            error, abs=rounding * np.trace(own.differences) / signal)
+            error, abs=rounding * np.trace(own.differences) / signal
+        )
 
 
 def test_projections_give_the_error_of_all_moments(response):
@@ -125,16 +137,26 @@ def test_projections_give_the_error_of_all_moments(response):
         for content in contents():
             watch, own = Watch.of(response, table, transfers, content), spectra_by_hand(content)
             numbers = surveyed(watch, content)
-            signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
+            signal = response.share @ np.einsum(
+                "cl,lm,cm->c", response.flat, own.values, response.flat
+            )
             exact = response.error(table, transfers, own) ** 2
             rest = np.sum((moments - watch.wrong.T @ watch.wrong) * own.differences) / signal
             allowed = watch.left * numbers.mean(0)[1:, -1].sum() / signal
-            rounding = rounding_of(response, table, transfers, moments) * np.trace(own.differences) / signal
+            rounding = (
+                rounding_of(response, table, transfers, moments)
+                * np.trace(own.differences)
+                / signal
+            )
             without = replace(watch, left=0.0).errors(numbers)[0]
             assert without**2 + rest == pytest.approx(exact, rel=1e-9, abs=rounding)
             assert -rounding <= rest <= allowed + rounding
             told = watch.errors(numbers)[0] ** 2
-            assert exact * (1 - 1e-9) - rounding <= told <= (exact - rest + allowed) * (1 + 1e-9) + rounding
+            assert (
+                exact * (1 - 1e-9) - rounding
+                <= told
+                <= (exact - rest + allowed) * (1 + 1e-9) + rounding
+            )
 
 
 def test_the_rows_are_of_the_largest_eigenvalues(response):
@@ -151,7 +173,9 @@ def test_the_rows_are_of_the_largest_eigenvalues(response):
 def test_a_basis_of_few_coefficients_leaves_nothing_out(response):
     content = Basis(WAVELENGTHS, np.ones((8, 2, 2), np.float32), BASIS[:8])
     for table, transfers in operators(response):
-        largest = np.linalg.eigvalsh(BASIS[:8] @ wrong_moments(response, table, transfers) @ BASIS[:8].T)[-1]
+        largest = np.linalg.eigvalsh(
+            BASIS[:8] @ wrong_moments(response, table, transfers) @ BASIS[:8].T
+        )[-1]
         assert Watch.of(response, table, transfers, content).left <= 1e-12 * largest
 
 
@@ -164,7 +188,10 @@ def test_what_is_left_out_costs_little(response):
     for rank, most in ((3, 1.01), (4, 1.01), (5, 1.01), (6, 1.05), (7, 1.2)):
         table, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
         watch = Watch.of(response, table, transfers, content)
-        exact, told = response.error(table, transfers, Spectra.of(content)), watch.errors(surveyed(watch, content))[0]
+        exact, told = (
+            response.error(table, transfers, Spectra.of(content)),
+            watch.errors(surveyed(watch, content))[0],
+        )
         print(f"rank {rank}: {exact:.2e}, told {told / exact:.3f} times that")
         assert exact <= told <= most * exact
 
@@ -192,8 +219,10 @@ def test_many_channels_are_never_seen_too_bright(response):
     assert watch.table.shape == (16, 31)
     kept = replace(watch, left=0.0).errors(surveyed(watch, content))[0]
     exact = many.error(table, transfers, Spectra.of(content))
-    rest = np.sum((wrong_moments(many, table, transfers) - watch.wrong.T @ watch.wrong)
-                  * Spectra.of(content).differences)
+    rest = np.sum(
+        (wrong_moments(many, table, transfers) - watch.wrong.T @ watch.wrong)
+        * Spectra.of(content).differences
+    )
     signal = many.share @ np.einsum("cl,lm,cm->c", flat, Spectra.of(content).values, flat)
     assert np.sqrt(exact**2 - rest / signal) * (1 - 1e-6) <= kept <= 1.01 * exact
 
@@ -204,10 +233,16 @@ def test_the_steepest_rows_are_those_of_the_largest_error(response):
         for content in contents():
             watch = replace(Watch.of(response, table, transfers, content), factor=1.3)
             numbers = surveyed(watch, content)
-            signals = numbers[:, 0, :len(watch.flat)].sum(1)
-            squares = [watch.errors(numbers[[k]])[0] ** 2 * signal for k, signal in enumerate(signals)]
-            assert watch.errors(numbers)[1] == pytest.approx(np.sqrt(max(squares) / signals.mean()), rel=1e-9)
-            assert watch.errors(numbers)[0] == pytest.approx(np.sqrt(np.mean(squares) / signals.mean()), rel=1e-9)
+            signals = numbers[:, 0, : len(watch.flat)].sum(1)
+            squares = [
+                watch.errors(numbers[[k]])[0] ** 2 * signal for k, signal in enumerate(signals)
+            ]
+            assert watch.errors(numbers)[1] == pytest.approx(
+                np.sqrt(max(squares) / signals.mean()), rel=1e-9
+            )
+            assert watch.errors(numbers)[0] == pytest.approx(
+                np.sqrt(np.mean(squares) / signals.mean()), rel=1e-9
+            )
 
 
 def test_a_blur_that_is_left_out_is_watched(response):
@@ -231,14 +266,24 @@ def test_how_many_more_planes_a_content_takes_is_told_to_a_plane(response):
 
     Down to a twentieth of it; below that most of the error may be what the rows leave out.
     """
-    operator, contents = joint_operator(response, library()), (
-        natural((96, 64)).content, monochromatic((64, 96), np.random.default_rng(5)),
-        Cube(WAVELENGTHS, np.where(np.arange(31)[:, None, None] == 24, natural((96, 64)).content.values, 0)))
+    operator, contents = (
+        joint_operator(response, library()),
+        (
+            natural((96, 64)).content,
+            monochromatic((64, 96), np.random.default_rng(5)),
+            Cube(
+                WAVELENGTHS,
+                np.where(np.arange(31)[:, None, None] == 24, natural((96, 64)).content.values, 0),
+            ),
+        ),
+    )
     table, transfers = operator.w_in[:, :3].T, operator.transfers(3)
     more = range(4, 12)
     for content in contents:
         watch, own = Watch.of(response, table, transfers, content), Spectra.of(content)
-        falls = watch.falling(wrong_moments(response, operator.w_in[:, :k].T, operator.transfers(k)) for k in more)
+        falls = watch.falling(
+            wrong_moments(response, operator.w_in[:, :k].T, operator.transfers(k)) for k in more
+        )
         watch, numbers = replace(watch, falls=falls), surveyed(watch, content)
         errors = [response.error(operator.w_in[:, :k].T, operator.transfers(k), own) for k in more]
         for limit in np.geomspace(max(errors) / 20, max(errors), 7):
@@ -257,9 +302,17 @@ def test_darkness_and_nan(response):
     assert np.isnan(watch.errors(surveyed(watch, Cube(WAVELENGTHS, values)))[0])
 
 
-@pytest.mark.parametrize(("shape", "wanted"), [((1, 1), [0]), ((2, 7), [0]), ((5, 9), [0, 1, 2, 3]),
-                                               ((1080, 1920), np.arange(17) * 1078 // 16), ((2, 10**6), [0]),
-                                               ((100, 10**6), np.arange(8) * 98 // 7)])
+@pytest.mark.parametrize(
+    ("shape", "wanted"),
+    [
+        ((1, 1), [0]),
+        ((2, 7), [0]),
+        ((5, 9), [0, 1, 2, 3]),
+        ((1080, 1920), np.arange(17) * 1078 // 16),
+        ((2, 10**6), [0]),
+        ((100, 10**6), np.arange(8) * 98 // 7),
+    ],
+)
 def test_row_pairs_are_spread_over_the_frame(shape, wanted):
     """All pairs of a small frame; else 2^15 pixels of upper rows, at least 8 pairs, the last two rows among them."""
     assert row_pairs(*shape).tolist() == list(wanted)

@@ -18,11 +18,20 @@ def simulate():
     return gs.Simulator(gs.open_camera("phone"), device="numpy")
 
 
-@pytest.mark.parametrize("call", [
-    lambda simulate: simulate(ARRAY), lambda simulate: simulate([ARRAY]), lambda simulate: simulate((ARRAY, ARRAY)),
-    lambda simulate: simulate.frames(ARRAY, 2), lambda simulate: simulate.expose(ARRAY),
-    lambda simulate: simulate.plan(ARRAY), lambda simulate: simulate.program(ARRAY),
-    lambda simulate: simulate.batch(1)(ARRAY), lambda simulate: simulate.batch(1)([ARRAY])])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda simulate: simulate(ARRAY),
+        lambda simulate: simulate([ARRAY]),
+        lambda simulate: simulate((ARRAY, ARRAY)),
+        lambda simulate: simulate.frames(ARRAY, 2),
+        lambda simulate: simulate.expose(ARRAY),
+        lambda simulate: simulate.plan(ARRAY),
+        lambda simulate: simulate.program(ARRAY),
+        lambda simulate: simulate.batch(1)(ARRAY),
+        lambda simulate: simulate.batch(1)([ARRAY]),
+    ],
+)
 def test_an_array_is_no_scene(simulate, call):
     with pytest.raises(gs.GpusimError, match="wanted a Scene"):
         call(simulate)
@@ -64,26 +73,38 @@ def test_snr_is_held_above_saturation():
     found = snr_curve(bare)
     assert np.isfinite(found.snr).all()
     past = found.exposure >= found.saturation[:, None]
-    assert past.any(axis=1).all() and past.sum() > past.shape[0]  # channels saturate one after another
+    assert (
+        past.any(axis=1).all() and past.sum() > past.shape[0]
+    )  # channels saturate one after another
     np.testing.assert_allclose(found.snr[past], 10 * np.log10(bare.saturation), rtol=1e-12)
     # a shot-noise sensor has SNR = sqrt(electrons), electrons proportional to the exposure below saturation
     green = int(found.saturation.argmin())
     share = found.exposure / found.saturation[green]
-    np.testing.assert_allclose(found.electrons[green], bare.saturation * np.minimum(share, 1), rtol=1e-12)
+    np.testing.assert_allclose(
+        found.electrons[green], bare.saturation * np.minimum(share, 1), rtol=1e-12
+    )
 
 
-TABLE = [("wavelength_nm", "R", "G", "B"), (400, .1, .2, .3), (550, .15, .5, .25), (700, .3, .2, .1)]
+TABLE = [
+    ("wavelength_nm", "R", "G", "B"),
+    (400, 0.1, 0.2, 0.3),
+    (550, 0.15, 0.5, 0.25),
+    (700, 0.3, 0.2, 0.1),
+]
 
 
-@pytest.mark.parametrize(("divider", "decimal", "end"), [(";", ",", ""), (";", ".", ";;"), ("\t", ".", ""),
-                                                         (",", ".", ",,")])
+@pytest.mark.parametrize(
+    ("divider", "decimal", "end"),
+    [(";", ",", ""), (";", ".", ";;"), ("\t", ".", ""), (",", ".", ",,")],
+)
 def test_quantum_efficiency_of_every_spreadsheet(tmp_path, divider, decimal, end):
     lines = [divider.join(str(cell).replace(".", decimal) for cell in line) + end for line in TABLE]
     (tmp_path / "qe.csv").write_text("# of a data sheet\n" + "\n".join(lines))
     (tmp_path / "own.toml").write_text('base = "phone"\n[sensor]\nqe = "qe.csv"\n')
     (tmp_path / "own2.toml").write_text(
         'base = "phone"\n[sensor]\nqe = { wavelengths_nm = [400, 550, 700], R = [0.1, 0.15, 0.3], '
-        'G = [0.2, 0.5, 0.2], B = [0.3, 0.25, 0.1] }\n')
+        "G = [0.2, 0.5, 0.2], B = [0.3, 0.25, 0.1] }\n"
+    )
     found, same = (gs.open_camera(tmp_path / name).sensor.qe for name in ("own.toml", "own2.toml"))
     np.testing.assert_array_equal(found.wavelengths, same.wavelengths)
     np.testing.assert_array_equal(found.values, same.values)
@@ -97,13 +118,17 @@ EXCEPTIONS = {
 }
 
 
-@pytest.mark.parametrize("wrong", [ARRAY, None, "no such thing", 3], ids=["array", "None", "str", "int"])
+@pytest.mark.parametrize(
+    "wrong", [ARRAY, None, "no such thing", 3], ids=["array", "None", "str", "int"]
+)
 @pytest.mark.parametrize("name", sorted(set(gs.__all__) - set(EXCEPTIONS)))
 def test_a_public_name_works_or_says_why_not(name, wrong, tmp_path, monkeypatch):
     """TypeError is for arguments that are missing, or that have to be named, and for nothing else."""
     monkeypatch.chdir(tmp_path)
     try:
-        made = getattr(gs, name)(wrong, **({"device": "numpy"} if name in ("Simulator", "Batch") else {}))
+        made = getattr(gs, name)(
+            wrong, **({"device": "numpy"} if name in ("Simulator", "Batch") else {})
+        )
     except gs.GpusimError as error:
         assert str(error) and "\n" not in str(error) and len(str(error)) <= 500
     except TypeError as error:

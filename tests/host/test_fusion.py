@@ -1,6 +1,5 @@
 """The joint spectral-optical operator against float64 brute force per band, and what it predicts of its own error."""
 
-
 import numpy as np
 import pytest
 from brute import Brute, spectra
@@ -23,7 +22,12 @@ def made_for(scene, camera=CAMERA, **options):
 
 def prediction_scenes():
     """Cameras, lights, surfaces and seeds; every camera meets every light."""
-    cameras = [CAMERA, at_f_number("phone", 1.8), at_f_number("phone", 8.0), at_f_number("machine-vision", 4.0)]
+    cameras = [
+        CAMERA,
+        at_f_number("phone", 1.8),
+        at_f_number("phone", 8.0),
+        at_f_number("machine-vision", 4.0),
+    ]
     lights = ["D65", "A", "FL11", "blackbody-4000k"]
     kinds = ["nature", "objects", "munsell", "skin", "colorchecker"]
     number = 0
@@ -34,7 +38,9 @@ def prediction_scenes():
                 if kind == "colorchecker":
                     scene = chart(kind, size=(144, 96), light=light)
                 else:
-                    scene = chart("deadleaves", size=(144, 96), light=light, surfaces=kind, seed=number)
+                    scene = chart(
+                        "deadleaves", size=(144, 96), light=light, surfaces=kind, seed=number
+                    )
                 yield camera, scene
                 number += 1
 
@@ -43,12 +49,19 @@ def measured_scenes(shared_data):
     """Spectral pictures: a chart of 170 surfaces in known light, and radiance in unknown light."""
     stored = np.load(shared_data / "isetcam" / "scene_reflectance_chart_full31.npz")
     photons = np.moveaxis(stored["photons"], -1, 0)[:, :120, :160]
-    yield Scene(Cube(stored["wave"], np.ascontiguousarray(photons)), unit_light(stored["wave"]), name="chart")
+    yield Scene(
+        Cube(stored["wave"], np.ascontiguousarray(photons)),
+        unit_light(stored["wave"]),
+        name="chart",
+    )
     for name in ("lego_duke_24", "jasper_aviris_vis"):
         stored = np.load(shared_data / "cubes" / f"{name}.npz")
         values = np.maximum(stored["cube"], 0).astype(np.float32)[:, :100, :100]
-        yield Scene(Cube(stored["wavelengths_nm"].astype(float), values), unit_light(stored["wavelengths_nm"]),
-                    name=name)
+        yield Scene(
+            Cube(stored["wavelengths_nm"].astype(float), values),
+            unit_light(stored["wavelengths_nm"]),
+            name=name,
+        )
 
 
 def ratios(camera, scene, tables):
@@ -63,7 +76,9 @@ def ratios(camera, scene, tables):
     for prior in (own.values, library(scene.wavelengths)):
         operator = joint_operator(response_of(plan), prior)
         for rank in (3, 4, 6):
-            result = brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa)
+            result = brute.fused(
+                transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa
+            )
             yield operator.predicted(rank, own) / relative(result, truth)
 
 
@@ -71,15 +86,21 @@ def ratios(camera, scene, tables):
 def test_prediction_of_48_scenes():
     """Predicted over true within [1/2.5, 2.5] on at least 95 % of scenes, ranks and priors."""
     tables = {}
-    found = np.array([ratio for camera, scene in prediction_scenes() for ratio in ratios(camera, scene, tables)])
+    found = np.array(
+        [ratio for camera, scene in prediction_scenes() for ratio in ratios(camera, scene, tables)]
+    )
     low, high = np.quantile(found, (0.025, 0.975))
-    print(f"{len(found)} predictions: median {np.median(found):.2f}, 95 % within {low:.2f} .. {high:.2f}, "
-          f"all within {found.min():.2f} .. {found.max():.2f}")
+    print(
+        f"{len(found)} predictions: median {np.median(found):.2f}, 95 % within {low:.2f} .. {high:.2f}, "
+        f"all within {found.min():.2f} .. {found.max():.2f}"
+    )
     assert np.mean((found >= 1 / 2.5) & (found <= 2.5)) >= 0.95
 
 
 def test_prediction_of_measured_scenes(shared_data):
-    found = np.array([ratio for scene in measured_scenes(shared_data) for ratio in ratios(CAMERA, scene, {})])
+    found = np.array(
+        [ratio for scene in measured_scenes(shared_data) for ratio in ratios(CAMERA, scene, {})]
+    )
     print(f"measured scenes: predicted over true {found.min():.2f} .. {found.max():.2f}")
     assert ((found >= 1 / 2.5) & (found <= 2.5)).all()
 
@@ -108,7 +129,9 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
         operator = joint_operator(response, library())
         table, transfers = operator.w_in[:, :4].T, operator.transfers(4)
     random = np.random.default_rng(0)
-    fields = np.vstack([np.eye(31), random.random((20, 31)), illuminant("FL11", WAVELENGTHS).values])
+    fields = np.vstack(
+        [np.eye(31), random.random((20, 31)), illuminant("FL11", WAVELENGTHS).values]
+    )
     flat = np.real(response.tables[:, 0])
     exact = fields @ (plan.weights * flat).T
     fused = np.einsum("ckl,l,fk->fc", transfers, flat, fields @ table.T)
@@ -118,7 +141,10 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
 
 def test_looser_tolerances_take_fewer_planes():
     scene = natural((192, 128))
-    planes = [made_for(scene, tolerance=Tolerance(rms=rms)).mix.shape[1] for rms in (1e-2, 1e-3, 1e-4, 1e-5)]
+    planes = [
+        made_for(scene, tolerance=Tolerance(rms=rms)).mix.shape[1]
+        for rms in (1e-2, 1e-3, 1e-4, 1e-5)
+    ]
     assert planes == sorted(planes) and planes[0] == 3 and planes[-1] < 12
     assert made_for(scene).mix.shape[1] == 31  # without a tolerance every wavelength is exact
 
@@ -139,23 +165,34 @@ def test_spectra_outside_the_prior_raise_the_rank():
     operator = joint_operator(response_of(wild), library())
     own = Spectra.of(scene.content)
     for rank in (3, 4, 6):
-        error = relative(brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa), truth)
+        error = relative(
+            brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa), truth
+        )
         assert 1 / 2.5 <= operator.predicted(rank, own) / error <= 2.5
-        assert error > 5 * operator.tail[rank]  # the prior's own figure would have been silently wrong
+        assert (
+            error > 5 * operator.tail[rank]
+        )  # the prior's own figure would have been silently wrong
 
 
 def test_guaranteed_planes_keep_their_bound():
     """Random spectra of points stay below the bound of all monochromatic ones, times what interference allows."""
     response = response_of(made_for(natural((32, 24))))
     bounds = [channel_operator(response, planes).bound for planes in (1, 2, 3, 4)]
-    print("guaranteed: bounds of 1, 2, 3, 4 planes a channel", *(f"{bound:.1e}" for bound in bounds))
+    print(
+        "guaranteed: bounds of 1, 2, 3, 4 planes a channel", *(f"{bound:.1e}" for bound in bounds)
+    )
     assert bounds == sorted(bounds, reverse=True) and bounds[3] < 1e-3
     operator = channel_operator(response, 2)
     random = np.random.default_rng(1)
     for _ in range(50):
         point = random.random(31) ** 8  # a few lines above the rest
         exact = (response.weights * point) @ response.tables
-        fused = np.einsum("ckl,k,lf->cf", operator.transfers, operator.table @ point, response.tables)
-        error, signal = (response.share @ (np.abs(values) ** 2 @ response.count) for values in (fused - exact, exact))
+        fused = np.einsum(
+            "ckl,k,lf->cf", operator.transfers, operator.table @ point, response.tables
+        )
+        error, signal = (
+            response.share @ (np.abs(values) ** 2 @ response.count)
+            for values in (fused - exact, exact)
+        )
         # light adds up: transfer functions are positive, errors of several lines at worst all in phase
         assert np.sqrt(error / signal) <= operator.bound

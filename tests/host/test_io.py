@@ -30,6 +30,7 @@ RANDOM = np.random.default_rng(1)
 
 def fails(error, *parts):
     """Expect one line that holds all `parts`."""
+
     class Check:
         def __enter__(self):
             self.raises = pytest.raises(error)
@@ -40,13 +41,16 @@ def fails(error, *parts):
             text = str(self.info.value)
             assert "\n" not in text and all(str(part) in text for part in parts), text
             return done
+
     return Check()
 
 
 def same(one, two):
     """Whether two scenes are bit for bit the same."""
     for field in dataclasses.fields(one.content):
-        np.testing.assert_array_equal(getattr(one.content, field.name), getattr(two.content, field.name))
+        np.testing.assert_array_equal(
+            getattr(one.content, field.name), getattr(two.content, field.name)
+        )
         assert getattr(one.content, field.name).dtype == getattr(two.content, field.name).dtype
     np.testing.assert_array_equal(one.illuminant.wavelengths, two.illuminant.wavelengths)
     np.testing.assert_array_equal(one.illuminant.values, two.illuminant.values)
@@ -55,7 +59,12 @@ def same(one, two):
     else:
         np.testing.assert_array_equal(one.depth, two.depth)
     assert type(one.content) is type(two.content)
-    assert (one.border, one.margin, one.fov, one.name) == (two.border, two.margin, two.fov, two.name)
+    assert (one.border, one.margin, one.fov, one.name) == (
+        two.border,
+        two.margin,
+        two.fov,
+        two.name,
+    )
 
 
 def white_luminance(scene):
@@ -68,12 +77,21 @@ def white_luminance(scene):
 def scenes():
     light = white_radiance(illuminant("FL2"), 80.0)
     values = RANDOM.random((3, 4, 5), np.float32)
-    yield Scene(Cube(WAVES, values), light, "zero", fov=0.3, depth=1 + RANDOM.random((4, 5), np.float32), name="cube")
+    yield Scene(
+        Cube(WAVES, values),
+        light,
+        "zero",
+        fov=0.3,
+        depth=1 + RANDOM.random((4, 5), np.float32),
+        name="cube",
+    )
     yield Scene(Cube(WAVES, values), unit_light(WAVES), "reflect", name="radiance")
     yield Scene(Basis(WAVES, values - 0.1, np.eye(3)), light, "scene", margin=1, name="basis")
     ids = RANDOM.integers(0, 300, (4, 5)).astype(np.uint16)
     ids[0, 0] = 299
-    yield Scene(Materials(WAVES, ids, values[0], RANDOM.random((300, 3))), light, name="many materials")
+    yield Scene(
+        Materials(WAVES, ids, values[0], RANDOM.random((300, 3))), light, name="many materials"
+    )
     yield chart("colorchecker", size=(48, 32))
 
 
@@ -90,30 +108,56 @@ def test_npz_axes_follow_the_key_not_the_lengths(tmp_path):
     np.savez(tmp_path / "coef.npz", coef=values, wave=WAVES, basis=np.eye(3))
     np.savez(tmp_path / "coefficients.npz", coefficients=values, wave=WAVES, basis=np.eye(3))
     np.testing.assert_array_equal(open_scene(tmp_path / "own.npz").content.values, values)
-    np.testing.assert_array_equal(open_scene(tmp_path / "iset.npz").content.values, values.transpose(2, 0, 1))
-    np.testing.assert_array_equal(open_scene(tmp_path / "coef.npz").content.coefficients, values.transpose(2, 0, 1))
-    np.testing.assert_array_equal(open_scene(tmp_path / "coefficients.npz").content.coefficients, values)
+    np.testing.assert_array_equal(
+        open_scene(tmp_path / "iset.npz").content.values, values.transpose(2, 0, 1)
+    )
+    np.testing.assert_array_equal(
+        open_scene(tmp_path / "coef.npz").content.coefficients, values.transpose(2, 0, 1)
+    )
+    np.testing.assert_array_equal(
+        open_scene(tmp_path / "coefficients.npz").content.coefficients, values
+    )
 
 
 def test_npz_of_isetcam_is_split_into_reflectance_and_light(tmp_path):
     light = np.array([1e15, 2e15, 4e15])
     reflectance = RANDOM.random((4, 5, 3))
-    np.savez(tmp_path / "a.npz", photons=reflectance * light, wave=WAVES, illuminant_photons=light, fov_deg=90.0)
+    np.savez(
+        tmp_path / "a.npz",
+        photons=reflectance * light,
+        wave=WAVES,
+        illuminant_photons=light,
+        fov_deg=90.0,
+    )
     scene = open_scene(tmp_path / "a.npz")
     # float32 of the product, of the light and of their ratio: 3 times 2^-24.
-    np.testing.assert_allclose(scene.content.values, reflectance.transpose(2, 0, 1), rtol=3 * 2.0**-24)
+    np.testing.assert_allclose(
+        scene.content.values, reflectance.transpose(2, 0, 1), rtol=3 * 2.0**-24
+    )
     np.testing.assert_array_equal(scene.illuminant.values, light)
     assert scene.fov == pytest.approx(np.pi / 2, rel=1e-15) and scene.light_is_known
     # A band without light has no reflectance: the radiance is kept.
-    np.savez(tmp_path / "b.npz", photons=reflectance * light, wave=WAVES, illuminant_photons=light * [1, 0, 1])
+    np.savez(
+        tmp_path / "b.npz",
+        photons=reflectance * light,
+        wave=WAVES,
+        illuminant_photons=light * [1, 0, 1],
+    )
     scene = open_scene(tmp_path / "b.npz")
     assert not scene.light_is_known
-    np.testing.assert_array_equal(scene.content.values[2], (reflectance * light)[..., 2].astype(np.float32))
+    np.testing.assert_array_equal(
+        scene.content.values[2], (reflectance * light)[..., 2].astype(np.float32)
+    )
 
 
-@pytest.mark.parametrize("name, form", [
-    ("scene_eagle_rgb2spectral_basis3", Basis), ("scene_hats_rgb2spectral_basis3", Basis),
-    ("scene_reflectance_chart_full31", Cube)])
+@pytest.mark.parametrize(
+    "name, form",
+    [
+        ("scene_eagle_rgb2spectral_basis3", Basis),
+        ("scene_hats_rgb2spectral_basis3", Basis),
+        ("scene_reflectance_chart_full31", Cube),
+    ],
+)
 def test_npz_measured_isetcam_scenes(shared_data, name, form):
     path = shared_data / "isetcam" / f"{name}.npz"
     scene = open_scene(path)
@@ -125,7 +169,11 @@ def test_npz_measured_isetcam_scenes(shared_data, name, form):
     photons = stored["coef"] @ stored["basis"] if form is Basis else stored["photons"]
     spot = photons[17, 40]
     content = scene.content
-    ours = content.coefficients[:, 17, 40] @ content.basis if form is Basis else content.values[:, 17, 40]
+    ours = (
+        content.coefficients[:, 17, 40] @ content.basis
+        if form is Basis
+        else content.values[:, 17, 40]
+    )
     # Products and ratios of float32 values.
     np.testing.assert_allclose(ours * scene.illuminant.at(scene.wavelengths), spot, rtol=1e-6)
 
@@ -134,7 +182,9 @@ def test_npz_measured_cubes(shared_data):
     lego = open_scene(shared_data / "cubes" / "lego_duke_24.npz", luminance=100)
     assert lego.shape == (256, 256) and len(lego.wavelengths) == 24 and not lego.light_is_known
     assert mean_luminance(lego) == pytest.approx(100, rel=1e-6)  # float32 values scaled once
-    jasper = open_scene(shared_data / "cubes" / "jasper_aviris_vis.npz", light="D50", luminance=1000)
+    jasper = open_scene(
+        shared_data / "cubes" / "jasper_aviris_vis.npz", light="D50", luminance=1000
+    )
     assert jasper.shape == (100, 100) and jasper.light_is_known
     assert white_luminance(jasper) == pytest.approx(1000, rel=1e-13)
     stored = np.load(shared_data / "cubes" / "jasper_aviris_vis.npz")["cube"]
@@ -142,8 +192,12 @@ def test_npz_measured_cubes(shared_data):
 
 
 GOOD = {"cube": np.ones((3, 4, 5), np.float32), "wavelengths_nm": WAVES}
-GOOD_MATERIALS = {"ids": np.zeros((4, 5), np.uint8), "shading": np.ones((4, 5)), "spectra": np.ones((1, 3)),
-                  "wavelengths_nm": WAVES}
+GOOD_MATERIALS = {
+    "ids": np.zeros((4, 5), np.uint8),
+    "shading": np.ones((4, 5)),
+    "spectra": np.ones((1, 3)),
+    "wavelengths_nm": WAVES,
+}
 
 
 def spoiled(value):
@@ -152,36 +206,47 @@ def spoiled(value):
     return cube
 
 
-@pytest.mark.parametrize("changes, key, problem", [
-    ({"cube": spoiled(np.nan)}, "cube", "NaN"),
-    ({"cube": spoiled(np.inf)}, "cube", "infinite"),
-    ({"cube": spoiled(-0.5)}, "cube", "negative values (lowest -0.5)"),
-    ({"cube": spoiled(1) + 0j}, "cube", "complex64"),
-    ({"cube": np.full((3, 4, 5), "x")}, "cube", "<U1"),
-    ({"cube": np.ones((3, 4))}, "cube", "shape (3, 4), wanted (3, any, any)"),
-    ({"cube": np.ones((4, 5, 3))}, "cube", "shape (4, 5, 3), wanted (3, any, any)"),
-    ({"cube": np.ones((3, 0, 5))}, "cube", "shape (3, 0, 5)"),
-    ({"cube": np.float32(1)}, "cube", "shape ()"),
-    ({"cube": None}, "cube", "needs exactly one of the keys"),
-    ({"photons": np.ones((4, 5, 3))}, "photons", "needs exactly one of the keys"),
-    ({"wavelengths_nm": None}, "wavelengths_nm", "is missing"),
-    ({"wavelengths_nm": WAVES[::-1]}, "wavelengths_nm", "increase strictly"),
-    ({"wavelengths_nm": np.array([400, 500, 500])}, "wavelengths_nm", "increase strictly"),
-    ({"wavelengths_nm": np.array([400, np.nan, 500])}, "wavelengths_nm", "NaN"),
-    ({"wavelengths_nm": np.array([-400, 0, 500])}, "wavelengths_nm", "negative"),
-    ({"wavelengths_nm": WAVES[:2]}, "cube", "shape (3, 4, 5), wanted (2, any, any)"),
-    ({"kind": "reflection"}, "kind", 'wanted "radiance" or "reflectance"'),
-    ({"illuminant": np.ones(3)}, "illuminant_wavelengths_nm", "is missing"),
-    ({"illuminant": np.ones(3), "illuminant_wavelengths_nm": WAVES[:2]}, "illuminant", "wanted (2)"),
-    ({"illuminant": np.ones(3), "illuminant_wavelengths_nm": WAVES[::-1]}, "illuminant", "increase strictly"),
-    ({"illuminant_photons": -np.ones(3)}, "illuminant_photons", "negative"),
-    ({"border": "mirror"}, "border", "mirror"),
-    ({"margin": 1}, "margin", "border"),
-    ({"margin": 9, "border": "scene"}, "margin", "nothing left"),
-    ({"fov_rad": 4.0}, "fov", "fov < pi"),
-    ({"depth_m": np.ones((4, 4))}, "depth", "(4, 4)"),
-    ({"depth_m": np.zeros((4, 5))}, "depth", "positive"),
-])
+@pytest.mark.parametrize(
+    "changes, key, problem",
+    [
+        ({"cube": spoiled(np.nan)}, "cube", "NaN"),
+        ({"cube": spoiled(np.inf)}, "cube", "infinite"),
+        ({"cube": spoiled(-0.5)}, "cube", "negative values (lowest -0.5)"),
+        ({"cube": spoiled(1) + 0j}, "cube", "complex64"),
+        ({"cube": np.full((3, 4, 5), "x")}, "cube", "<U1"),
+        ({"cube": np.ones((3, 4))}, "cube", "shape (3, 4), wanted (3, any, any)"),
+        ({"cube": np.ones((4, 5, 3))}, "cube", "shape (4, 5, 3), wanted (3, any, any)"),
+        ({"cube": np.ones((3, 0, 5))}, "cube", "shape (3, 0, 5)"),
+        ({"cube": np.float32(1)}, "cube", "shape ()"),
+        ({"cube": None}, "cube", "needs exactly one of the keys"),
+        ({"photons": np.ones((4, 5, 3))}, "photons", "needs exactly one of the keys"),
+        ({"wavelengths_nm": None}, "wavelengths_nm", "is missing"),
+        ({"wavelengths_nm": WAVES[::-1]}, "wavelengths_nm", "increase strictly"),
+        ({"wavelengths_nm": np.array([400, 500, 500])}, "wavelengths_nm", "increase strictly"),
+        ({"wavelengths_nm": np.array([400, np.nan, 500])}, "wavelengths_nm", "NaN"),
+        ({"wavelengths_nm": np.array([-400, 0, 500])}, "wavelengths_nm", "negative"),
+        ({"wavelengths_nm": WAVES[:2]}, "cube", "shape (3, 4, 5), wanted (2, any, any)"),
+        ({"kind": "reflection"}, "kind", 'wanted "radiance" or "reflectance"'),
+        ({"illuminant": np.ones(3)}, "illuminant_wavelengths_nm", "is missing"),
+        (
+            {"illuminant": np.ones(3), "illuminant_wavelengths_nm": WAVES[:2]},
+            "illuminant",
+            "wanted (2)",
+        ),
+        (
+            {"illuminant": np.ones(3), "illuminant_wavelengths_nm": WAVES[::-1]},
+            "illuminant",
+            "increase strictly",
+        ),
+        ({"illuminant_photons": -np.ones(3)}, "illuminant_photons", "negative"),
+        ({"border": "mirror"}, "border", "mirror"),
+        ({"margin": 1}, "margin", "border"),
+        ({"margin": 9, "border": "scene"}, "margin", "nothing left"),
+        ({"fov_rad": 4.0}, "fov", "fov < pi"),
+        ({"depth_m": np.ones((4, 4))}, "depth", "(4, 4)"),
+        ({"depth_m": np.zeros((4, 5))}, "depth", "positive"),
+    ],
+)
 def test_npz_refusals(tmp_path, changes, key, problem):
     path = tmp_path / "bad.npz"
     np.savez(path, **{name: value for name, value in (GOOD | changes).items() if value is not None})
@@ -189,20 +254,26 @@ def test_npz_refusals(tmp_path, changes, key, problem):
         open_scene(path)
 
 
-@pytest.mark.parametrize("changes, key, problem", [
-    ({"ids": np.ones((4, 5), np.uint8)}, "material id", "0 .. 0"),
-    ({"ids": -np.ones((4, 5), np.int8)}, "ids", "negative"),
-    ({"ids": np.zeros((4, 5))}, "ids", "float64"),
-    ({"ids": np.full((4, 5), 70000)}, "ids", "65535"),
-    ({"shading": np.ones((5, 4))}, "shading", "wanted (4, 5)"),
-    ({"shading": -np.ones((4, 5))}, "shading", "negative"),
-    ({"spectra": np.ones((1, 4))}, "spectra", "wanted (any, 3)"),
-    ({"spectra": -np.ones((1, 3))}, "spectra", "negative"),
-    ({"shading": None}, "shading", "is missing"),
-])
+@pytest.mark.parametrize(
+    "changes, key, problem",
+    [
+        ({"ids": np.ones((4, 5), np.uint8)}, "material id", "0 .. 0"),
+        ({"ids": -np.ones((4, 5), np.int8)}, "ids", "negative"),
+        ({"ids": np.zeros((4, 5))}, "ids", "float64"),
+        ({"ids": np.full((4, 5), 70000)}, "ids", "65535"),
+        ({"shading": np.ones((5, 4))}, "shading", "wanted (4, 5)"),
+        ({"shading": -np.ones((4, 5))}, "shading", "negative"),
+        ({"spectra": np.ones((1, 4))}, "spectra", "wanted (any, 3)"),
+        ({"spectra": -np.ones((1, 3))}, "spectra", "negative"),
+        ({"shading": None}, "shading", "is missing"),
+    ],
+)
 def test_npz_refusals_of_materials(tmp_path, changes, key, problem):
     path = tmp_path / "bad.npz"
-    np.savez(path, **{name: value for name, value in (GOOD_MATERIALS | changes).items() if value is not None})
+    np.savez(
+        path,
+        **{name: value for name, value in (GOOD_MATERIALS | changes).items() if value is not None},
+    )
     with fails(BadFile, path, key, problem):
         open_scene(path)
 
@@ -224,7 +295,9 @@ def test_npz_truncated_or_something_else(tmp_path):
         np.save(file, np.ones(3))
     with fails(BadFile, path, "not an .npz archive"):
         open_scene(path)
-    np.savez(path, cube=np.array([{}], object), wavelengths_nm=WAVES)  # would run code when unpickled
+    np.savez(
+        path, cube=np.array([{}], object), wavelengths_nm=WAVES
+    )  # would run code when unpickled
     with fails(BadFile, path, "not an .npz archive of plain arrays"):
         open_scene(path)
 
@@ -282,15 +355,21 @@ def test_light_and_luminance_of_files(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, **GOOD, kind="reflectance")
     scene = open_scene(path)
-    np.testing.assert_array_equal(scene.illuminant.values, white_radiance(illuminant("D65"), 100.0).values)
+    np.testing.assert_array_equal(
+        scene.illuminant.values, white_radiance(illuminant("D65"), 100.0).values
+    )
     write_npz(path, dataclasses.replace(scene, illuminant=white_radiance(illuminant("A"), 30.0)))
     assert white_luminance(open_scene(path)) == pytest.approx(30, rel=1e-13)
     assert white_luminance(open_scene(path, luminance=60)) == pytest.approx(60, rel=1e-13)
     relit = open_scene(path, light="E")  # another light, as bright
-    np.testing.assert_allclose(relit.illuminant.values, white_radiance(illuminant("E"), 30.0).values, rtol=1e-13)
+    np.testing.assert_allclose(
+        relit.illuminant.values, white_radiance(illuminant("E"), 30.0).values, rtol=1e-13
+    )
     np.savez(path, **GOOD)  # radiance alone
     scene = open_scene(path, luminance=7.0)
-    assert mean_luminance(scene) == pytest.approx(7, rel=1e-6) and not scene.light_is_known  # float32 samples
+    assert (
+        mean_luminance(scene) == pytest.approx(7, rel=1e-6) and not scene.light_is_known
+    )  # float32 samples
     np.savez(path, **(GOOD | {"cube": np.zeros((3, 4, 5))}))
     with fails(BadFile, path, "cannot be scaled"):
         open_scene(path, luminance=7.0)
@@ -304,7 +383,9 @@ def test_mean_luminance_of_all_forms(scene):
     elif isinstance(content, Basis):
         radiance = np.einsum("kl,kyx->lyx", content.basis, content.coefficients.astype(float))
     else:
-        radiance = np.moveaxis(content.spectra[content.ids] * content.shading[..., None].astype(float), -1, 0)
+        radiance = np.moveaxis(
+            content.spectra[content.ids] * content.shading[..., None].astype(float), -1, 0
+        )
     pixels = Spectrum(content.wavelengths, radiance.reshape(len(radiance), -1).T)
     wanted = xyz(pixels, energy_from_photons(scene.illuminant))[:, 1].mean()
     # The mean is linear: the same sums in another order.
@@ -317,8 +398,9 @@ def test_mean_luminance_of_all_forms(scene):
 def write_channels(path, channels, **header):
     import OpenEXR
 
-    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}, channels).write(
-        str(path))
+    OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}, channels
+    ).write(str(path))
 
 
 def plane(value=1.0, dtype=np.float32, shape=(4, 5)):
@@ -330,17 +412,32 @@ def test_exr_radiance_becomes_photons(tmp_path):
     write_channels(path, {"S0.500,000000nm": plane(2.0), "S0.1000,000000nm": plane(1.0)})
     scene = open_scene(path)
     # h c = 1.98644586e-25 J m (CODATA 2018, nine digits); float32.
-    np.testing.assert_allclose(scene.content.values[:, 0, 0], [2 * 500e-9 / 1.98644586e-25, 1000e-9 / 1.98644586e-25],
-                               rtol=1e-7)
+    np.testing.assert_allclose(
+        scene.content.values[:, 0, 0],
+        [2 * 500e-9 / 1.98644586e-25, 1000e-9 / 1.98644586e-25],
+        rtol=1e-7,
+    )
     assert not scene.light_is_known and scene.name == "a" and scene.shape == (4, 5)
 
 
 def test_exr_channels_are_sorted_by_number_and_read_in_every_spelling(tmp_path):
     path = tmp_path / "a.exr"
-    names = ["T.1000nm", "T.400,5nm", "T.4.8E2nm", "T.95,nm"]  # by name 1000 is first, by number last
-    write_channels(path, {name: plane(value, dtype) for name, value, dtype in
-                          zip(names, (0.75, 0.25, 0.5, 0.125), (np.float16, np.float32) * 2, strict=True)}
-                   | {"R": plane(9), "depth.Z": plane(3)})
+    names = [
+        "T.1000nm",
+        "T.400,5nm",
+        "T.4.8E2nm",
+        "T.95,nm",
+    ]  # by name 1000 is first, by number last
+    write_channels(
+        path,
+        {
+            name: plane(value, dtype)
+            for name, value, dtype in zip(
+                names, (0.75, 0.25, 0.5, 0.125), (np.float16, np.float32) * 2, strict=True
+            )
+        }
+        | {"R": plane(9), "depth.Z": plane(3)},
+    )
     scene = open_scene(path, light="A", luminance=10)
     np.testing.assert_array_equal(scene.wavelengths, [95, 400.5, 480, 1000])
     np.testing.assert_array_equal(scene.content.values[:, 1, 2], [0.125, 0.25, 0.5, 0.75])
@@ -362,7 +459,9 @@ def test_exr_round_trip(tmp_path):
     # To W and back, each rounded to float32, and a float32 product: 3 times 2^-24.
     np.testing.assert_allclose(held.values, values * np.float32(1e16), rtol=3 * 2.0**-24)
     write_spectral_exr(path, WAVES, values, reflectance=True, half=True)
-    np.testing.assert_array_equal(read_exr(path).values, values.astype(np.float16).astype(np.float32))
+    np.testing.assert_array_equal(
+        read_exr(path).values, values.astype(np.float16).astype(np.float32)
+    )
 
 
 def test_exr_names_and_attributes_are_those_of_the_layout(tmp_path):
@@ -380,7 +479,9 @@ def test_exr_bands_are_named_by_the_user(tmp_path):
     write_channels(path, {"long": plane(1), "short": plane(2), "R": plane(5)})
     scene = open_scene(path, bands={"long": 700, "short": 400.0})
     np.testing.assert_array_equal(scene.wavelengths, [400, 700])
-    assert scene.content.values[0, 0, 0] == pytest.approx(2 * 400e-9 / 1.98644586e-25, rel=1e-7)  # float32
+    assert scene.content.values[0, 0, 0] == pytest.approx(
+        2 * 400e-9 / 1.98644586e-25, rel=1e-7
+    )  # float32
     with fails(UnknownName, f"channel of {path}", "'lang'", "did you mean 'long'"):
         open_scene(path, bands={"lang": 700, "short": 400})
     with fails(BadFile, path, "'long'", "'short'", "same wavelength"):
@@ -399,18 +500,21 @@ def test_exr_rgb_is_lifted_and_written(tmp_path):
     np.testing.assert_array_equal(scene.content.basis, srgb_primaries().values)
 
 
-@pytest.mark.parametrize("channels, problem", [
-    ({"Y": plane(), "Z": plane()}, "no spectral channels"),
-    ({"R": plane(), "G": plane(), "B": plane(), "mask": plane()}, "no spectral channels"),
-    ({"S0.400nm": plane(), "S0.500THz": plane()}, "'S0.500THz'"),
-    ({"T.400nm": plane(), "T.400nm.500nm": plane()}, "'T.400nm.500nm'"),
-    ({"S0.400nm": plane(), "S0.400,00nm": plane()}, "same wavelength, 400 nm"),
-    ({"S0.400nm": plane(), "T.500nm": plane()}, "both"),
-    ({"S0.400nm": plane(), "S0.500nm": plane(np.nan)}, "'S0.500nm': NaN"),
-    ({"S0.400nm": plane(), "S0.500nm": plane(np.inf)}, "'S0.500nm': NaN or infinite"),
-    ({"S0.400nm": plane(), "S0.500nm": plane(-2)}, "'S0.500nm': negative values (lowest -2)"),
-    ({"S0.400nm": plane(), "S0.500nm": plane(1, np.uint32)}, "'S0.500nm': uint32"),
-])
+@pytest.mark.parametrize(
+    "channels, problem",
+    [
+        ({"Y": plane(), "Z": plane()}, "no spectral channels"),
+        ({"R": plane(), "G": plane(), "B": plane(), "mask": plane()}, "no spectral channels"),
+        ({"S0.400nm": plane(), "S0.500THz": plane()}, "'S0.500THz'"),
+        ({"T.400nm": plane(), "T.400nm.500nm": plane()}, "'T.400nm.500nm'"),
+        ({"S0.400nm": plane(), "S0.400,00nm": plane()}, "same wavelength, 400 nm"),
+        ({"S0.400nm": plane(), "T.500nm": plane()}, "both"),
+        ({"S0.400nm": plane(), "S0.500nm": plane(np.nan)}, "'S0.500nm': NaN"),
+        ({"S0.400nm": plane(), "S0.500nm": plane(np.inf)}, "'S0.500nm': NaN or infinite"),
+        ({"S0.400nm": plane(), "S0.500nm": plane(-2)}, "'S0.500nm': negative values (lowest -2)"),
+        ({"S0.400nm": plane(), "S0.500nm": plane(1, np.uint32)}, "'S0.500nm': uint32"),
+    ],
+)
 def test_exr_refusals(tmp_path, channels, problem):
     path = tmp_path / "bad.exr"
     write_channels(path, channels)
@@ -436,7 +540,7 @@ def test_exr_that_claims_to_be_huge_is_refused_before_reading(tmp_path):
     write_spectral_exr(path, WAVES, np.ones((3, 4, 5)), reflectance=True)
     data = bytearray(path.read_bytes())
     start = data.find(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
-    data[start:start + 16] = struct.pack("<4i", 0, 0, 999_999, 999_999)
+    data[start : start + 16] = struct.pack("<4i", 0, 0, 999_999, 999_999)
     path.write_bytes(data)
     with fails(DoesNotFit, path, "1000000 x 1000000"):
         open_scene(path)
@@ -479,7 +583,9 @@ def png(pixels, depth, colour_type, filters=(0,), interlaced=0):
     parts = [(b"IHDR", struct.pack(">IIBBBBB", cols, rows, depth, colour_type, 0, 0, interlaced))]
     parts += [(b"IDAT", zlib.compress(stream)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in parts)
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in parts
+    )
 
 
 def decoded(values):
@@ -495,17 +601,25 @@ def test_photo_is_linear_srgb_on_three_primaries(tmp_path):
     write_png(tmp_path / "a.png", pixels)
     scene = open_scene(tmp_path / "a.png")
     # float32 of the standard's formula.
-    np.testing.assert_allclose(scene.content.coefficients, decoded(pixels / 255).transpose(2, 0, 1), rtol=1e-7)
+    np.testing.assert_allclose(
+        scene.content.coefficients, decoded(pixels / 255).transpose(2, 0, 1), rtol=1e-7
+    )
     white = scene.content.coefficients[:, 0, 0] @ scene.content.basis
-    np.testing.assert_allclose(white, 1, rtol=0, atol=1e-15)  # the radiance of white is that of the light
-    np.testing.assert_array_equal(scene.illuminant.values, white_radiance(illuminant("D65"), 100.0).values)
+    np.testing.assert_allclose(
+        white, 1, rtol=0, atol=1e-15
+    )  # the radiance of white is that of the light
+    np.testing.assert_array_equal(
+        scene.illuminant.values, white_radiance(illuminant("D65"), 100.0).values
+    )
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_a_picture_is_the_photograph_of_its_codes(tmp_path, kind):
     """Every code by the standard's formula, rounded to float32 once: 2^-24, and the formula's own float64."""
     count = np.iinfo(kind).max + 1
-    every = np.stack([np.arange(count), np.arange(count)[::-1], np.roll(np.arange(count), 7)], -1).astype(kind)
+    every = np.stack(
+        [np.arange(count), np.arange(count)[::-1], np.roll(np.arange(count), 7)], -1
+    ).astype(kind)
     pixels = every.reshape(16, -1, 3)
     (tmp_path / "a.png").write_bytes(png(pixels, 8 * pixels.itemsize, 2))
     photo, scene = open_scene(tmp_path / "a.png"), picture(pixels)
@@ -515,11 +629,17 @@ def test_a_picture_is_the_photograph_of_its_codes(tmp_path, kind):
     assert scene.content.is_like(picture(pixels[:1]).content)
     np.testing.assert_array_equal(scene.content.basis, photo.content.basis)
     for name in ("values", "wavelengths"):
-        np.testing.assert_array_equal(getattr(scene.illuminant, name), getattr(photo.illuminant, name))
+        np.testing.assert_array_equal(
+            getattr(scene.illuminant, name), getattr(photo.illuminant, name)
+        )
     relit = open_scene(tmp_path / "a.png", light="A", luminance=20)
-    np.testing.assert_array_equal(picture(pixels, light="A", luminance=20).illuminant.values, relit.illuminant.values)
+    np.testing.assert_array_equal(
+        picture(pixels, light="A", luminance=20).illuminant.values, relit.illuminant.values
+    )
     write_npz(tmp_path / "a.npz", scene)  # as the basis that it stands for
-    np.testing.assert_array_equal(open_scene(tmp_path / "a.npz").content.coefficients, photo.content.coefficients)
+    np.testing.assert_array_equal(
+        open_scene(tmp_path / "a.npz").content.coefficients, photo.content.coefficients
+    )
 
 
 def test_photo_reproduces_its_colours_in_d65(tmp_path):
@@ -528,9 +648,13 @@ def test_photo_reproduces_its_colours_in_d65(tmp_path):
     pixels = RANDOM.integers(0, 256, (5, 5, 3), dtype=np.uint8)
     write_png(tmp_path / "a.png", pixels)
     scene = open_scene(tmp_path / "a.png", luminance=100)
-    spectra = np.einsum("kl,kyx->yxl", scene.content.basis, scene.content.coefficients.astype(float)).reshape(25, -1)
+    spectra = np.einsum(
+        "kl,kyx->yxl", scene.content.basis, scene.content.coefficients.astype(float)
+    ).reshape(25, -1)
     fine = np.arange(360.0, 780.01, 0.1)
-    between = CubicSpline(scene.wavelengths, spectra.T)(fine).T  # as the simulation interpolates reflectances
+    between = CubicSpline(scene.wavelengths, spectra.T)(
+        fine
+    ).T  # as the simulation interpolates reflectances
     found = xyz(Spectrum(fine, between), energy_from_photons(scene.illuminant)) / 100
     wanted = decoded(pixels / 255).reshape(25, 3) @ srgb_to_xyz().T
     # Coefficients are float32, 6e-8. (White is energy there and photons here, the same integral but for the
@@ -544,7 +668,7 @@ def test_png_of_16_bits_keeps_all_of_them(tmp_path, colour_type, channels):
     (tmp_path / "a.png").write_bytes(png(pixels, 16, colour_type, filters=(0, 1, 2, 3, 4)))
     content = open_scene(tmp_path / "a.png").content
     found = content.shading[None] if isinstance(content, Materials) else content.coefficients
-    wanted = decoded(pixels[..., :channels - (channels in (2, 4))] / 65535)
+    wanted = decoded(pixels[..., : channels - (channels in (2, 4))] / 65535)
     if channels in (2, 4):
         wanted = wanted * pixels[..., -1:] / 65535
     np.testing.assert_allclose(found, np.moveaxis(wanted, -1, 0), rtol=1e-6, atol=1e-9)  # float32
@@ -562,7 +686,9 @@ def test_grey_transparent_palette_bilevel_and_rotated(tmp_path):
     colour = RANDOM.integers(0, 256, (4, 6, 4), dtype=np.uint8)
     Image.fromarray(colour).save(path)
     wanted = decoded(colour[..., :3] / 255) * colour[..., 3:] / 255
-    np.testing.assert_allclose(open_scene(path).content.coefficients, wanted.transpose(2, 0, 1), rtol=2e-7)
+    np.testing.assert_allclose(
+        open_scene(path).content.coefficients, wanted.transpose(2, 0, 1), rtol=2e-7
+    )
     palette = Image.fromarray(grey).quantize(8)
     palette.save(path)
     wanted = decoded(np.asarray(palette.convert("RGB")) / 255).transpose(2, 0, 1)
@@ -583,7 +709,9 @@ def test_jpeg(tmp_path):
     scene = open_scene(tmp_path / "a.jpg")
     # JPEG's colour transform rounds to 8 bits: 2 levels of 255 in each channel, slope at most 2.4.
     wanted = decoded(pixels[5, 5] / 255)
-    np.testing.assert_allclose(scene.content.coefficients[:, 5, 5], wanted, rtol=0, atol=2.4 * 2 / 255)
+    np.testing.assert_allclose(
+        scene.content.coefficients[:, 5, 5], wanted, rtol=0, atol=2.4 * 2 / 255
+    )
 
 
 def test_photo_refusals(tmp_path):
@@ -607,8 +735,15 @@ def test_photo_refusals(tmp_path):
         open_scene(tmp_path / "a.jpg")
     header = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13)
     body = b"IHDR" + struct.pack(">IIBBBBB", 2_000_000, 1_000_000, 8, 2, 0, 0, 0)
-    path.write_bytes(header + body + struct.pack(">I", zlib.crc32(body)) + png(np.zeros((1, 1, 3), int), 8, 2)[33:])
-    with pytest.raises((BadFile, DoesNotFit)) as error:  # by Pillow's limit or by this computer's memory
+    path.write_bytes(
+        header
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + png(np.zeros((1, 1, 3), int), 8, 2)[33:]
+    )
+    with pytest.raises(
+        (BadFile, DoesNotFit)
+    ) as error:  # by Pillow's limit or by this computer's memory
         open_scene(path)
     assert str(path) in str(error.value)
 
@@ -620,7 +755,9 @@ def test_real_photographs(shared_data):
     scene = open_scene(path)
     assert scene.shape == (512, 768)
     pixels = np.asarray(Image.open(path)).transpose(2, 0, 1)
-    np.testing.assert_allclose(scene.content.coefficients, decoded(pixels / 255), rtol=1e-6)  # float32
+    np.testing.assert_allclose(
+        scene.content.coefficients, decoded(pixels / 255), rtol=1e-6
+    )  # float32
 
 
 # ---- pictures and raw data out
@@ -629,16 +766,29 @@ def test_real_photographs(shared_data):
 def test_png_holds_what_was_written(tmp_path):
     from PIL import Image
 
-    for pixels in (RANDOM.integers(0, 256, (5, 7, 3), dtype=np.uint8), RANDOM.integers(0, 256, (5, 7), dtype=np.uint8)):
+    for pixels in (
+        RANDOM.integers(0, 256, (5, 7, 3), dtype=np.uint8),
+        RANDOM.integers(0, 256, (5, 7), dtype=np.uint8),
+    ):
         write_png(tmp_path / "a.png", pixels)
         back = np.asarray(Image.open(tmp_path / "a.png"))
         np.testing.assert_array_equal(back, pixels)
 
 
-@pytest.mark.parametrize("image", [np.zeros((4, 5, 3)), np.zeros((3, 4, 5), np.uint8), np.zeros((0, 5, 3), np.uint8),
-                                   np.zeros(3, np.uint8), np.zeros((4, 5, 3), np.int16)])
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((4, 5, 3)),
+        np.zeros((3, 4, 5), np.uint8),
+        np.zeros((0, 5, 3), np.uint8),
+        np.zeros(3, np.uint8),
+        np.zeros((4, 5, 3), np.int16),
+    ],
+)
 def test_png_refusals(tmp_path, image):
-    with fails(BadData, tmp_path / "a.png", "uint8 or uint16 of shape (rows, cols, 3)", str(image.shape)):
+    with fails(
+        BadData, tmp_path / "a.png", "uint8 or uint16 of shape (rows, cols, 3)", str(image.shape)
+    ):
         write_png(tmp_path / "a.png", image)
     assert list(tmp_path.iterdir()) == []
 
@@ -653,7 +803,15 @@ def test_dng_is_read_exactly_by_libraw(tmp_path, pattern, shape):
     import rawpy
 
     raw = RANDOM.integers(0, 4096, shape).astype(np.uint16)
-    write_dng(tmp_path / "a.dng", raw, (pattern[:2], pattern[2:]), 64, 4095, {"D65": (MATRIX, None)}, NEUTRAL)
+    write_dng(
+        tmp_path / "a.dng",
+        raw,
+        (pattern[:2], pattern[2:]),
+        64,
+        4095,
+        {"D65": (MATRIX, None)},
+        NEUTRAL,
+    )
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         np.testing.assert_array_equal(file.raw_image_visible, raw)
         letters = np.array(list(file.color_desc.decode()))[file.raw_pattern]
@@ -682,30 +840,67 @@ def test_dng_monochrome(tmp_path, shape):
 def test_dng_of_one_pixel_holds_it(tmp_path):
     import tifffile
 
-    write_dng(tmp_path / "a.dng", np.array([[77]], np.uint16), ("GR", "BG"), 0, 100, {"A": (MATRIX, None)}, NEUTRAL)
+    write_dng(
+        tmp_path / "a.dng",
+        np.array([[77]], np.uint16),
+        ("GR", "BG"),
+        0,
+        100,
+        {"A": (MATRIX, None)},
+        NEUTRAL,
+    )
     with tifffile.TiffFile(tmp_path / "a.dng") as file:
-        assert file.pages[0].asarray() == 77 and file.pages[0].tags["DNGVersion"].value == b"\x01\x04\x00\x00"
+        assert (
+            file.pages[0].asarray() == 77
+            and file.pages[0].tags["DNGVersion"].value == b"\x01\x04\x00\x00"
+        )
 
 
-@pytest.mark.parametrize("changes, error, part", [
-    ({"raw": np.zeros((4, 4))}, BadData, "uint16"), ({"raw": np.zeros((0, 4), np.uint16)}, BadData, "(0, 4)"),
-    ({"cfa": ("RG", "BW")}, BadData, "letters R, G, B"), ({"cfa": ("RG", "B")}, BadData, "equally long"),
-    ({"cfa": ("RG", "NB"), "channels": "RGNB"}, OutOfRange, "filters of a DNG = N: allowed is R, G, B, C, M, Y, W"),
-    ({"cfa": ("RC", "CC"), "channels": "RC"}, OutOfRange, "channels of a DNG = 2 (R, C): allowed is 1, 3 or 4"),
-    ({"raw": np.zeros((4, 4, 4), np.uint16), "cfa": ()}, BadData, "4 layers of raw values for 3 channels"),
-    ({"black_level": 4095}, OutOfRange, "black < white"), ({"black_level": [64, 65]}, BadData, "(2, 2)"),
-    ({"black_level": -1}, OutOfRange, "black < white"),
-    ({"matrices": {"D65": (np.eye(2), None)}}, BadData, "color matrix of D65"),
-    ({"matrices": {"D65": (MATRIX, np.eye(2))}}, BadData, "forward matrix of D65"),
-    ({"matrices": None}, OutOfRange, "one or two of A, B"), ({"matrices": {"FL2": (MATRIX, None)}}, OutOfRange, "FL2"),
-    ({"matrices": {"A": (MATRIX * np.nan, None)}}, BadData, "color matrix of A must be finite"),
-    ({"noise": (0.0, 1.0)}, OutOfRange, "S > 0"), ({"noise": (1e-3, -1.0)}, OutOfRange, "O >= 0"),
-    ({"as_shot_neutral": [1, 0, 1]}, OutOfRange, "as_shot_neutral"),
-    ({"as_shot_neutral": [1, 1]}, BadData, "as_shot_neutral"),
-])
+@pytest.mark.parametrize(
+    "changes, error, part",
+    [
+        ({"raw": np.zeros((4, 4))}, BadData, "uint16"),
+        ({"raw": np.zeros((0, 4), np.uint16)}, BadData, "(0, 4)"),
+        ({"cfa": ("RG", "BW")}, BadData, "letters R, G, B"),
+        ({"cfa": ("RG", "B")}, BadData, "equally long"),
+        (
+            {"cfa": ("RG", "NB"), "channels": "RGNB"},
+            OutOfRange,
+            "filters of a DNG = N: allowed is R, G, B, C, M, Y, W",
+        ),
+        (
+            {"cfa": ("RC", "CC"), "channels": "RC"},
+            OutOfRange,
+            "channels of a DNG = 2 (R, C): allowed is 1, 3 or 4",
+        ),
+        (
+            {"raw": np.zeros((4, 4, 4), np.uint16), "cfa": ()},
+            BadData,
+            "4 layers of raw values for 3 channels",
+        ),
+        ({"black_level": 4095}, OutOfRange, "black < white"),
+        ({"black_level": [64, 65]}, BadData, "(2, 2)"),
+        ({"black_level": -1}, OutOfRange, "black < white"),
+        ({"matrices": {"D65": (np.eye(2), None)}}, BadData, "color matrix of D65"),
+        ({"matrices": {"D65": (MATRIX, np.eye(2))}}, BadData, "forward matrix of D65"),
+        ({"matrices": None}, OutOfRange, "one or two of A, B"),
+        ({"matrices": {"FL2": (MATRIX, None)}}, OutOfRange, "FL2"),
+        ({"matrices": {"A": (MATRIX * np.nan, None)}}, BadData, "color matrix of A must be finite"),
+        ({"noise": (0.0, 1.0)}, OutOfRange, "S > 0"),
+        ({"noise": (1e-3, -1.0)}, OutOfRange, "O >= 0"),
+        ({"as_shot_neutral": [1, 0, 1]}, OutOfRange, "as_shot_neutral"),
+        ({"as_shot_neutral": [1, 1]}, BadData, "as_shot_neutral"),
+    ],
+)
 def test_dng_refusals(tmp_path, changes, error, part):
-    arguments = {"raw": np.zeros((4, 4), np.uint16), "cfa": ("RG", "GB"), "black_level": 64, "white_level": 4095,
-                 "matrices": {"D65": (MATRIX, None)}, "as_shot_neutral": NEUTRAL} | changes
+    arguments = {
+        "raw": np.zeros((4, 4), np.uint16),
+        "cfa": ("RG", "GB"),
+        "black_level": 64,
+        "white_level": 4095,
+        "matrices": {"D65": (MATRIX, None)},
+        "as_shot_neutral": NEUTRAL,
+    } | changes
     with fails(error, part):
         write_dng(tmp_path / "a.dng", **arguments)
     assert list(tmp_path.iterdir()) == []
@@ -737,13 +932,17 @@ def test_atomic_path_refusals(tmp_path):
         raise OSError(28, os.strerror(28))
 
 
-@pytest.mark.parametrize("write", [
-    lambda path: write_npz(path, chart("flat", size=(4, 3))),
-    lambda path: write_spectral_exr(path, WAVES, np.ones((3, 2, 2))),
-    lambda path: write_rgb_exr(path, np.ones((2, 2, 3))),
-    lambda path: write_png(path, np.zeros((2, 2), np.uint8)),
-    lambda path: write_dng(path, np.zeros((2, 2), np.uint16), (), 0, 1),
-], ids=["npz", "spectral-exr", "rgb-exr", "png", "dng"])
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_npz(path, chart("flat", size=(4, 3))),
+        lambda path: write_spectral_exr(path, WAVES, np.ones((3, 2, 2))),
+        lambda path: write_rgb_exr(path, np.ones((2, 2, 3))),
+        lambda path: write_png(path, np.zeros((2, 2), np.uint8)),
+        lambda path: write_dng(path, np.zeros((2, 2), np.uint16), (), 0, 1),
+    ],
+    ids=["npz", "spectral-exr", "rgb-exr", "png", "dng"],
+)
 def test_every_writer_refuses_a_missing_folder(tmp_path, write):
     with fails(GpusimError, "does not exist"):
         write(tmp_path / "none" / "a.out")

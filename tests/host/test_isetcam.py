@@ -20,20 +20,32 @@ def iset():
 
 
 def test_diffraction_otf(iset):
-    s = iset["otf_frequencies_per_mm"][:, None] * 1e3 * iset["otf_wavelengths_nm"] * 1e-9 * iset["otf_f_number"]
+    s = (
+        iset["otf_frequencies_per_mm"][:, None]
+        * 1e3
+        * iset["otf_wavelengths_nm"]
+        * 1e-9
+        * iset["otf_f_number"]
+    )
     # ISETCam's array begins one frequency late (its first row is 0, its second O(0) = 1)
     np.testing.assert_allclose(otf(s)[:-1], iset["otf"][1:], atol=1e-12)
 
 
 def test_airy_radius(iset):
-    radius = Optics(f_number=float(iset["otf_f_number"]), focal_length=4e-3).airy_radius(iset["otf_wavelengths_nm"])
+    radius = Optics(f_number=float(iset["otf_f_number"]), focal_length=4e-3).airy_radius(
+        iset["otf_wavelengths_nm"]
+    )
     np.testing.assert_allclose(radius * 1e6, iset["airy_radius_um"], rtol=1e-12)
 
 
 def test_airy_radius_differs_from_the_textbook_factor(iset):
     """The seed's 1.22 is rounded; the first zero of J1 is at 1.21967 pi. The difference is 2.7e-4."""
-    radius = Optics(f_number=float(iset["otf_f_number"]), focal_length=4e-3).airy_radius(iset["otf_wavelengths_nm"])
-    np.testing.assert_allclose(radius * 1e6 / iset["airy_radius_textbook_um"], 1.2196698912665045 / 1.22, rtol=1e-12)
+    radius = Optics(f_number=float(iset["otf_f_number"]), focal_length=4e-3).airy_radius(
+        iset["otf_wavelengths_nm"]
+    )
+    np.testing.assert_allclose(
+        radius * 1e6 / iset["airy_radius_textbook_um"], 1.2196698912665045 / 1.22, rtol=1e-12
+    )
 
 
 def test_spectral_integration(iset):
@@ -46,7 +58,9 @@ def cos4(iset, fov):
     """The law at their sample positions, which are half-pixel steps: pixel centres of a grid twice as fine."""
     x, y = iset[f"cos4_{fov}_x_m"], iset[f"cos4_{fov}_y_m"]
     pitch = x[1] - x[0]
-    fine = relative_illumination(4 * len(y) + 1, 4 * len(x) + 1, pitch / 2 / iset[f"cos4_{fov}_image_distance_m"])
+    fine = relative_illumination(
+        4 * len(y) + 1, 4 * len(x) + 1, pitch / 2 / iset[f"cos4_{fov}_image_distance_m"]
+    )
     return fine[np.ix_(*(2 * len(axis) + np.rint(axis / pitch * 2).astype(int) for axis in (y, x)))]
 
 
@@ -69,5 +83,7 @@ def test_irradiance_differs_from_isetcams_skip_optics_on_purpose():
 
     f/4, 3.9 mm, object at 1.2 m: .048023 there with blur and here always, .012224 there without blur.
     """
-    optics = [Optics(4, 3.9e-3, model=model, object_distance=1.2) for model in ("diffraction", "none")]
+    optics = [
+        Optics(4, 3.9e-3, model=model, object_distance=1.2) for model in ("diffraction", "none")
+    ]
     np.testing.assert_allclose([lens.irradiance_factor for lens in optics], 0.048023, atol=5e-7)

@@ -14,7 +14,11 @@ PHONE = open_camera("phone")
 
 
 def camera(pixels=None, **optics):
-    return replace(PHONE, optics=replace(PHONE.optics, **optics), sensor=replace(PHONE.sensor, **(pixels or {})))
+    return replace(
+        PHONE,
+        optics=replace(PHONE.optics, **optics),
+        sensor=replace(PHONE.sensor, **(pixels or {})),
+    )
 
 
 def parts(made):
@@ -23,13 +27,29 @@ def parts(made):
 
 
 # each other than the one before in one thing that what is kept depends on
-CAMERAS = [camera(), camera(f_number=4.0), camera({"fill_factor": 0.5}), camera({"offset": (0.25, 0.0)}),
-           camera({"offset": (0.0, 0.25)}), camera(), camera(defocus=5e-6), camera(),
-           camera({"qe": replace(PHONE.sensor.qe, values=PHONE.sensor.qe.values**2)}),
-           replace(PHONE, sensor=replace(PHONE.sensor, cfa=("GR", "RB")),
-                   processor=replace(PHONE.processor, demosaic="bilinear")), camera()]
-SCENES = [chart("colorchecker", size=(30, 20)), chart("deadleaves", size=(30, 20)),
-          chart("colorchecker", size=(24, 16), light="A"), chart("colorchecker", size=(24, 16), samples_per_pixel=1.5)]
+CAMERAS = [
+    camera(),
+    camera(f_number=4.0),
+    camera({"fill_factor": 0.5}),
+    camera({"offset": (0.25, 0.0)}),
+    camera({"offset": (0.0, 0.25)}),
+    camera(),
+    camera(defocus=5e-6),
+    camera(),
+    camera({"qe": replace(PHONE.sensor.qe, values=PHONE.sensor.qe.values**2)}),
+    replace(
+        PHONE,
+        sensor=replace(PHONE.sensor, cfa=("GR", "RB")),
+        processor=replace(PHONE.processor, demosaic="bilinear"),
+    ),
+    camera(),
+]
+SCENES = [
+    chart("colorchecker", size=(30, 20)),
+    chart("deadleaves", size=(30, 20)),
+    chart("colorchecker", size=(24, 16), light="A"),
+    chart("colorchecker", size=(24, 16), samples_per_pixel=1.5),
+]
 
 
 def test_plans_are_those_of_a_planner_that_keeps_nothing():
@@ -40,4 +60,6 @@ def test_plans_are_those_of_a_planner_that_keeps_nothing():
             tolerance = Tolerance(rms=(1e-2, 2e-3)[number % 3 % 2])
             wanted = parts(plan(scene, one, tolerance=tolerance))
             for _ in range(2):
-                np.testing.assert_equal(parts(plan(scene, one, tolerance=tolerance, kept=kept)), wanted)
+                np.testing.assert_equal(
+                    parts(plan(scene, one, tolerance=tolerance, kept=kept)), wanted
+                )

@@ -10,8 +10,11 @@ import gpusim.kernels
 
 ROOT = Path(gpusim.kernels.__path__[0])
 # names that Python or Warp's module keeps for something else
-RENAMED = {("common/copy", "copy"): {"in": "data"}, ("optics/sample", "rows"): {"rows": "height"},
-           ("processor/flash", "flash"): {"flash": "flash_"}}
+RENAMED = {
+    ("common/copy", "copy"): {"in": "data"},
+    ("optics/sample", "rows"): {"rows": "height"},
+    ("processor/flash", "flash"): {"flash": "flash_"},
+}
 # kernels of another form for OpenCL's vectors: a run of pixels per work-item, strips of rows in local memory
 OTHER_FORM = {"processor/merge": {"merge"}, "processor/best": {"differences", "greens", "colors"}}
 
@@ -19,15 +22,23 @@ OTHER_FORM = {"processor/merge": {"merge"}, "processor/best": {"differences", "g
 def opencl_kernels(path):
     """Names of arguments by kernel."""
     text = re.sub(r"//[^\n]*", "", path.read_text())
-    found = re.finditer(r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\(([^{]*)\)\s*\{", text)
-    return {match[1]: [re.search(r"(\w+)\s*$", argument)[1] for argument in match[2].split(",")] for match in found}
+    found = re.finditer(
+        r"__kernel\s+(?:__attribute__\(\(.*?\)\)\)\s*)?void\s+(\w+)\s*\(([^{]*)\)\s*\{", text
+    )
+    return {
+        match[1]: [re.search(r"(\w+)\s*$", argument)[1] for argument in match[2].split(",")]
+        for match in found
+    }
 
 
 def warp_kernels(path):
     """The same; of functions with the decorator `wp.kernel`."""
-    return {node.name: [argument.arg for argument in node.args.args] for node in ast.walk(ast.parse(path.read_text()))
-            if isinstance(node, ast.FunctionDef)
-            and any(ast.unparse(decorator).startswith("wp.kernel") for decorator in node.decorator_list)}
+    return {
+        node.name: [argument.arg for argument in node.args.args]
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(decorator).startswith("wp.kernel") for decorator in node.decorator_list)
+    }
 
 
 def kernels():
@@ -49,7 +60,9 @@ def test_kernels_are_found():
     assert ("processor/linear", "linear") in {(stage, name) for stage, name, *_ in KERNELS}
 
 
-@pytest.mark.parametrize(("stage", "name", "opencl", "warp"), KERNELS, ids=[f"{k[0]}-{k[1]}" for k in KERNELS])
+@pytest.mark.parametrize(
+    ("stage", "name", "opencl", "warp"), KERNELS, ids=[f"{k[0]}-{k[1]}" for k in KERNELS]
+)
 def test_arguments_agree(stage, name, opencl, warp):
     """Warp may take more, sizes that OpenCL has as compile-time constants, but what both take is in one order."""
     wanted = [RENAMED.get((stage, name), {}).get(argument, argument) for argument in opencl]

@@ -25,27 +25,45 @@ def test_there_is_one_way_to_leave_something_out():
             if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "leave_out":
                 calls += 1
                 assert len(node.args) >= 2, f"{path}:{node.lineno}"
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and path.name != "notes.py":
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and path.name != "notes.py"
+            ):
                 changes = node.func.attr in ("append", "extend", "insert")
-                assert not (changes and getattr(node.func.value, "attr", "") == "left_out"), f"{path}:{node.lineno}"
+                assert not (changes and getattr(node.func.value, "attr", "") == "left_out"), (
+                    f"{path}:{node.lineno}"
+                )
     assert calls >= 10
 
 
-@pytest.mark.parametrize(("bounds", "doubt", "state"), [
-    ({"planes": Bound(1e-4, 0.01, 0.01)}, "", "met"),
-    ({"planes": Bound(1e-4, 0.01, 0.01), "depth": UNKNOWN}, "", "not judged"),
-    ({"planes": Bound(1e-4, 1.0, 1.0), "depth": UNKNOWN}, "", "not met"),  # what is known breaks it already
-    ({"planes": Bound(1e-4, 0.01, 0.01)}, "it is small", "not judged"),
-    ({"planes": Bound(1e-4, 1.0, 1.0)}, "it is small", "not met")])
+@pytest.mark.parametrize(
+    ("bounds", "doubt", "state"),
+    [
+        ({"planes": Bound(1e-4, 0.01, 0.01)}, "", "met"),
+        ({"planes": Bound(1e-4, 0.01, 0.01), "depth": UNKNOWN}, "", "not judged"),
+        (
+            {"planes": Bound(1e-4, 1.0, 1.0), "depth": UNKNOWN},
+            "",
+            "not met",
+        ),  # what is known breaks it already
+        ({"planes": Bound(1e-4, 0.01, 0.01)}, "it is small", "not judged"),
+        ({"planes": Bound(1e-4, 1.0, 1.0)}, "it is small", "not met"),
+    ],
+)
 def test_states_of_a_verdict(bounds, doubt, state):
     account = Account(bounds, doubt=doubt)
     for one in (account, account.at(0.5), account.at(2.0)):
         verdict = one.verdict(WHITE, "more would")
         assert verdict.state == state and verdict.met == (state == "met")
     verdict = account.verdict(WHITE, "more would")
-    assert str(verdict).startswith({"met": "met: ", "not met": "NOT met: ", "not judged": "cannot be judged: "}[state])
+    assert str(verdict).startswith(
+        {"met": "met: ", "not met": "NOT met: ", "not judged": "cannot be judged: "}[state]
+    )
     if state == "not judged":
-        assert verdict.unknown == ((doubt,) if doubt else ("depth",)) and verdict.unknown[0] in str(verdict)
+        assert verdict.unknown == ((doubt,) if doubt else ("depth",)) and verdict.unknown[0] in str(
+            verdict
+        )
     assert total(bounds.values()).is_known  # figures are those of the known causes
 
 
@@ -71,7 +89,9 @@ def camera_with(kind):
     camera = gs.open_camera("phone").with_(object_distance_m=2.0, exposure_time_ms=5)
     rows, cols = 64, 96
     if kind == "calibration":  # a pinhole without any coefficient
-        lens = {"distortion": gs.Calibration(cols, rows, 2000.0, 2000.0, (cols - 1) / 2, (rows - 1) / 2)}
+        lens = {
+            "distortion": gs.Calibration(cols, rows, 2000.0, 2000.0, (cols - 1) / 2, (rows - 1) / 2)
+        }
     elif kind == "measured":
         psf = gs.PointSpread(np.array([380.0, 780.0]), np.ones((2, 3, 3)), 1.4e-6, integrated=True)
         lens = {"model": "measured", "psf": psf}
@@ -83,7 +103,9 @@ def camera_with(kind):
 @pytest.mark.parametrize("kind", ["calibration", "measured", "lateral"])
 def test_depth_next_to_a_real_lens_is_never_called_met(kind):
     """Halves at 2.0 and 0.4 m, focus at 2 m: the circle of confusion is (f/N) s (1/2 - 1/0.4) / pitch, 5.4 pixels."""
-    plan = gs.Simulator(camera_with(kind), device="numpy", tolerance="video").plan(scene_with_depth())
+    plan = gs.Simulator(camera_with(kind), device="numpy", tolerance="video").plan(
+        scene_with_depth()
+    )
     assert plan.verdict.state != "met" and any(line.startswith("depth: ") for line in plan.left_out)
     bound = plan.account.bounds["depth left out"]
     # the blur of the near half in an ideal lens, by its own plan, is 4.7 sigma and more: a bound is not below it
@@ -92,7 +114,9 @@ def test_depth_next_to_a_real_lens_is_never_called_met(kind):
 
 def test_depth_in_focus_next_to_a_real_lens_is_met():
     """All of it 2 m away, so no wave out of focus."""
-    plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2).plan(scene_with_depth(2.0, 2.0))
+    plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2).plan(
+        scene_with_depth(2.0, 2.0)
+    )
     assert plan.verdict.met, str(plan.verdict)
 
 
@@ -103,24 +127,41 @@ def test_the_bound_of_depth_holds():
     """
     scene = gs.chart("deadleaves", size=(96, 64), seed=3)
     for far in (2.05, 2.2, 3.0):
-        scene = replace(scene, depth=np.broadcast_to(np.linspace(2.0, far, 64)[:, None], (64, 96)).astype(np.float32))
+        scene = replace(
+            scene,
+            depth=np.broadcast_to(np.linspace(2.0, far, 64)[:, None], (64, 96)).astype(np.float32),
+        )
         ideal = gs.open_camera("phone").with_(object_distance_m=2.0, exposure_time_ms=5)
         true = np.asarray(gs.Simulator(ideal, device="numpy").expose(scene).mean)
-        without = np.asarray(gs.Simulator(ideal, device="numpy").expose(replace(scene, depth=None)).mean)
+        without = np.asarray(
+            gs.Simulator(ideal, device="numpy").expose(replace(scene, depth=None)).mean
+        )
         found = np.sqrt(np.mean((true - without) ** 2) / np.mean(true**2))
-        plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance="video").plan(scene)
+        plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance="video").plan(
+            scene
+        )
         assert found < plan.account.bounds["depth left out"].rms
 
 
-@pytest.mark.parametrize("setting", [
-    {"defocus": 4e-6}, {"wavefront": gs.open_camera("phone").optics.wavefront.__class__((0, 0, 0, 0.05))},
-    {"wavefront": gs.open_camera("phone").optics.wavefront.__class__(seidel=(0.1, 0, 0, 0, 0))},
-    {"birefringence": (1e-6, 0.0)}, {"diffuser": 1e-6}, {"lateral_color": 1e-4},
-    {"pupil": gs.open_camera("phone").optics.pupil.__class__(blades=6)},
-    {"pupil": gs.open_camera("phone").optics.pupil.__class__(obscuration=0.3)}], ids=str)
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"defocus": 4e-6},
+        {"wavefront": gs.open_camera("phone").optics.wavefront.__class__((0, 0, 0, 0.05))},
+        {"wavefront": gs.open_camera("phone").optics.wavefront.__class__(seidel=(0.1, 0, 0, 0, 0))},
+        {"birefringence": (1e-6, 0.0)},
+        {"diffuser": 1e-6},
+        {"lateral_color": 1e-4},
+        {"pupil": gs.open_camera("phone").optics.pupil.__class__(blades=6)},
+        {"pupil": gs.open_camera("phone").optics.pupil.__class__(obscuration=0.3)},
+    ],
+    ids=str,
+)
 def test_measured_spreads_refuse_what_they_would_ignore(setting):
     optics = camera_with("measured").optics
-    with pytest.raises(BadData, match=r'with model = "measured" the point spreads hold it.*leave it out'):
+    with pytest.raises(
+        BadData, match=r'with model = "measured" the point spreads hold it.*leave it out'
+    ):
         replace(optics, **setting)
 
 
@@ -129,7 +170,9 @@ def test_a_field_of_view_that_is_replaced_cannot_be_judged():
     plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2).plan(scene)
     assert plan.verdict.state == "not judged" and "field of view" in str(plan.verdict)
     with pytest.raises(NotMet, match="cannot be judged"):
-        gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2, strict=True).plan(scene)
+        gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2, strict=True).plan(
+            scene
+        )
 
 
 def test_light_outside_the_wavelengths_has_a_figure():
@@ -140,23 +183,29 @@ def test_light_outside_the_wavelengths_has_a_figure():
     nodes = np.linspace(500.0, 600.0, 11)
     light = gs.illuminant("D65")
     camera = gs.open_camera("phone")
-    plan = gs.Simulator(camera, device="numpy").plan(Scene(Cube(nodes, np.ones((11, 16, 16), np.float32)), light))
+    plan = gs.Simulator(camera, device="numpy").plan(
+        Scene(Cube(nodes, np.ones((11, 16, 16), np.float32)), light)
+    )
     fine = np.linspace(camera.sensor.qe.wavelengths[0], camera.sensor.qe.wavelengths[-1], 20001)
     seen = camera.sensor.qe.at(fine).sum(axis=0) * camera.optics.transmission_at(fine)
     electrons = light.at(fine, outside=None) * seen
     inside = (fine >= 500) & (fine <= 600)
     # steps of 1 nm against 0.02 nm, of a table of 1 to 10 nm: percents at the two edges
     assert plan.beside["light outside the wavelengths"] == pytest.approx(
-        electrons[~inside].sum() / electrons[inside].sum(), rel=0.03)
+        electrons[~inside].sum() / electrons[inside].sum(), rel=0.03
+    )
 
 
 def test_the_first_line_without_a_tolerance_says_the_border_error():
     """An endless edge: the world beyond what the transforms see is not there (finding T14)."""
-    frame = gs.Simulator(gs.open_camera("phone"), device="numpy")(gs.chart("slanted-edge", size=(96, 64)))
+    frame = gs.Simulator(gs.open_camera("phone"), device="numpy")(
+        gs.chart("slanted-edge", size=(96, 64))
+    )
     first, border = str(frame.report).split("\n")[0], frame.report.account.bounds["border"]
     assert f"no tolerance: border error rms {border.rms:.2g}" in first
     with_one = gs.Simulator(gs.open_camera("phone"), device="numpy", tolerance="video")(
-        gs.chart("slanted-edge", size=(96, 64)))
+        gs.chart("slanted-edge", size=(96, 64))
+    )
     assert "border error" not in str(with_one.report).split("\n")[0]
 
 
@@ -165,7 +214,8 @@ def test_plan_has_three_exit_statuses(tmp_path, capsys):
     camera.write_text('base = "phone"\n[optics]\ncalibration = "camera.yaml"\n')
     (tmp_path / "camera.yaml").write_text(
         "image_width: 96\nimage_height: 64\ndistortion_model: plumb_bob\ncamera_matrix:\n  data: "
-        "[2000, 0, 47.5, 0, 2000, 31.5, 0, 0, 1]\ndistortion_coefficients:\n  data: [0, 0, 0, 0, 0]\n")
+        "[2000, 0, 47.5, 0, 2000, 31.5, 0, 0, 1]\ndistortion_coefficients:\n  data: [0, 0, 0, 0, 0]\n"
+    )
     common = ["plan", "deadleaves", "--size", "96x64", "--device", "numpy", "--camera"]
     assert main([*common, "phone", "--tolerance", "1e-2"]) == 0
     assert main([*common, "phone", "--tolerance", "1e-9"]) in (1, 2)
@@ -182,8 +232,13 @@ def test_light_behind_the_edges_of_layers_is_in_the_account(size):
     from gpusim.domain.scene import Layer, Scene
 
     random, wavelengths = np.random.default_rng(2), np.array([450.0, 550.0, 650.0])
-    behind, front = (random.random((3, 64 // size, 96 // size)).repeat(size, 1).repeat(size, 2).astype(np.float32)
-                     for _ in range(2))
+    behind, front = (
+        random.random((3, 64 // size, 96 // size))
+        .repeat(size, 1)
+        .repeat(size, 2)
+        .astype(np.float32)
+        for _ in range(2)
+    )
     rows, cols = behind.shape[1:]
     alpha = np.zeros((rows, cols), np.float32)
     alpha[:, : cols // 2] = 1

@@ -28,8 +28,12 @@ with atomic_path(sys.argv[1]) as temporary:
 
 def writer(path):
     """A process that waits while its file is half written, and the file's temporary name."""
-    process = subprocess.Popen([sys.executable, "-c", WRITER, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                               text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     return process, process.stdout.readline().strip()
 
 
@@ -46,8 +50,12 @@ def begin_a_set(folder):
 
 @pytest.mark.skipif(os.name != "posix", reason="nobody can tell there")
 @pytest.mark.parametrize("run", [write, begin_a_set, lambda folder: check_output(folder / "c.txt")])
-@pytest.mark.parametrize("is_reaped", [True, False])  # a process that ended, and one whose parent did not ask for it
-def test_what_a_killed_process_left_is_removed_and_nothing_of_one_that_lives(run, is_reaped, tmp_path):
+@pytest.mark.parametrize(
+    "is_reaped", [True, False]
+)  # a process that ended, and one whose parent did not ask for it
+def test_what_a_killed_process_left_is_removed_and_nothing_of_one_that_lives(
+    run, is_reaped, tmp_path
+):
     killed, left = writer(tmp_path / "one.tar")
     living, written = writer(tmp_path / "two.tar")
     killed.kill()
@@ -67,7 +75,9 @@ def test_what_a_killed_process_left_is_removed_and_nothing_of_one_that_lives(run
 def changed(**parts):
     """Name of a temporary file of this process with other parts."""
     name = temporary_name(".npz")
-    found = re.fullmatch(r"\.gpusim-(?P<host>.*?)-(?P<boot>.*?)-(?P<pid>.*?)-(?P<start>.*?)-(?P<last>.*)", name)
+    found = re.fullmatch(
+        r"\.gpusim-(?P<host>.*?)-(?P<boot>.*?)-(?P<pid>.*?)-(?P<start>.*?)-(?P<last>.*)", name
+    )
     return ".gpusim-" + "-".join({**found.groupdict(), **parts}.values())
 
 
@@ -76,12 +86,17 @@ def test_a_writer_is_known_by_its_host_its_boot_its_number_and_its_start(tmp_pat
     free = next(pid for pid in range(4_000_000, 1, -1) if not Path(f"/proc/{pid}").exists())
     before_boot = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) - 60
     names = {  # name -> when it was written, and whether it goes
-        changed(): (None, False), changed(start="7"): (None, True), changed(pid=str(free)): (None, True),
+        changed(): (None, False),
+        changed(start="7"): (None, True),
+        changed(pid=str(free)): (None, True),
         changed(pid="1"): (None, True),  # which is there, and started at another time
-        changed(host="0" * 8, start="7"): (None, False), changed(host="0" * 8, boot="0" * 8): (before_boot, False),
+        changed(host="0" * 8, start="7"): (None, False),
+        changed(host="0" * 8, boot="0" * 8): (before_boot, False),
         changed(boot="0" * 8): (before_boot, True),
         changed(boot="0" * 8, last="0" * 8): (None, False),  # of a copy of this host
-        ".gpusim-12345678.tar": (before_boot, False), ".gpusim-notes": (before_boot, False)}
+        ".gpusim-12345678.tar": (before_boot, False),
+        ".gpusim-notes": (before_boot, False),
+    }
     for name, (when, _) in names.items():
         (tmp_path / name).touch()
         if when:
@@ -98,7 +113,9 @@ def test_a_process_that_nobody_may_signal_is_alive(tmp_path, monkeypatch):
 
     (tmp_path / changed(pid="1", start="")).touch()
     monkeypatch.setattr(os, "kill", refuse)
-    monkeypatch.setattr(leftovers, "_read", lambda path: "")  # as if the system said nothing of processes
+    monkeypatch.setattr(
+        leftovers, "_read", lambda path: ""
+    )  # as if the system said nothing of processes
     leftovers._place.cache_clear()
     (tmp_path / changed(pid="1", start="")).touch()
     remove_leftovers(tmp_path)
@@ -115,12 +132,22 @@ def test_temporary_and_hidden_files_are_no_scenes(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="there is no SIGKILL")
 def test_a_folder_lent_to_a_killed_process_is_removed(tmp_path):
-    code = ("import os, signal; from gpusim.backends.caches import lent_folder; print(lent_folder(), flush=True)\n"
-            "if {}: os.kill(os.getpid(), signal.SIGKILL)")
+    code = (
+        "import os, signal; from gpusim.backends.caches import lent_folder; print(lent_folder(), flush=True)\n"
+        "if {}: os.kill(os.getpid(), signal.SIGKILL)"
+    )
     there = []
     for is_killed in (True, False):
-        done = subprocess.run([sys.executable, "-c", code.format(is_killed)], capture_output=True, text=True,
-                              env=os.environ | {"TMPDIR": str(tmp_path)})
+        done = subprocess.run(
+            [sys.executable, "-c", code.format(is_killed)],
+            capture_output=True,
+            text=True,
+            env=os.environ | {"TMPDIR": str(tmp_path)},
+        )
         assert done.returncode == (-signal.SIGKILL if is_killed else 0), done.stderr
         there.append(os.listdir(tmp_path))
-    assert len(there[0]) == 1 and Path(tmp_path, there[0][0]).name.startswith(".gpusim-") and there[1] == []
+    assert (
+        len(there[0]) == 1
+        and Path(tmp_path, there[0][0]).name.startswith(".gpusim-")
+        and there[1] == []
+    )

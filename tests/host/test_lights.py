@@ -10,7 +10,14 @@ from gpusim.data.lights import blackbody, daylight, illuminant, illuminant_names
 from gpusim.data.reflectances import reflectances
 from gpusim.data.srgb import srgb_primaries, srgb_to_xyz
 from gpusim.domain.errors import OutOfRange, UnknownName
-from gpusim.domain.spectrum import BOLTZMANN, LIGHT_SPEED, PLANCK, Spectrum, energy_from_photons, photons_from_energy
+from gpusim.domain.spectrum import (
+    BOLTZMANN,
+    LIGHT_SPEED,
+    PLANCK,
+    Spectrum,
+    energy_from_photons,
+    photons_from_energy,
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +44,23 @@ def test_observer_is_the_table_of_colour_science(colour):
 
 def test_every_cie_illuminant_is_the_table_of_colour_science(colour):
     names = [name for name in colour.SDS_ILLUMINANTS if not name.startswith("ISO")]
-    assert illuminant_names()[:-2] == names and {"A", "D65", "E", "FL3.15", "LED-B1", "HP5"} <= set(names)
+    assert illuminant_names()[:-2] == names and {"A", "D65", "E", "FL3.15", "LED-B1", "HP5"} <= set(
+        names
+    )
     for name in names:
-        np.testing.assert_array_equal(illuminant(name).wavelengths, colour.SDS_ILLUMINANTS[name].wavelengths)
-        np.testing.assert_array_equal(illuminant(name.lower()).values, colour.SDS_ILLUMINANTS[name].values)
+        np.testing.assert_array_equal(
+            illuminant(name).wavelengths, colour.SDS_ILLUMINANTS[name].wavelengths
+        )
+        np.testing.assert_array_equal(
+            illuminant(name.lower()).values, colour.SDS_ILLUMINANTS[name].values
+        )
 
 
 def test_colorchecker_is_the_table_of_colour_science(colour):
     theirs = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
-    np.testing.assert_array_equal(reflectances("colorchecker").values, [patch.values for patch in theirs.values()])
+    np.testing.assert_array_equal(
+        reflectances("colorchecker").values, [patch.values for patch in theirs.values()]
+    )
     assert tables("cie")["colorchecker_names"].tolist() == list(theirs)
 
 
@@ -55,8 +70,19 @@ def test_observer_and_daylight_basis_are_those_of_isetcam(isetcam):
     np.testing.assert_array_equal(basis.at(isetcam["wave"]).T, isetcam["cieDaylightBasis"])
 
 
-@pytest.mark.parametrize("name, count", [("macbeth", 24), ("munsell", 64), ("dupont", 120), ("objects", 170),
-                                         ("nature", 79), ("skin", 19), ("colorchecker-sg", 140), ("colorchecker", 24)])
+@pytest.mark.parametrize(
+    "name, count",
+    [
+        ("macbeth", 24),
+        ("munsell", 64),
+        ("dupont", 120),
+        ("objects", 170),
+        ("nature", 79),
+        ("skin", 19),
+        ("colorchecker-sg", 140),
+        ("colorchecker", 24),
+    ],
+)
 def test_reflectances_are_physical(name, count):
     samples = reflectances(name)
     assert samples.values.shape[0] == count
@@ -65,8 +91,14 @@ def test_reflectances_are_physical(name, count):
 
 def test_reflectances_are_isetcams(shared_data):
     theirs = np.load(shared_data / "isetcam" / "isetcam_reflectances.npz")
-    for name, key in (("munsell", "MunsellSamples_Vhrel"), ("nature", "Nature_Vhrel"), ("macbeth", "macbethChart")):
-        wanted = Spectrum(theirs["wave"], theirs[f"refl_{key}"].T).at(reflectances(name).wavelengths)
+    for name, key in (
+        ("munsell", "MunsellSamples_Vhrel"),
+        ("nature", "Nature_Vhrel"),
+        ("macbeth", "macbethChart"),
+    ):
+        wanted = Spectrum(theirs["wave"], theirs[f"refl_{key}"].T).at(
+            reflectances(name).wavelengths
+        )
         # Stored as float32: 2^-24 of values below 1.
         np.testing.assert_allclose(reflectances(name).values, wanted, rtol=0, atol=2.0**-24)
 
@@ -86,13 +118,17 @@ def test_daylight_reproduces_the_published_d65():
     computed = daylight(6500 * 1.4388 / 1.4380)  # the radiation constant's change since 1931
     # The published values have six digits, 0.0005 where they exceed 100, and between the original 10 nm nodes they were
     # averaged from rounded ones: once more as much.
-    np.testing.assert_allclose(computed.at(published.wavelengths), published.values, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(
+        computed.at(published.wavelengths), published.values, rtol=0, atol=1e-3
+    )
 
 
 def test_daylight_agrees_with_isetcam_but_for_the_rounding_of_its_factors(isetcam):
     wave = isetcam["wave"]
     s1, s2 = Spectrum(tables("cie")["daylight_wavelengths"], tables("cie")["daylight"][1:]).at(wave)
-    for temperature, theirs in zip(isetcam["daylight_T"], isetcam["daylight_energy"].T, strict=True):
+    for temperature, theirs in zip(
+        isetcam["daylight_T"], isetcam["daylight_energy"].T, strict=True
+    ):
         ours = daylight(temperature).at(wave)
         theirs = theirs * 100 / theirs[wave == 560]
         # CIE 15 rounds M1 and M2 to three decimals, ISETCam does not: each may differ by 0.0005.
@@ -116,13 +152,21 @@ def test_blackbody_obeys_wien_and_stefan_boltzmann():
     power = blackbody(5000, wavelengths).values
     # Wien: 2.897771955e-3 m K (CODATA 2018), to half the step.
     assert wavelengths[power.argmax()] == pytest.approx(2.897771955e6 / 5000, abs=0.5)
-    planck = 2 * PLANCK * LIGHT_SPEED**2 / 560e-9**5 / np.expm1(PLANCK * LIGHT_SPEED / (BOLTZMANN * 5000 * 560e-9))
+    planck = (
+        2
+        * PLANCK
+        * LIGHT_SPEED**2
+        / 560e-9**5
+        / np.expm1(PLANCK * LIGHT_SPEED / (BOLTZMANN * 5000 * 560e-9))
+    )
     total = planck * (power / 100).sum() * 0.5e-9
     # sigma T^4 / pi; the tail beyond 60 um is (15 / pi^4) x^3 / 3 with x = 0.048: 6e-6 of the whole.
     assert total == pytest.approx(5.670374419e-8 * 5000**4 / np.pi, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["D65", "daylight-5000K", "blackbody-3200K", "BLACKBODY-3200k", "Daylight-6503.6K"])
+@pytest.mark.parametrize(
+    "name", ["D65", "daylight-5000K", "blackbody-3200K", "BLACKBODY-3200k", "Daylight-6503.6K"]
+)
 def test_light_at_given_wavelengths(name):
     nodes = [420.0, 560.0, 617.0]
     light = illuminant(name, nodes)
@@ -132,16 +176,25 @@ def test_light_at_given_wavelengths(name):
     np.testing.assert_allclose(light.values, illuminant(name).at(nodes), rtol=1e-4)
 
 
-@pytest.mark.parametrize("name, message", [
-    ("D66", "did you mean 'D65'?"), ("fl13", "unknown light 'fl13'"), ("", "unknown light ''"),
-    ("blackbody", "did you mean 'blackbody-<T>K'?"), ("daylight-K", "did you mean 'daylight-<T>K'?")])
+@pytest.mark.parametrize(
+    "name, message",
+    [
+        ("D66", "did you mean 'D65'?"),
+        ("fl13", "unknown light 'fl13'"),
+        ("", "unknown light ''"),
+        ("blackbody", "did you mean 'blackbody-<T>K'?"),
+        ("daylight-K", "did you mean 'daylight-<T>K'?"),
+    ],
+)
 def test_unknown_light(name, message):
     with pytest.raises(UnknownName) as error:
         illuminant(name)
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["daylight-3999K", "daylight-25001K", "blackbody-299K", "blackbody-100001K"])
+@pytest.mark.parametrize(
+    "name", ["daylight-3999K", "daylight-25001K", "blackbody-299K", "blackbody-100001K"]
+)
 def test_temperature_out_of_range(name):
     with pytest.raises(OutOfRange, match=r"temperature = \d+ K: allowed is"):
         illuminant(name)
@@ -181,7 +234,9 @@ def test_xyz_of_reflectances_in_a_light():
     got = xyz(samples, light)
     grid = np.arange(400, 700.0001, 0.01)
     # Trapezoids of 0.01 nm on piecewise cubic products: errors of (0.01)^2 / 12 of the second derivative.
-    wanted = 683 * np.trapezoid(samples.at(grid)[:, None] * light.at(grid) * cmf().at(grid), dx=0.01)
+    wanted = 683 * np.trapezoid(
+        samples.at(grid)[:, None] * light.at(grid) * cmf().at(grid), dx=0.01
+    )
     np.testing.assert_allclose(got, wanted, rtol=1e-5)
 
 
@@ -254,8 +309,12 @@ def test_srgb_primaries_have_their_chromaticities_and_make_white():
     assert spectra.min() > -0.01 and spectra.max() < 1.01  # as the docstring of srgb_primaries says
     colours = np.trapezoid(spectra[:, None] * light.at(grid) * cmf().at(grid), dx=0.02)
     # Trapezoids of 0.02 nm against the exact integral of linear tables of 0.1 nm: 1e-7.
-    np.testing.assert_allclose(colours[:, :2] / colours.sum(1, keepdims=True),
-                               [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        colours[:, :2] / colours.sum(1, keepdims=True),
+        [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]],
+        rtol=0,
+        atol=1e-6,
+    )
 
 
 def test_srgb_primaries_are_the_smoothest():
@@ -272,10 +331,18 @@ def test_srgb_primaries_are_the_smoothest():
     # Gradient of the summed squared differences of red, blue and green = 1 - red - blue.
     gradient = 2 * np.concatenate([second @ red - second @ green, second @ blue - second @ green])
     # A convex function is least where no admissible point lies downhill of its gradient.
-    best = linprog(gradient, A_ub=np.hstack([np.eye(count)] * 2), b_ub=np.ones(count), bounds=(0, 1),
-                   A_eq=np.kron(np.eye(2), responses), b_eq=np.concatenate([responses @ red, responses @ blue]))
+    best = linprog(
+        gradient,
+        A_ub=np.hstack([np.eye(count)] * 2),
+        b_ub=np.ones(count),
+        bounds=(0, 1),
+        A_eq=np.kron(np.eye(2), responses),
+        b_eq=np.concatenate([responses @ red, responses @ blue]),
+    )
     assert best.status == 0
     # The roughness is about 1; the admissible set is about 1 wide, the solver stops at 1e-7 of each constraint.
     assert best.fun >= gradient @ np.concatenate([red, blue]) - 1e-4
-    shifted = gradient @ (np.concatenate([red, blue]) + 1e-3 * np.random.default_rng(1).normal(size=2 * count))
+    shifted = gradient @ (
+        np.concatenate([red, blue]) + 1e-3 * np.random.default_rng(1).normal(size=2 * count)
+    )
     assert abs(shifted - best.fun) > 1e-4  # the test can tell another point

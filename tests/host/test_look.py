@@ -14,7 +14,11 @@ from gpusim.domain.errors import BadData
 
 pytest.importorskip("matplotlib", reason="plots are of matplotlib")
 
-FEWER = {"psf": ["--of", "550,650"], "mtf": ["--of", "550,600"], "spectra": ["--at", "30,30", "--at", "3,4,20,50"]}
+FEWER = {
+    "psf": ["--of", "550,650"],
+    "mtf": ["--of", "550,600"],
+    "spectra": ["--at", "30,30", "--at", "3,4,20,50"],
+}
 
 
 @pytest.mark.parametrize("what", PANELS)
@@ -23,19 +27,43 @@ def test_look_writes_a_picture(what, tmp_path):
 
     scene = "slanted-edge" if what == "sfr" else "colorchecker"
     out = tmp_path / "a.png"
-    assert main(["look", scene, "--what", what, "--size", "72x60", "--border", "reflect", "--device", "numpy",
-                 *FEWER.get(what, []), "-o", str(out)]) == 0
+    assert (
+        main(
+            [
+                "look",
+                scene,
+                "--what",
+                what,
+                "--size",
+                "72x60",
+                "--border",
+                "reflect",
+                "--device",
+                "numpy",
+                *FEWER.get(what, []),
+                "-o",
+                str(out),
+            ]
+        )
+        == 0
+    )
     codes = np.asarray(Image.open(out).convert("RGB"))
     assert min(codes.shape[:2]) > 150 and codes.std() > 10 and list(tmp_path.iterdir()) == [out]
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["--what", "raw"], "no window can be opened here; wanted a file, such as -o look.png"),
-    (["-o", "a.bmp"], "a picture of a plot has the suffix .png, .pdf, .svg, .jpg"),
-    (["--what", "mtf", "--of", "550,X", "-o", "a.png"], "unknown channel 'X'"),
-    (["--what", "spectra", "--at", "480,3", "-o", "a.png"], "at = (480, 3): allowed is columns 0 .. 479"),
-    (["nothing", "-o", "a.png"], "nothing"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--what", "raw"], "no window can be opened here; wanted a file, such as -o look.png"),
+        (["-o", "a.bmp"], "a picture of a plot has the suffix .png, .pdf, .svg, .jpg"),
+        (["--what", "mtf", "--of", "550,X", "-o", "a.png"], "unknown channel 'X'"),
+        (
+            ["--what", "spectra", "--at", "480,3", "-o", "a.png"],
+            "at = (480, 3): allowed is columns 0 .. 479",
+        ),
+        (["nothing", "-o", "a.png"], "nothing"),
+    ],
+)
 def test_look_refuses_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["look", *arguments, "--device", "numpy"]) == 2
@@ -66,7 +94,9 @@ class Cells(HTMLParser):
 
 @pytest.fixture(scope="module")
 def frame():
-    return gs.Simulator(gs.open_camera("phone"), device="numpy")(gs.chart("colorchecker", size=(96, 64)))
+    return gs.Simulator(gs.open_camera("phone"), device="numpy")(
+        gs.chart("colorchecker", size=(96, 64))
+    )
 
 
 def read(png):
@@ -84,16 +114,24 @@ def test_notebooks_show_pictures(frame):
     codes = gs.plot.scene(scene).images[0].get_array()
     np.testing.assert_allclose(read(png(scene)), 255 * codes, atol=0.51)
     large = read(png(gs.chart("colorchecker", size=(2100, 1400))))
-    assert max(large.shape) <= 1050 and np.abs(np.median(large[:9, :9], axis=(0, 1)) - 255 * codes[0, 0]).max() <= 1
+    assert (
+        max(large.shape) <= 1050
+        and np.abs(np.median(large[:9, :9], axis=(0, 1)) - 255 * codes[0, 0]).max() <= 1
+    )
     unseen = gs.scene_from(np.ones((2, 8, 8)), [900.0, 950.0], light="blackbody-3000K")
     assert png(unseen) is None
 
 
 def test_notebooks_show_tables(frame):
-    html = pytest.importorskip("IPython.core.formatters", reason="IPython is not installed").HTMLFormatter()
+    html = pytest.importorskip(
+        "IPython.core.formatters", reason="IPython is not installed"
+    ).HTMLFormatter()
     camera = Cells(html(replace(frame.camera, name="<b>mine")))
     assert not camera.open and camera.texts[0] == "Camera <b>mine"
-    assert any(text.startswith("f/1.8, 4.44 mm") for text in camera.texts) and "automatic" in camera.texts
+    assert (
+        any(text.startswith("f/1.8, 4.44 mm") for text in camera.texts)
+        and "automatic" in camera.texts
+    )
     report = Cells(html(frame.report))
     assert not report.open and {stage.stage for stage in frame.report.stages} < {*report.texts}
     assert f"{frame.report.account.total.rms:.2g} rms" in report.texts
@@ -115,5 +153,7 @@ def test_show_without_a_window_says_so(frame):
     import matplotlib
 
     matplotlib.use("agg")
-    with pytest.raises(BadData, match=r"Frame.show\(\): no window can be opened here; wanted gs.plot"):
+    with pytest.raises(
+        BadData, match=r"Frame.show\(\): no window can be opened here; wanted gs.plot"
+    ):
         frame.show()

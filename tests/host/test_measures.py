@@ -11,17 +11,37 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.scene import unit_light
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.measure import ciede2000, cpsnr, ideal, samples_per_degree, scielab, snr, ssim, visible_snr
+from gpusim.measure import (
+    ciede2000,
+    cpsnr,
+    ideal,
+    samples_per_degree,
+    scielab,
+    snr,
+    ssim,
+    visible_snr,
+)
 from gpusim.measure.difference import cielab, eye_filtered
 
 WHITE = Display().xyz_from_rgb.sum(1)
 NODES = np.arange(400.0, 701.0, 10.0)
 # Zhang & Wandell 1997: table 1, pairs of weight and spread [degree] of luminance, red-green and blue-yellow; and XYZ
 # to these by the authors' program, in thousandths, of which the paper has .279 .72 -.107, -.449 .29, .086 -.59 .501
-GAUSSIANS = [[(0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)], [(0.531, 0.0392), (0.330, 0.494)],
-             [(0.488, 0.0536), (0.371, 0.386)]]
-OPPONENT = np.array([[278.7336, 721.8031, -106.5520], [-448.7736, 289.8056, 77.1569],
-                     [85.9513, -589.9859, 501.1089]]) / 1000
+GAUSSIANS = [
+    [(0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)],
+    [(0.531, 0.0392), (0.330, 0.494)],
+    [(0.488, 0.0536), (0.371, 0.386)],
+]
+OPPONENT = (
+    np.array(
+        [
+            [278.7336, 721.8031, -106.5520],
+            [-448.7736, 289.8056, 77.1569],
+            [85.9513, -589.9859, 501.1089],
+        ]
+    )
+    / 1000
+)
 GREY = 0.2 * WHITE * np.ones((48, 48, 1))
 
 
@@ -34,12 +54,17 @@ def xyz_from_lab(lab, white):
 
 
 # Sharma, Wu & Dalal 2005, "The CIEDE2000 color-difference formula", table 1: pairs 1, 2, 4, 7, 9, 17, 25, 31 and 34
-SHARMA = [((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425), ((50, 3.1571, -77.2803), (50, 0, -82.7485), 2.8615),
-          ((50, -1.3802, -84.2814), (50, 0, -82.7485), 1.0000), ((50, 0, 0), (50, -1, 2), 2.3669),
-          ((50, 2.49, -0.001), (50, -2.49, 0.0009), 7.1792), ((50, 2.5, 0), (73, 25, -18), 27.1492),
-          ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
-          ((22.7233, 20.0904, -46.694), (23.0331, 14.973, -42.5619), 2.0373),
-          ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082)]
+SHARMA = [
+    ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+    ((50, 3.1571, -77.2803), (50, 0, -82.7485), 2.8615),
+    ((50, -1.3802, -84.2814), (50, 0, -82.7485), 1.0000),
+    ((50, 0, 0), (50, -1, 2), 2.3669),
+    ((50, 2.49, -0.001), (50, -2.49, 0.0009), 7.1792),
+    ((50, 2.5, 0), (73, 25, -18), 27.1492),
+    ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+    ((22.7233, 20.0904, -46.694), (23.0331, 14.973, -42.5619), 2.0373),
+    ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082),
+]
 
 
 def test_ciede2000_of_published_pairs():
@@ -48,7 +73,9 @@ def test_ciede2000_of_published_pairs():
     for white in (WHITE, np.array([96.42, 100, 82.49])):
         found = ciede2000(xyz_from_lab(first, white), xyz_from_lab(second, white), white)
         assert found == pytest.approx(known, abs=6e-5)
-    assert ciede2000(xyz_from_lab(first, WHITE), xyz_from_lab(second, WHITE)) == pytest.approx(known, abs=6e-5)
+    assert ciede2000(xyz_from_lab(first, WHITE), xyz_from_lab(second, WHITE)) == pytest.approx(
+        known, abs=6e-5
+    )
 
 
 def seen_by_colour(light, shown):
@@ -59,13 +86,16 @@ def seen_by_colour(light, shown):
     shape, power = colour.SpectralShape(400, 700, 1), illuminant(light)
     power = colour.SpectralDistribution(power.at(np.arange(400, 701)), np.arange(400, 701))
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
-    white = np.array(colour.sd_to_XYZ(colour.sd_ones(shape), cmfs, power, method="Integration", shape=shape))
+    white = np.array(
+        colour.sd_to_XYZ(colour.sd_ones(shape), cmfs, power, method="Integration", shape=shape)
+    )
     patches = []
     for values in table.at(NODES):
         patch = colour.SpectralDistribution(values, NODES).interpolate(shape)
         patches.append(colour.sd_to_XYZ(patch, cmfs, power, method="Integration", shape=shape))
-    return colour.chromatic_adaptation(np.array(patches) / 100, white / white[1], shown, method="Von Kries",
-                                       transform="Bradford")
+    return colour.chromatic_adaptation(
+        np.array(patches) / 100, white / white[1], shown, method="Von Kries", transform="Bradford"
+    )
 
 
 @pytest.mark.parametrize("light", ["D65", "A", "FL2"])
@@ -81,10 +111,13 @@ def test_ideal_colorchecker(light, white):
     assert xyz.shape == (64, 96, 3) and xyz.dtype == np.float64
     found = np.array([xyz[patch].mean(axis=(0, 1)) for patch in colorchecker_patches((96, 64))])
     assert found == pytest.approx(seen_by_colour(light, shown), abs=5e-4)
-    assert ideal(chart("flat", size=(3, 2), light=light, reflectance=0.18), display) == pytest.approx(
-        np.tile(0.18 * shown, (2, 3, 1)))
+    assert ideal(
+        chart("flat", size=(3, 2), light=light, reflectance=0.18), display
+    ) == pytest.approx(np.tile(0.18 * shown, (2, 3, 1)))
     in_daylight = ideal(chart("colorchecker", size=(96, 64), light=light), display, light="D65")
-    assert in_daylight == pytest.approx(ideal(chart("colorchecker", size=(96, 64), light="D65"), display), abs=1e-12)
+    assert in_daylight == pytest.approx(
+        ideal(chart("colorchecker", size=(96, 64), light="D65"), display), abs=1e-12
+    )
 
 
 def test_ideal_of_every_kind_of_scene():
@@ -118,9 +151,18 @@ def test_ideal_averages_samples_and_hides_what_is_behind():
     blocks = fine.reshape(7, 3, 9, 3, 3).mean(axis=(1, 3))
     assert ideal(scene) == pytest.approx(blocks)
     # the exact area of the line in every pixel, whatever the samples: float32 of the chart
-    assert ideal(scene) == pytest.approx(ideal(chart("slanted-edge", size=(9, 7), angle_deg=20)), abs=1e-6)
-    assert ideal(scene, shape=(3, 4)) == pytest.approx(blocks[:6, :8].reshape(3, 2, 4, 2, 3).mean(axis=(1, 3)))
-    for size, binning, stride in (((150, 110), 2, 2), ((152, 112), 2, 2), ((151, 109), 3, 2), ((150, 110), 2, 6)):
+    assert ideal(scene) == pytest.approx(
+        ideal(chart("slanted-edge", size=(9, 7), angle_deg=20)), abs=1e-6
+    )
+    assert ideal(scene, shape=(3, 4)) == pytest.approx(
+        blocks[:6, :8].reshape(3, 2, 4, 2, 3).mean(axis=(1, 3))
+    )
+    for size, binning, stride in (
+        ((150, 110), 2, 2),
+        ((152, 112), 2, 2),
+        ((151, 109), 3, 2),
+        ((150, 110), 2, 6),
+    ):
         # the frame's size by the stage that bins; the last rows and columns, less than a period of blocks, are cropped
         rows, cols = binned_shape(size[::-1], (binning, binning), (stride, stride))
         one = chart("slanted-edge", size=size, angle_deg=20)
@@ -138,8 +180,11 @@ def test_ideal_averages_samples_and_hides_what_is_behind():
     front = replace(grey.content, shading=np.full((4, 4), 0.1, np.float32))
     nearest = replace(grey.content, shading=np.full((4, 4), 0.9, np.float32))
     alpha = np.linspace(0, 1, 16).reshape(4, 4)
-    layered = replace(grey, depth=np.full((4, 4), 3.0),
-                      layers=(Layer(nearest, np.full((4, 4), 0.25), 1.0), Layer(front, alpha, 2.0)))
+    layered = replace(
+        grey,
+        depth=np.full((4, 4), 3.0),
+        layers=(Layer(nearest, np.full((4, 4), 0.25), 1.0), Layer(front, alpha, 2.0)),
+    )
     y = 0.25 * 0.9 + 0.75 * (alpha * 0.1 + (1 - alpha) * 0.5)
     assert ideal(layered)[..., 1] == pytest.approx(y)
 
@@ -168,15 +213,24 @@ def test_scielab_is_lower_than_by_kernels_sampled_at_the_pixels():
         places, pair = np.arange(1 - density // 2, density // 2), []
         for xyz in (picture, GREY[:1, :1] * np.ones(picture.shape)):
             planes = []
-            for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):
+            for plane, gaussians in zip(
+                np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True
+            ):
                 kernels = [np.exp(-((places / spread / density) ** 2)) for _, spread in gaussians]
-                blurred = [convolve1d(plane, kernel / kernel.sum(), 1, mode="mirror") for kernel in kernels]
-                planes.append(np.tensordot([weight for weight, _ in gaussians], blurred, 1)
-                              / sum(weight for weight, _ in gaussians))
+                blurred = [
+                    convolve1d(plane, kernel / kernel.sum(), 1, mode="mirror") for kernel in kernels
+                ]
+                planes.append(
+                    np.tensordot([weight for weight, _ in gaussians], blurred, 1)
+                    / sum(weight for weight, _ in gaussians)
+                )
             pair.append(np.stack(planes, -1) @ np.linalg.inv(OPPONENT).T)
         white = GREY[0, 0] / 0.2
         sampled = np.linalg.norm(cielab(pair[0], white) - cielab(pair[1], white), axis=-1).mean()
-        ratios.append(scielab(picture, GREY[:1, :1] * np.ones(picture.shape), density, white=white).mean() / sampled)
+        ratios.append(
+            scielab(picture, GREY[:1, :1] * np.ones(picture.shape), density, white=white).mean()
+            / sampled
+        )
     assert 0.75 < ratios[0] < 0.9 and 0.93 < ratios[1] < 1.02
 
 
@@ -184,11 +238,17 @@ def test_scielab_of_dither():
     """What is finer than the eye sees vanishes with distance; from very near it is a difference pixel by pixel."""
     checker = np.indices((48, 48)).sum(0) % 2
     dither = GREY * (1 + 0.2 * (2 * checker[..., None] - 1))
-    middle = np.s_[16:32, 16:32]  # away from the border, where the mirrored pattern has two of a kind side by side
-    found = [scielab(dither, GREY, density)[middle].mean() for density in (1e-3, 10.0, 20.0, 30.0, 60.0)]
+    middle = np.s_[
+        16:32, 16:32
+    ]  # away from the border, where the mirrored pattern has two of a kind side by side
+    found = [
+        scielab(dither, GREY, density)[middle].mean() for density in (1e-3, 10.0, 20.0, 30.0, 60.0)
+    ]
     plain = scielab(dither, GREY, 1e-9).mean()
     assert found[0] == pytest.approx(plain, rel=1e-3)
-    assert plain == pytest.approx(116 * np.abs(np.cbrt([0.24, 0.16]) - np.cbrt(0.2)).mean(), rel=1e-9)
+    assert plain == pytest.approx(
+        116 * np.abs(np.cbrt([0.24, 0.16]) - np.cbrt(0.2)).mean(), rel=1e-9
+    )
     assert np.all(np.diff(found) < 0)
     # at 60 samples per degree the pattern has 42 cycles per degree; of luminance exp(-(pi .0283 42)^2) = 8e-7 is left,
     # of red-green and blue-yellow less, so that it is no longer grey: 500 / 116 times as much of 5 Delta E, 2e-5
@@ -226,7 +286,9 @@ def test_scielab_s_filters():
 
 def test_samples_per_degree():
     """0.25 mm at 0.5 m: 57.3 mm / m and degree; a display so near that a pixel fills 90 degrees."""
-    assert samples_per_degree(0.25e-3, 0.5) == pytest.approx(0.5 * np.radians(1) / 0.25e-3, rel=1e-6)
+    assert samples_per_degree(0.25e-3, 0.5) == pytest.approx(
+        0.5 * np.radians(1) / 0.25e-3, rel=1e-6
+    )
     assert samples_per_degree(2.0, 1.0) == pytest.approx(1 / 90)
 
 
@@ -234,7 +296,9 @@ def test_snr_by_hand():
     """Mean 3, variance of 1, 3, 5, 3 with n - 1: 8/3; two frames: differences -2, 2, 2, -2, variance 16/3, over 2."""
     patch = np.array([[1.0, 3], [5, 3]])
     assert snr(patch) == pytest.approx(20 * np.log10(3 / np.sqrt(8 / 3)))
-    assert snr(patch, np.array([[3.0, 1], [3, 5]])) == pytest.approx(20 * np.log10(3 / np.sqrt(8 / 3)))
+    assert snr(patch, np.array([[3.0, 1], [3, 5]])) == pytest.approx(
+        20 * np.log10(3 / np.sqrt(8 / 3))
+    )
     assert snr(np.ones((3, 3))) == np.inf
 
 
@@ -272,8 +336,13 @@ def test_visible_snr_of_white_noise():
     """
     f = np.fft.fftfreq(96) * 10
     squared = f[:, None] ** 2 + f**2
-    transfer = np.stack([sum(w * np.exp(-((np.pi * s) ** 2) * squared) for w, s in gaussians)
-                         / sum(w for w, _ in gaussians) for gaussians in GAUSSIANS])
+    transfer = np.stack(
+        [
+            sum(w * np.exp(-((np.pi * s) ** 2) * squared) for w, s in gaussians)
+            / sum(w for w, _ in gaussians)
+            for gaussians in GAUSSIANS
+        ]
+    )
     grey = 0.2 * WHITE
     slope = np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]]) * np.cbrt(0.2) / 3 / grey
     mixed = np.einsum("ij,jhw,jk->ikhw", slope @ np.linalg.inv(OPPONENT), transfer, OPPONENT * grey)
@@ -289,12 +358,18 @@ def test_cpsnr_by_hand():
     image[4, 4, 1] += 6
     image[1, 4, 0] += 100
     assert cpsnr(image, reference, border=2) == pytest.approx(10 * np.log10(255**2 / (36 / 48)))
-    assert cpsnr(image, reference, border=0, peak=1.0) == pytest.approx(-10 * np.log10((36 + 1e4) / 192))
-    assert cpsnr(image[..., 1], reference[..., 1], border=2) == pytest.approx(10 * np.log10(255**2 / (36 / 16)))
+    assert cpsnr(image, reference, border=0, peak=1.0) == pytest.approx(
+        -10 * np.log10((36 + 1e4) / 192)
+    )
+    assert cpsnr(image[..., 1], reference[..., 1], border=2) == pytest.approx(
+        10 * np.log10(255**2 / (36 / 16))
+    )
     assert cpsnr(reference, reference, border=0) == np.inf
     unit = reference / 255.0
     assert cpsnr(unit + 0.01, unit, border=0) == pytest.approx(40)
-    assert cpsnr(reference[::-1], reference, 0) == pytest.approx(cpsnr(reference, reference[::-1], 0))
+    assert cpsnr(reference[::-1], reference, 0) == pytest.approx(
+        cpsnr(reference, reference[::-1], 0)
+    )
 
 
 def test_ssim_by_hand():
@@ -306,43 +381,72 @@ def test_ssim_by_hand():
     window = np.exp(-(at[:, None] ** 2 + at**2) / (2 * 1.5**2))
     window /= window.sum()
     found = []
-    for x, y in zip(*(np.moveaxis(one[2:-2, 2:-2], -1, 0) for one in (image, reference)), strict=True):
+    for x, y in zip(
+        *(np.moveaxis(one[2:-2, 2:-2], -1, 0) for one in (image, reference)), strict=True
+    ):
         for i in range(x.shape[0] - 10):
             for j in range(x.shape[1] - 10):
                 a, b = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
                 ma, mb = (window * a).sum(), (window * b).sum()
-                va, vb, ab = ((window * p * q).sum() - m for p, q, m in ((a, a, ma**2), (b, b, mb**2), (a, b, ma * mb)))
-                found.append((2 * ma * mb + 1e-4) * (2 * ab + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4)))
+                va, vb, ab = (
+                    (window * p * q).sum() - m
+                    for p, q, m in ((a, a, ma**2), (b, b, mb**2), (a, b, ma * mb))
+                )
+                found.append(
+                    (2 * ma * mb + 1e-4)
+                    * (2 * ab + 9e-4)
+                    / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4))
+                )
     assert ssim(image, reference, border=2) == pytest.approx(np.mean(found), abs=1e-12)
-    assert ssim(255 * image, 255 * reference, border=2, peak=255) == pytest.approx(np.mean(found), abs=1e-12)
+    assert ssim(255 * image, 255 * reference, border=2, peak=255) == pytest.approx(
+        np.mean(found), abs=1e-12
+    )
     assert ssim(reference, reference, border=0) == pytest.approx(1)
 
 
 BAD = np.full((8, 8, 3), np.nan)
 
 
-@pytest.mark.parametrize(("call", "what"), [
-    (lambda: ciede2000(GREY[..., :2], GREY[..., :2]), "XYZ"), (lambda: ciede2000(BAD, BAD), "NaN"),
-    (lambda: ciede2000(GREY, GREY[1:]), "different shapes"), (lambda: ciede2000(GREY, GREY, (1, 0, 1)), "white"),
-    (lambda: ciede2000("frame", GREY), "wanted"), (lambda: scielab(GREY, GREY, 0.0), "samples_per_degree = 0"),
-    (lambda: scielab(GREY, GREY, np.nan), "samples_per_degree"), (lambda: scielab(GREY[0], GREY[0], 9.0), "rows"),
-    (lambda: scielab(GREY, GREY, 9.0, difference="ciede94"), "did you mean"),
-    (lambda: ciede2000(GREY, chart("flat", size=(32, 24))), "binning"),
-    (lambda: ideal(chart("flat", size=(32, 24)), shape=(0, 0)), "binning"),
-    (lambda: ideal(chart("flat", size=(32, 24)), shape=(23, 32)), "binning"),
-    (lambda: ideal(chart("flat", size=(320, 240)), shape=(112, 160)), "binning"),
-    (lambda: ideal(chart("flat", size=(32, 24)), luminance=-1.0), "luminance"),
-    (lambda: ideal(chart("flat", size=(32, 24)), light="A", luminance=100.0), "luminance together with light"),
-    (lambda: samples_per_degree(0.0, 1.0), "pitch"), (lambda: samples_per_degree(1.0, np.inf), "distance"),
-    (lambda: snr(np.zeros((4, 4))), "black level"), (lambda: snr(BAD), "NaN"), (lambda: snr(np.ones(4)), "shape"),
-    (lambda: snr(np.ones((4, 4)), np.ones((4, 5))), "different shapes"), (lambda: snr([["a", "b"]]), "wanted"),
-    (lambda: visible_snr(GREY[:1, :1], 9.0), "2 or more"), (lambda: visible_snr(BAD, 9.0), "NaN"),
-    (lambda: cpsnr(GREY, GREY[1:]), "shapes"), (lambda: cpsnr(GREY, GREY, border=-1), "border = -1"),
-    (lambda: cpsnr(GREY, GREY, border=24), "inside the border"), (lambda: cpsnr(GREY, GREY, peak=0.0), "peak"),
-    (lambda: cpsnr(BAD, BAD, border=0), "NaN"), (lambda: ssim(GREY, GREY, border=19), "11 or more"),
-    (lambda: cpsnr(np.zeros((3, 40, 50)), np.zeros((3, 40, 50))), "channels come last"),
-    (lambda: cpsnr(GREY.astype(complex), GREY), "complex"),
-])
+@pytest.mark.parametrize(
+    ("call", "what"),
+    [
+        (lambda: ciede2000(GREY[..., :2], GREY[..., :2]), "XYZ"),
+        (lambda: ciede2000(BAD, BAD), "NaN"),
+        (lambda: ciede2000(GREY, GREY[1:]), "different shapes"),
+        (lambda: ciede2000(GREY, GREY, (1, 0, 1)), "white"),
+        (lambda: ciede2000("frame", GREY), "wanted"),
+        (lambda: scielab(GREY, GREY, 0.0), "samples_per_degree = 0"),
+        (lambda: scielab(GREY, GREY, np.nan), "samples_per_degree"),
+        (lambda: scielab(GREY[0], GREY[0], 9.0), "rows"),
+        (lambda: scielab(GREY, GREY, 9.0, difference="ciede94"), "did you mean"),
+        (lambda: ciede2000(GREY, chart("flat", size=(32, 24))), "binning"),
+        (lambda: ideal(chart("flat", size=(32, 24)), shape=(0, 0)), "binning"),
+        (lambda: ideal(chart("flat", size=(32, 24)), shape=(23, 32)), "binning"),
+        (lambda: ideal(chart("flat", size=(320, 240)), shape=(112, 160)), "binning"),
+        (lambda: ideal(chart("flat", size=(32, 24)), luminance=-1.0), "luminance"),
+        (
+            lambda: ideal(chart("flat", size=(32, 24)), light="A", luminance=100.0),
+            "luminance together with light",
+        ),
+        (lambda: samples_per_degree(0.0, 1.0), "pitch"),
+        (lambda: samples_per_degree(1.0, np.inf), "distance"),
+        (lambda: snr(np.zeros((4, 4))), "black level"),
+        (lambda: snr(BAD), "NaN"),
+        (lambda: snr(np.ones(4)), "shape"),
+        (lambda: snr(np.ones((4, 4)), np.ones((4, 5))), "different shapes"),
+        (lambda: snr([["a", "b"]]), "wanted"),
+        (lambda: visible_snr(GREY[:1, :1], 9.0), "2 or more"),
+        (lambda: visible_snr(BAD, 9.0), "NaN"),
+        (lambda: cpsnr(GREY, GREY[1:]), "shapes"),
+        (lambda: cpsnr(GREY, GREY, border=-1), "border = -1"),
+        (lambda: cpsnr(GREY, GREY, border=24), "inside the border"),
+        (lambda: cpsnr(GREY, GREY, peak=0.0), "peak"),
+        (lambda: cpsnr(BAD, BAD, border=0), "NaN"),
+        (lambda: ssim(GREY, GREY, border=19), "11 or more"),
+        (lambda: cpsnr(np.zeros((3, 40, 50)), np.zeros((3, 40, 50))), "channels come last"),
+        (lambda: cpsnr(GREY.astype(complex), GREY), "complex"),
+    ],
+)
 def test_refused(call, what):
     with pytest.raises(GpusimError, match=what):
         call()

@@ -15,7 +15,13 @@ from gpusim.io.camera.noise_profile import NoiseProfile
 from gpusim.io.frame.dng import write_dng
 
 # TIFF's types: code, bytes, struct's letter
-SHORT, LONG, DOUBLE, BYTE, RATIONAL = (3, 2, "H"), (4, 4, "I"), (12, 8, "d"), (1, 1, "B"), (5, 8, "II")
+SHORT, LONG, DOUBLE, BYTE, RATIONAL = (
+    (3, 2, "H"),
+    (4, 4, "I"),
+    (12, 8, "d"),
+    (1, 1, "B"),
+    (5, 8, "II"),
+)
 
 
 def directory(order, start, entries):
@@ -33,21 +39,51 @@ def directory(order, start, entries):
     return struct.pack(order + "H", len(entries)) + head + bytes(4) + tail
 
 
-def dng(order="<", profile=(1e-4, 2e-7), black=((64, RATIONAL),), white=1023, below=False, photometric=32803, bits=10):
+def dng(
+    order="<",
+    profile=(1e-4, 2e-7),
+    black=((64, RATIONAL),),
+    white=1023,
+    below=False,
+    photometric=32803,
+    bits=10,
+):
     """Bytes of a DNG's directories, as the specification has them: raw data below a thumbnail, or alone."""
-    raw = [(254, LONG, [0]), (256, LONG, [4]), (257, LONG, [4]), (258, SHORT, [bits]), (259, SHORT, [1]),
-           (262, SHORT, [photometric]), (273, LONG, [8]), (277, SHORT, [1]), (279, LONG, [0])]
+    raw = [
+        (254, LONG, [0]),
+        (256, LONG, [4]),
+        (257, LONG, [4]),
+        (258, SHORT, [bits]),
+        (259, SHORT, [1]),
+        (262, SHORT, [photometric]),
+        (273, LONG, [8]),
+        (277, SHORT, [1]),
+        (279, LONG, [0]),
+    ]
     for value, kind in black:
         raw.append((50714, kind, [value, 1] if kind is RATIONAL else [value]))
     raw += [(50717, LONG, [white])] if white else []
-    first = [(254, LONG, [1]), (256, LONG, [1]), (257, LONG, [1]), (258, SHORT, [8]), (259, SHORT, [1]),
-             (262, SHORT, [1]), (273, LONG, [8]), (277, SHORT, [1]), (279, LONG, [0])]
+    first = [
+        (254, LONG, [1]),
+        (256, LONG, [1]),
+        (257, LONG, [1]),
+        (258, SHORT, [8]),
+        (259, SHORT, [1]),
+        (262, SHORT, [1]),
+        (273, LONG, [8]),
+        (277, SHORT, [1]),
+        (279, LONG, [0]),
+    ]
     own = [(50706, BYTE, [1, 4, 0, 0])] + ([(51041, DOUBLE, list(profile))] if profile else [])
     header = (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, 8)
     if not below:
         return header + directory(order, 8, raw + own)
     size = len(directory(order, 8, [*first, *own, (330, LONG, [0])]))
-    return header + directory(order, 8, [*first, *own, (330, LONG, [8 + size])]) + directory(order, 8 + size, raw)
+    return (
+        header
+        + directory(order, 8, [*first, *own, (330, LONG, [8 + size])])
+        + directory(order, 8 + size, raw)
+    )
 
 
 def saved(tmp_path, data):
@@ -59,12 +95,20 @@ def saved(tmp_path, data):
 @pytest.mark.parametrize("below", [False, True])
 def test_profiles_are_read_where_they_may_be(tmp_path, order, below):
     """Byte by byte from the specification: of either order, raw data in the first directory or below it."""
-    assert gs.read_noise_profile(saved(tmp_path, dng(order, below=below))) == NoiseProfile(1e-4, 2e-7, 64, 1023)
-    planes = dng(order, (1e-4, 2e-7, 1.1e-4, 3e-7, 1.2e-4, 4e-7), black=((60, SHORT),), white=15520, bits=14)
+    assert gs.read_noise_profile(saved(tmp_path, dng(order, below=below))) == NoiseProfile(
+        1e-4, 2e-7, 64, 1023
+    )
+    planes = dng(
+        order, (1e-4, 2e-7, 1.1e-4, 3e-7, 1.2e-4, 4e-7), black=((60, SHORT),), white=15520, bits=14
+    )
     found = gs.read_noise_profile(saved(tmp_path, planes))
-    assert found.scale == pytest.approx(1.1e-4, rel=1e-12) and found.offset == pytest.approx(3e-7, rel=1e-12)
+    assert found.scale == pytest.approx(1.1e-4, rel=1e-12) and found.offset == pytest.approx(
+        3e-7, rel=1e-12
+    )
     assert (found.black_level, found.white_level) == (60, 15520)
-    plain = gs.read_noise_profile(saved(tmp_path, dng(order, black=(), white=None, bits=12)))  # the defaults
+    plain = gs.read_noise_profile(
+        saved(tmp_path, dng(order, black=(), white=None, bits=12))
+    )  # the defaults
     assert (plain.black_level, plain.white_level) == (0, 4095)
 
 
@@ -72,22 +116,41 @@ def test_a_profile_that_exiftool_wrote(tmp_path):
     if shutil.which("exiftool") is None:
         pytest.skip("exiftool is not installed: apt install libimage-exiftool-perl")
     path = tmp_path / "a.dng"
-    write_dng(path, np.zeros((32, 32), np.uint16), ("RG", "GB"), 64, 1023, {"D65": (np.eye(3), None)}, (1, 1, 1))
+    write_dng(
+        path,
+        np.zeros((32, 32), np.uint16),
+        ("RG", "GB"),
+        64,
+        1023,
+        {"D65": (np.eye(3), None)},
+        (1, 1, 1),
+    )
     with refused(path, "no NoiseProfile", error=BadFile):
         gs.read_noise_profile(path)
-    command = ["exiftool", "-q", "-overwrite_original", "-n", "-IFD0:NoiseProfile=1.5e-4 2.5e-7", path]
+    command = [
+        "exiftool",
+        "-q",
+        "-overwrite_original",
+        "-n",
+        "-IFD0:NoiseProfile=1.5e-4 2.5e-7",
+        path,
+    ]
     subprocess.run(command, check=True)
     assert gs.read_noise_profile(path) == NoiseProfile(1.5e-4, 2.5e-7, 64, 1023)
 
 
-@pytest.mark.parametrize("profile", [NoiseProfile(1 / 6000, 1e-5, 64, 1023), NoiseProfile(1 / 300, 1e-5, 256, 15520)])
+@pytest.mark.parametrize(
+    "profile", [NoiseProfile(1 / 6000, 1e-5, 64, 1023), NoiseProfile(1 / 300, 1e-5, 256, 15520)]
+)
 def test_raw_values_have_the_variance_of_the_profile(profile):
     """Frames drawn at six levels: variance within 5 of its own standard errors, sqrt(2 / n), and the mean alike."""
     sensor = profile.applied(PHONE.sensor)
     readout, levels = gs.Readout(bare(sensor), "numpy"), np.array([0.0, 0.02, 0.1, 0.3, 0.6, 0.8])
     size = profile.white_level - profile.black_level
     for number, level in enumerate(levels):
-        raw = readout.draw(np.full((300, 400), level / profile.scale, np.float32), 0.0, seed=3, frame=number)
+        raw = readout.draw(
+            np.full((300, 400), level / profile.scale, np.float32), 0.0, seed=3, frame=number
+        )
         x = (np.asarray(raw, np.float64) - profile.black_level) / size
         wanted = profile.scale * level + profile.offset
         if level == 0:  # black levels of 64 DN and more clip nothing at 5 sigma
@@ -96,7 +159,9 @@ def test_raw_values_have_the_variance_of_the_profile(profile):
         assert x.mean() == pytest.approx(level, abs=5 * np.sqrt(wanted / x.size))
     bright = readout.draw(np.full((20, 20), 2 / profile.scale, np.float32), 0.0, seed=3)
     # twice the full well: the read noise's median, which has 1.25 times the standard error of a mean
-    assert np.median(bright) == pytest.approx(profile.white_level, abs=5 * 1.25 * np.sqrt(profile.offset / 400) * size)
+    assert np.median(bright) == pytest.approx(
+        profile.white_level, abs=5 * 1.25 * np.sqrt(profile.offset / 400) * size
+    )
 
 
 def bare(sensor):
@@ -110,7 +175,9 @@ def test_less_than_rounding_is_no_read_noise():
     assert NoiseProfile(1e-4, 1e-8, 0, 1023).read == 0  # rounding: 1 / 12 / 1023^2 = 8e-8
     assert NoiseProfile(1e-4, -1e-9, 0, 1023).read == 0
     # 2 e- and rounding: (2^2 K^2 + 1/12) / 1023^2, K = 0.1023
-    assert NoiseProfile(1e-4, (4 * 0.1023**2 + 1 / 12) / 1023**2, 0, 1023).read == pytest.approx(2, rel=1e-12)
+    assert NoiseProfile(1e-4, (4 * 0.1023**2 + 1 / 12) / 1023**2, 0, 1023).read == pytest.approx(
+        2, rel=1e-12
+    )
 
 
 CAMERA = """[optics]
@@ -133,26 +200,43 @@ def test_camera_files_take_profiles(tmp_path):
     sensor = gs.open_camera(tmp_path / "own.toml").sensor
     assert (sensor.bits, sensor.black_level, sensor.full_well) == (14, 64, 1000)
     assert sensor.gain_dn_per_electron == pytest.approx(15.456, rel=1e-12)  # 15456 DN for 1000 e-
-    assert sensor.noise.prnu == 0.01 and sensor.noise.read == pytest.approx(np.sqrt(2e-5) * 1e3, rel=1e-4)
-    for lines in (("bits = 10", ""), ("full_well_e = 100", ""), ("analog_gain = 2", ""), ("", "read_e = 1")):
+    assert sensor.noise.prnu == 0.01 and sensor.noise.read == pytest.approx(
+        np.sqrt(2e-5) * 1e3, rel=1e-4
+    )
+    for lines in (
+        ("bits = 10", ""),
+        ("full_well_e = 100", ""),
+        ("analog_gain = 2", ""),
+        ("", "read_e = 1"),
+    ):
         (tmp_path / "own.toml").write_text(CAMERA.format(*lines))
         with refused("own.toml", "noise_profile and", error=BadFile):
             gs.open_camera(tmp_path / "own.toml")
 
 
-@pytest.mark.parametrize(("change", "parts"), [
-    ({"profile": None}, ["no NoiseProfile"]), ({"profile": (1e-4,)}, ["1 numbers"]),
-    ({"profile": (1e-4, np.nan)}, ["finite"]), ({"profile": (0.0, 1e-6)}, ["1e-9 <= S"]),
-    ({"profile": (1e-4, 0, 2e-4, 0)}, ["0.0001 .. 0.0002", "one gain"]), ({"profile": (1e-4, 9.0)}, ["O = 9"]),
-    ({"white": 20}, ["black < white"]), ({"black": ((2**31, LONG),)}, ["black < white"])])
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ({"profile": None}, ["no NoiseProfile"]),
+        ({"profile": (1e-4,)}, ["1 numbers"]),
+        ({"profile": (1e-4, np.nan)}, ["finite"]),
+        ({"profile": (0.0, 1e-6)}, ["1e-9 <= S"]),
+        ({"profile": (1e-4, 0, 2e-4, 0)}, ["0.0001 .. 0.0002", "one gain"]),
+        ({"profile": (1e-4, 9.0)}, ["O = 9"]),
+        ({"white": 20}, ["black < white"]),
+        ({"black": ((2**31, LONG),)}, ["black < white"]),
+    ],
+)
 def test_what_is_wrong_with_a_profile_is_said(tmp_path, change, parts):
     path = saved(tmp_path, dng(**change))
     with refused(path, *parts, error=BadFile):
         gs.read_noise_profile(path)
 
 
-@pytest.mark.parametrize("data", [b"", b"II*\0", b"II*\0\x08\0\0\0", b"MM\0*\0\0\0\x08\xff\xff", dng()[:60],
-                                  b"\x89PNG\r\n"])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"II*\0", b"II*\0\x08\0\0\0", b"MM\0*\0\0\0\x08\xff\xff", dng()[:60], b"\x89PNG\r\n"],
+)
 def test_what_is_no_dng(tmp_path, data, capfd):
     with refused("a.dng", error=BadFile):
         gs.read_noise_profile(saved(tmp_path, data))
@@ -170,8 +254,16 @@ def test_photon_transfer_makes_a_sensor():
     40 levels of pairs of 128 x 128 pixels: a variance's standard error is 1 %, the gain's of 25 of them and the mean
     0.3 %; the saturation is found in steps of a 40th of it: 2.5 %. 16 dark frames give the read noise to 0.2 %.
     """
-    truth = gs.sensor_from_emva1288(pixel_pitch=3e-6, quantum_efficiency=0.5, wavelength=550, gain=0.4, dark_noise=5.0,
-                                    saturation_capacity=8000.0, bits=12, black_level=64)
+    truth = gs.sensor_from_emva1288(
+        pixel_pitch=3e-6,
+        quantum_efficiency=0.5,
+        wavelength=550,
+        gain=0.4,
+        dark_noise=5.0,
+        saturation_capacity=8000.0,
+        bits=12,
+        black_level=64,
+    )
     readout = gs.Readout(truth, "numpy")
 
     def frames(electrons, count, first):
@@ -179,9 +271,14 @@ def test_photon_transfer_makes_a_sensor():
         return np.asarray(readout.draw(mean, 0.0, seed=5, frame=first, frames=count))
 
     electrons = 8000 / 38 * np.arange(1, 41)
-    found = gs.photon_transfer([frames(level, 2, 100 + 2 * k) for k, level in enumerate(electrons)], frames(0, 16, 0),
-                               electrons / 0.5)
-    again = gs.sensor_from_emva1288(pixel_pitch=3e-6, wavelength=550, bits=12, black_level=64, **found.figures)
+    found = gs.photon_transfer(
+        [frames(level, 2, 100 + 2 * k) for k, level in enumerate(electrons)],
+        frames(0, 16, 0),
+        electrons / 0.5,
+    )
+    again = gs.sensor_from_emva1288(
+        pixel_pitch=3e-6, wavelength=550, bits=12, black_level=64, **found.figures
+    )
     assert again.gain == pytest.approx(0.4, rel=0.02)
     assert again.noise.read == pytest.approx(5, rel=0.03)
     assert again.full_well == pytest.approx(truth.full_well, rel=0.03)

@@ -11,28 +11,57 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # a package imports only packages before it
-LAYERS = ("domain", "data", "optics", "backends", "io", "planner", "color", "kernels", "measure", "pipeline", "judge",
-          "captures", "plot", "apps", "cli")
+LAYERS = (
+    "domain",
+    "data",
+    "optics",
+    "backends",
+    "io",
+    "planner",
+    "color",
+    "kernels",
+    "measure",
+    "pipeline",
+    "judge",
+    "captures",
+    "plot",
+    "apps",
+    "cli",
+)
 
 
 def packages(folder, name):
-    return {".".join((name, *path.parent.relative_to(folder).parts)) for path in folder.rglob("__init__.py")}
+    return {
+        ".".join((name, *path.parent.relative_to(folder).parts))
+        for path in folder.rglob("__init__.py")
+    }
 
 
 def test_every_package_is_listed():
-    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
-    assert listed == packages(ROOT / "gpusim", "gpusim") | packages(ROOT / "kernels", "gpusim.kernels")
+    listed = set(
+        tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    )
+    assert listed == packages(ROOT / "gpusim", "gpusim") | packages(
+        ROOT / "kernels", "gpusim.kernels"
+    )
 
 
 def test_kernels_cannot_be_imported_by_another_name():
-    result = subprocess.run([sys.executable, "-c", "import kernels"], cwd=ROOT, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", "import kernels"], cwd=ROOT, capture_output=True, text=True
+    )
     assert "import this package as gpusim.kernels" in result.stderr
 
 
 def modules():
     for folder, name in ((ROOT / "gpusim", "gpusim"), (ROOT / "kernels", "gpusim.kernels")):
         for path in sorted(folder.rglob("*.py")):
-            yield ".".join((name, *path.relative_to(folder).with_suffix("").parts)).removesuffix(".__init__"), path
+            yield (
+                ".".join((name, *path.relative_to(folder).with_suffix("").parts)).removesuffix(
+                    ".__init__"
+                ),
+                path,
+            )
 
 
 def layer(module):
@@ -57,15 +86,23 @@ def test_imports_point_one_way():
     above = {}
     for module, path in modules():
         for name in imports(path) if layer(module) else ():
-            if name.startswith("gpusim.") and layer(name) in LAYERS[LAYERS.index(layer(module)) + 1 :]:
-                above.setdefault((layer(module), layer(name)), []).append(f"{module} imports {name}")
+            if (
+                name.startswith("gpusim.")
+                and layer(name) in LAYERS[LAYERS.index(layer(module)) + 1 :]
+            ):
+                above.setdefault((layer(module), layer(name)), []).append(
+                    f"{module} imports {name}"
+                )
     assert not above
 
 
 def test_import_is_light():
     """No slow library is loaded by `import gpusim` (design: under 0.3 s; a list is steadier than a clock)."""
     code = "import gpusim, sys; print(sorted({'warp', 'pyopencl', 'colour', 'scipy', 'PIL'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
+        == "[]"
+    )
 
 
 def test_devices_are_found_from_any_folder(tmp_path):
@@ -73,8 +110,12 @@ def test_devices_are_found_from_any_folder(tmp_path):
     (tmp_path / "gpusim").mkdir()
     (tmp_path / "gpusim" / "__init__.py").write_text("raise ImportError('the wrong gpusim')\n")
     code = "from gpusim.backends.probe import _names; print(_names())"
-    result = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert "warp:cpu" in result.stdout and result.stdout.strip().endswith("'')"), result.stdout + result.stderr
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert "warp:cpu" in result.stdout and result.stdout.strip().endswith("'')"), (
+        result.stdout + result.stderr
+    )
 
 
 def test_public_names_exist():
@@ -88,14 +129,18 @@ def test_public_names_exist():
 def test_closed_streams_are_no_mistake(closed):
     """What is wrong with the arguments is status 2 whatever is closed; with standard error it is said there."""
     command = f"{sys.executable} -m gpusim bench --help {closed}; echo status $? >&9"
-    done = subprocess.run(["bash", "-c", f"exec 9>&1; {command}"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-c", f"exec 9>&1; {command}"], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.stdout.splitlines()[-1] == "status 0" and "Traceback" not in done.stderr, done
 
 
 def test_a_checkout_has_its_kernels_without_an_editable_install():
     """As after `pip install .`: Python in the checkout imports ./gpusim, whose kernels lie beside it."""
-    code = ("import sys; sys.meta_path = [one for one in sys.meta_path if 'editable' not in repr(one)]; "
-            "import gpusim.kernels.stage as one; print(one.__file__)")
+    code = (
+        "import sys; sys.meta_path = [one for one in sys.meta_path if 'editable' not in repr(one)]; "
+        "import gpusim.kernels.stage as one; print(one.__file__)"
+    )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert Path(done.stdout.strip()) == ROOT / "kernels" / "stage.py", done.stderr
 
@@ -105,11 +150,20 @@ def test_devices_are_listed_in_a_checkout_without_an_editable_install(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(
         "import sys\nclass Removed(list):\n    def append(self, one):\n"
         "        if 'editable' not in repr(one):\n            super().append(one)\n"
-        "sys.meta_path = Removed(one for one in sys.meta_path if 'editable' not in repr(one))\n")
-    done = subprocess.run([sys.executable, "-m", "gpusim", "devices"], cwd=ROOT, capture_output=True,
-                          text=True, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+        "sys.meta_path = Removed(one for one in sys.meta_path if 'editable' not in repr(one))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "gpusim", "devices"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
     assert done.returncode == 0 and done.stdout.startswith("numpy"), done
-    assert "Traceback" not in done.stderr and "No module named 'gpusim" not in done.stdout + done.stderr, done
+    assert (
+        "Traceback" not in done.stderr
+        and "No module named 'gpusim" not in done.stdout + done.stderr
+    ), done
 
 
 def test_an_installed_package_has_the_kernels_own_init():

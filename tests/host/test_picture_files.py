@@ -21,7 +21,9 @@ BY_NAME = pytest.mark.parametrize("display", DISPLAYS, ids=lambda display: displ
 
 
 def by_openimageio(path, kind):
-    OpenImageIO = pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio")
+    OpenImageIO = pytest.importorskip(
+        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
+    )
     file = OpenImageIO.ImageInput.open(str(path))
     try:
         return file.read_image(kind), file.spec()
@@ -33,7 +35,9 @@ def adapted(xyz, white):
     """To D50, as colour-science does by Bradford."""
     import colour
 
-    return colour.adaptation.chromatic_adaptation_VonKries(xyz, white, [0.9642, 1, 0.82491], transform="Bradford")
+    return colour.adaptation.chromatic_adaptation_VonKries(
+        xyz, white, [0.9642, 1, 0.82491], transform="Bradford"
+    )
 
 
 @BY_NAME
@@ -47,16 +51,32 @@ def test_littlecms_reads_the_profile(display, linear):
     """
     import colour
 
-    codes = np.concatenate([RANDOM.integers(0, 256, (200, 3)), [[255] * 3, [0] * 3, [128] * 3], 255 * np.eye(3)])
+    codes = np.concatenate(
+        [RANDOM.integers(0, 256, (200, 3)), [[255] * 3, [0] * 3, [128] * 3], 255 * np.eye(3)]
+    )
     codes = codes.astype(np.uint8)[None]
     profile = ImageCms.ImageCmsProfile(io.BytesIO(icc_profile(display, linear)))
-    convert = ImageCms.buildTransform(profile, ImageCms.createProfile("LAB"), "RGB", "LAB",
-                                      ImageCms.Intent.RELATIVE_COLORIMETRIC, flags=ImageCms.Flags.NOOPTIMIZE)
+    convert = ImageCms.buildTransform(
+        profile,
+        ImageCms.createProfile("LAB"),
+        "RGB",
+        "LAB",
+        ImageCms.Intent.RELATIVE_COLORIMETRIC,
+        flags=ImageCms.Flags.NOOPTIMIZE,
+    )
     found = np.asarray(ImageCms.applyTransform(Image.fromarray(codes), convert)).astype(float)[0]
-    found = np.stack([found[:, 0] * 100 / 255, *(np.where(found[:, 1:] > 127, found[:, 1:] - 256, found[:, 1:])).T], 1)
+    found = np.stack(
+        [
+            found[:, 0] * 100 / 255,
+            *(np.where(found[:, 1:] > 127, found[:, 1:] - 256, found[:, 1:])).T,
+        ],
+        1,
+    )
     light = codes[0] / 255 if linear else display.decode(codes[0] / 255)
     xyz = adapted(light @ display.xyz_from_rgb.T, display.xyz_from_rgb.sum(axis=1))
-    wanted = colour.XYZ_to_Lab(xyz, colour.XYZ_to_xy([0.9642, 1, 0.82491])).clip([0, -128, -128], [100, 127, 127])
+    wanted = colour.XYZ_to_Lab(xyz, colour.XYZ_to_xy([0.9642, 1, 0.82491])).clip(
+        [0, -128, -128], [100, 127, 127]
+    )
     assert (np.abs(found - wanted) <= [0.51 * 100 / 255, 0.51, 0.51]).all()
     assert ImageCms.getProfileDescription(profile).startswith(f"gpusim {display.name}")
 
@@ -66,15 +86,23 @@ def test_littlecms_reads_the_profile(display, linear):
 @pytest.mark.parametrize("grey", [False, True])
 def test_png_holds_its_codes_and_says_its_colours(tmp_path, display, bits, grey):
     """Pixels by OpenImageIO, which does not go by Pillow; chunks by exiftool and Pillow."""
-    codes = (CODES if bits == 16 else (CODES // 256).astype(np.uint8))[..., 0 if grey else slice(None)]
+    codes = (CODES if bits == 16 else (CODES // 256).astype(np.uint8))[
+        ..., 0 if grey else slice(None)
+    ]
     write_png(tmp_path / "a.png", codes, display)
     found, _ = by_openimageio(tmp_path / "a.png", "uint16" if bits == 16 else "uint8")
     np.testing.assert_array_equal(found[..., 0] if grey else found, codes)
     tags = exiftool(tmp_path / "a.png")
     assert tags["BitDepth"] == bits and tags["ColorType"] == (0 if grey else 2)
-    assert tags["Gamma"] == pytest.approx(2.2 if display.curve == "srgb" else display.curve, rel=1e-4)
-    for name, xy in zip(("WhitePoint", "Red", "Green", "Blue"), (display.white, *display.primaries), strict=True):
-        assert (tags[f"{name}X"], tags[f"{name}Y"]) == pytest.approx(xy, abs=5.1e-6)  # rounded to 1e-5
+    assert tags["Gamma"] == pytest.approx(
+        2.2 if display.curve == "srgb" else display.curve, rel=1e-4
+    )
+    for name, xy in zip(
+        ("WhitePoint", "Red", "Green", "Blue"), (display.white, *display.primaries), strict=True
+    ):
+        assert (tags[f"{name}X"], tags[f"{name}Y"]) == pytest.approx(
+            xy, abs=5.1e-6
+        )  # rounded to 1e-5
     assert ("SRGBRendering" in tags) == (display.name == "srgb")
     with Image.open(tmp_path / "a.png") as image:
         image.load()
@@ -96,7 +124,11 @@ def test_png_of_16_bits_is_read_again(tmp_path):
 @BY_NAME
 def test_tiff_holds_its_numbers_and_its_profile(tmp_path, display):
     linear = RANDOM.uniform(-0.1, 30, (13, 17, 3)).astype(np.float32)
-    for values, kind in ((CODES, "uint16"), ((CODES // 256).astype(np.uint8), "uint8"), (linear, "float")):
+    for values, kind in (
+        (CODES, "uint16"),
+        ((CODES // 256).astype(np.uint8), "uint8"),
+        (linear, "float"),
+    ):
         write_tiff(tmp_path / "a.tif", values, display)
         found, spec = by_openimageio(tmp_path / "a.tif", kind)
         np.testing.assert_array_equal(found, values)
@@ -106,8 +138,9 @@ def test_tiff_holds_its_numbers_and_its_profile(tmp_path, display):
         if kind == "uint8":  # Pillow has no pictures of three larger numbers
             with Image.open(tmp_path / "a.tif") as image:
                 assert image.info["icc_profile"] == icc_profile(display)
-        assert tags["ProfileDescription"] == f"gpusim {display.name}" + (", linear" if kind == "float" else
-                                                                                     "")
+        assert tags["ProfileDescription"] == f"gpusim {display.name}" + (
+            ", linear" if kind == "float" else ""
+        )
 
 
 @BY_NAME
@@ -119,14 +152,27 @@ def test_exr_says_its_primaries(tmp_path, display):
         found, spec = by_openimageio(tmp_path / "a.exr", "float")
         np.testing.assert_allclose(found, linear, rtol=rounding, atol=2.0**-25 if half else 0)
         assert str(spec.format) == kind
-        np.testing.assert_allclose(spec.getattribute("chromaticities"), np.ravel((*display.primaries, display.white)),
-                                   rtol=1e-6)
+        np.testing.assert_allclose(
+            spec.getattribute("chromaticities"),
+            np.ravel((*display.primaries, display.white)),
+            rtol=1e-6,
+        )
 
 
-@pytest.mark.parametrize("image", [np.zeros((4, 5, 3)), np.zeros((4, 5), np.uint8), np.zeros((0, 5, 3), np.uint16),
-                                   np.full((4, 5, 3), np.nan, np.float32), np.full((4, 5, 3), np.inf, np.float32)])
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((4, 5, 3)),
+        np.zeros((4, 5), np.uint8),
+        np.zeros((0, 5, 3), np.uint16),
+        np.full((4, 5, 3), np.nan, np.float32),
+        np.full((4, 5, 3), np.inf, np.float32),
+    ],
+)
 def test_tiff_refusals(tmp_path, image):
-    with pytest.raises(BadData, match=r"a\.tif: (a TIFF needs uint8, uint16 or float32|NaN or infinite)"):
+    with pytest.raises(
+        BadData, match=r"a\.tif: (a TIFF needs uint8, uint16 or float32|NaN or infinite)"
+    ):
         write_tiff(tmp_path / "a.tif", image)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(BadFile, match="does not exist"):

@@ -21,7 +21,9 @@ matplotlib = pytest.importorskip("matplotlib", reason="plots are of matplotlib")
 matplotlib.use("Agg")
 from matplotlib import pyplot  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:[^$]*Matplotlib", "ignore:[^$]*Aligning")  # colour's chatter
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:[^$]*Matplotlib", "ignore:[^$]*Aligning"
+)  # colour's chatter
 
 PHONE = gs.open_camera("phone")
 PLANCK, LIGHT = 6.62607015e-34, 299792458.0  # SI 2019
@@ -60,10 +62,14 @@ def test_mtf_of_wavelengths_is_that_of_diffraction(ax):
     drawn = lines(ax)
     for nanometres in (450, 650):
         f, response = drawn[f"{nanometres} nm"]
-        np.testing.assert_allclose(response, diffraction(f * 1e3 * nanometres * 1e-9 * 2.8), atol=1e-9)
+        np.testing.assert_allclose(
+            response, diffraction(f * 1e3 * nanometres * 1e-9 * 2.8), atol=1e-9
+        )
     f, own = drawn["pixel aperture alone"]
     pitch = camera.sensor.pixel_pitch
-    np.testing.assert_allclose(own, np.abs(np.sinc(1e3 * f * pitch * camera.sensor.fill_factor**0.5)), atol=1e-12)
+    np.testing.assert_allclose(
+        own, np.abs(np.sinc(1e3 * f * pitch * camera.sensor.fill_factor**0.5)), atol=1e-12
+    )
     assert "cycle/mm" in ax.get_xlabel()
 
 
@@ -74,9 +80,16 @@ def test_mtf_of_a_channel_is_its_light_s_mean():
     nodes = np.arange(400.0, 701.0)
     sees = PHONE.sensor.qe.at(nodes)[1] * nodes  # photons of equal energy
     through = PHONE.optics.transmission_at(nodes)
-    expected = sum(w * diffraction(f * 1e-6 * one * PHONE.optics.f_number)
-                   for w, one in zip(sees * through, nodes, strict=True)) / (sees * through).sum()
-    np.testing.assert_allclose(response, np.abs(expected * np.sinc(1e3 * f * PHONE.sensor.aperture[1])), atol=2e-3)
+    expected = (
+        sum(
+            w * diffraction(f * 1e-6 * one * PHONE.optics.f_number)
+            for w, one in zip(sees * through, nodes, strict=True)
+        )
+        / (sees * through).sum()
+    )
+    np.testing.assert_allclose(
+        response, np.abs(expected * np.sinc(1e3 * f * PHONE.sensor.aperture[1])), atol=2e-3
+    )
 
 
 def test_mtf_of_a_measured_gaussian(ax):
@@ -88,7 +101,9 @@ def test_mtf_of_a_measured_gaussian(ax):
     camera = PHONE.with_(optics=replace(PHONE.optics, model="measured", psf=psf))
     f, response = lines(gs.plot.mtf(camera, 500, ax, direction="down"))["500 nm"]
     inside = f * 1e3 < 0.5 / (sigma / 2)
-    np.testing.assert_allclose(response[inside], np.exp(-2 * (np.pi * sigma * 1e3 * f[inside]) ** 2), atol=1e-7)
+    np.testing.assert_allclose(
+        response[inside], np.exp(-2 * (np.pi * sigma * 1e3 * f[inside]) ** 2), atol=1e-7
+    )
 
 
 def test_psf_has_its_first_dark_ring_at_the_airy_radius():
@@ -116,12 +131,21 @@ def test_snr_of_photons_alone_is_their_root(ax):
     """sqrt(N) of N electrons = area qe exposure photons per lux; V(lambda) and its sum are colour-science's."""
     nodes = np.arange(360.0, 831.0)
     quiet = gs.Noise(read=0, prnu=0, dsnu=0, dark_current=0)
-    sensor = gs.Sensor(pixel_pitch=2e-6, qe=gs.Spectrum(nodes, np.full((1, 471), 0.5)), full_well=1e4, bits=32,
-                       channels=("Y",), cfa=("Y",), noise=quiet)
+    sensor = gs.Sensor(
+        pixel_pitch=2e-6,
+        qe=gs.Spectrum(nodes, np.full((1, 471), 0.5)),
+        full_well=1e4,
+        bits=32,
+        channels=("Y",),
+        cfa=("Y",),
+        noise=quiet,
+    )
     f, snr = lines(gs.plot.snr(sensor, ax, light="E"))["channel Y, at most 40.0 dB"]
     eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].values[:, 1]
     photons = (nodes * 1e-9 / PLANCK / LIGHT).sum() / (683 * eye.sum())  # of 1 lx s on 1 m2
-    np.testing.assert_allclose(snr, 10 * np.log10(4e-12 * 0.5 * photons * f), atol=0.02)  # sums for integrals
+    np.testing.assert_allclose(
+        snr, 10 * np.log10(4e-12 * 0.5 * photons * f), atol=0.02
+    )  # sums for integrals
     assert snr.max() == pytest.approx(40, abs=1e-9)  # 10 lg 10^4, at saturation
 
 
@@ -130,8 +154,12 @@ def test_cameras_on_one_axes_can_be_told_apart(ax):
         gs.plot.mtf(PHONE.with_(f_number=f_number), 550, ax, label=f"f/{f_number}")
     drawn = {line.get_label(): line for line in ax.get_lines()}
     first, second = drawn["f/8 550 nm"], drawn["f/2 550 nm"]
-    assert first.get_color() == second.get_color() and first.get_linestyle() != second.get_linestyle()
-    assert ax.get_xlim()[1] >= second.get_xdata()[-1] and ax.get_title() == "MTF of the lens, across"
+    assert (
+        first.get_color() == second.get_color() and first.get_linestyle() != second.get_linestyle()
+    )
+    assert (
+        ax.get_xlim()[1] >= second.get_xdata()[-1] and ax.get_title() == "MTF of the lens, across"
+    )
     gs.plot.mtf(PHONE.with_(f_number=8), 550, ax)
     assert ax.get_xlim()[1] >= second.get_xdata()[-1]
 
@@ -142,10 +170,14 @@ def test_snr_has_the_noise_of_frames(ax):
     found = lines(gs.plot.snr(sensor, ax, temporal=True))
     exposure, snr = next(data for label, data in found.items() if label.startswith("channel G"))
     readout, at = gs.Readout(sensor, "numpy"), np.searchsorted(snr, 20.0)
-    per_exposure = 10 ** (lines(ax)["photons alone, channel G"][1] / 10) / exposure[: len(exposure)][
-        : len(lines(ax)["photons alone, channel G"][1])]
+    per_exposure = (
+        10 ** (lines(ax)["photons alone, channel G"][1] / 10)
+        / exposure[: len(exposure)][: len(lines(ax)["photons alone, channel G"][1])]
+    )
     electrons = per_exposure[0] * exposure[at]
-    raws = readout.draw_electrons(np.full((120, 120), electrons, np.float32), 1e-9, frames=2, seed=3)
+    raws = readout.draw_electrons(
+        np.full((120, 120), electrons, np.float32), 1e-9, frames=2, seed=3
+    )
     noise = np.std(raws[1].astype(float) - raws[0]) / 2**0.5 / sensor.gain_dn_per_electron
     assert 20 * np.log10(electrons / noise) == pytest.approx(snr[at], abs=0.25)
 
@@ -155,14 +187,19 @@ def test_raw_is_in_its_filters_colours():
     codes = np.asarray(gs.plot.raw(frame).images[0].get_array())
     red, green, blue = codes[::2, ::2], codes[::2, 1::2], codes[1::2, 1::2]  # RG / GB
     assert not red[..., 1:].any() and not blue[..., :2].any() and not green[..., [0, 2]].any()
-    signal = (frame.raw[::2, 1::2] - PHONE.sensor.dark_level) / (PHONE.sensor.white_level - PHONE.sensor.dark_level)
+    signal = (frame.raw[::2, 1::2] - PHONE.sensor.dark_level) / (
+        PHONE.sensor.white_level - PHONE.sensor.dark_level
+    )
     np.testing.assert_allclose(green[..., 1], 255 * signal ** (1 / 2.2), atol=0.51)
 
 
 def test_mosaics_of_other_letters_are_seen():
     sensor = replace(PHONE.sensor, channels=("R", "W", "K"), cfa=("RW", "WK"))
     codes = colored(sensor, np.full((4, 4), 100, np.uint8))
-    assert codes[0, 0].tolist() == [100, 0, 0] and codes[0, 1].tolist() == [100] * 3 == codes[1, 1].tolist()
+    assert (
+        codes[0, 0].tolist() == [100, 0, 0]
+        and codes[0, 1].tolist() == [100] * 3 == codes[1, 1].tolist()
+    )
     layers = np.arange(48, dtype=np.uint8).reshape(3, 4, 4)
     stacked = replace(PHONE.sensor, stacked=True)
     np.testing.assert_array_equal(colored(stacked, layers), np.moveaxis(layers, 0, -1))
@@ -176,10 +213,16 @@ def test_scene_is_as_colour_science_renders_it():
     nodes = np.arange(380.0, 781.0, 5.0)
     scene = gs.chart("colorchecker", size=(96, 64), wavelengths=nodes)
     picture = gs.plot.scene(scene).images[0].get_array()
-    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(380, 780, 5))
+    cmfs = (
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        .copy()
+        .align(colour.SpectralShape(380, 780, 5))
+    )
     light = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(380, 780, 5))
     table = reflectances("colorchecker").at(nodes, outside=None)
-    for (rows, cols), values in list(zip(colorchecker_patches((96, 64)), table, strict=True))[:17]:  # cyan is outside
+    for (rows, cols), values in list(zip(colorchecker_patches((96, 64)), table, strict=True))[
+        :17
+    ]:  # cyan is outside
         xyz = colour.sd_to_XYZ(colour.SpectralDistribution(values, nodes), cmfs, light) / 100
         expected = np.clip(colour.XYZ_to_sRGB(xyz), 0, 1)
         np.testing.assert_allclose(picture[rows, cols][2, 2], expected, atol=0.01)
@@ -191,7 +234,9 @@ def test_sfr_of_a_gaussian_edge_is_marked_where_it_is_a_half(ax):
     gs.plot.sfr(sfr(image, pitch=pitch), ax)
     (f, response), *_ = [line.get_data() for line in ax.get_lines()]
     expected = gaussian_mtf(f * pitch * 1e3, angle, sigma)
-    np.testing.assert_allclose(response, expected, atol=5e-3)  # tests/host/test_sfr.py derives 1e-3 up to half a cycle
+    np.testing.assert_allclose(
+        response, expected, atol=5e-3
+    )  # tests/host/test_sfr.py derives 1e-3 up to half a cycle
     half = np.interp(0.5, expected[::-1], f[::-1])
     label = ax.get_legend().get_texts()[0].get_text()
     assert label.endswith(" cycle/mm") and float(label.split()[1]) == pytest.approx(half, rel=5e-3)
@@ -204,7 +249,10 @@ def test_sfr_of_a_camera_has_all_channels(monkeypatch):
     assert axes.get_legend().get_texts()[0].get_text().startswith("W: MTF50")
     frame = gs.Simulator(PHONE, device="numpy")(gs.chart("slanted-edge", size=(120, 100)))
     assert [text.get_text()[:8] for text in gs.plot.sfr(frame).get_legend().get_texts()] == [
-        "R: MTF50", "G: MTF50", "B: MTF50"]
+        "R: MTF50",
+        "G: MTF50",
+        "B: MTF50",
+    ]
     assert gs.plot.sfr(frame).get_legend().get_texts()[0].get_text().endswith(" cycle/pixel")
 
 
@@ -213,8 +261,10 @@ def test_sfr_of_binned_pixels_is_by_their_own_pitch(monkeypatch):
     monkeypatch.setattr("gpusim.plot.pictures.EDGE", (160, 120))
     monkeypatch.setattr("gpusim.plot.pictures.FRAMES", 1)
     camera = gs.open_camera("mono")
-    for binning, nyquist, unit in (((2, 2), 0.5 / (2e3 * camera.sensor.pixel_pitch), "cycle/mm"),
-                                   ((1, 2), 0.5, "cycle/pixel")):
+    for binning, nyquist, unit in (
+        ((2, 2), 0.5 / (2e3 * camera.sensor.pixel_pitch), "cycle/mm"),
+        ((1, 2), 0.5, "cycle/pixel"),
+    ):
         axes = gs.plot.sfr(camera.with_(binning=binning), device="numpy")
         assert any(line.get_xdata()[0] == pytest.approx(nyquist) for line in axes.get_lines())
         assert axes.get_legend().get_texts()[0].get_text().endswith(unit)
@@ -227,17 +277,21 @@ def test_spectra_are_those_of_the_patch(ax):
     scene = gs.chart("colorchecker", size=(96, 64), light="FL11", samples_per_pixel=2)
     (rows, cols), number = colorchecker_patches((96, 64))[18], 18  # white
     gs.plot.spectra(scene, (cols.start + 2, rows.start + 2), ax)
-    (wavelengths, drawn), = lines(ax).values()
+    ((wavelengths, drawn),) = lines(ax).values()
     lamp = colour.SDS_ILLUMINANTS["FL11"]
     at = np.isin(wavelengths, lamp.wavelengths)
     power = lamp[wavelengths[at]] / lamp[560.0]
     table = reflectances("colorchecker").at(wavelengths[at], outside=None)[number]
     shape = drawn[at] / drawn[wavelengths == 560]
-    np.testing.assert_allclose(shape, power * table / table[wavelengths[at] == 560], rtol=0.03)  # linear, not cubic
+    np.testing.assert_allclose(
+        shape, power * table / table[wavelengths[at] == 560], rtol=0.03
+    )  # linear, not cubic
     assert len(set(wavelengths % 10)) == 2
     eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     luminance = 683 * 5 * (drawn[at] * np.array([eye[one][1] for one in wavelengths[at]])).sum()
-    assert luminance == pytest.approx(100 * table.mean(), rel=0.05)  # white of 100 cd m-2 times the patch's
+    assert luminance == pytest.approx(
+        100 * table.mean(), rel=0.05
+    )  # white of 100 cd m-2 times the patch's
 
 
 def test_spectra_of_regions_are_their_means():
@@ -283,15 +337,21 @@ def test_a_click_draws_the_spectrum_of_the_pixel():
 def test_optical_image_is_the_camera_equation():
     """Even light: L pi / (1 + 4 N^2) T lux in the middle, cos^4 less in the corner; one colour, that of the surface."""
     camera = PHONE.with_(f_number=4, transmission=0.5)
-    axes = gs.plot.optical_image(camera, gs.chart("flat", size=(48, 32), luminance=200.0, light="A"), device="numpy")
+    axes = gs.plot.optical_image(
+        camera, gs.chart("flat", size=(48, 32), luminance=200.0, light="A"), device="numpy"
+    )
     lux = 200 * 0.5 * np.pi / (1 + 4 * 16)
     assert f"white {lux:.3g} lx" in axes.get_title()
     codes = np.asarray(axes.images[0].get_array())
-    linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    linear = np.where(
+        codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4
+    )  # IEC 61966-2-1
     pitch, focal = camera.sensor.pixel_pitch, camera.optics.focal_length
     y, x = ((np.arange(n) - (n - 1) / 2) * pitch / focal for n in (32, 48))
     fall = (1 + y[:, None] ** 2 + x**2) ** -2
-    np.testing.assert_allclose(linear, 0.18 * fall[..., None] * np.ones(3), rtol=2e-3)  # grey is white's colour
+    np.testing.assert_allclose(
+        linear, 0.18 * fall[..., None] * np.ones(3), rtol=2e-3
+    )  # grey is white's colour
 
 
 # ------------------------------------------------------------------------------------------------- noise and errors
@@ -306,13 +366,15 @@ def checker():
 def test_noise_is_as_wide_as_is_expected(checker):
     """Of n pixels the sigma spreads by 1 / sqrt(2 n), the mean by 1 / sqrt(n): 5 of these; counts add up to 1."""
     axes = gs.plot.noise(checker[1])
-    (normal_x, normal), = (data for label, data in lines(axes).items() if label == "normal")
+    ((normal_x, normal),) = (data for label, data in lines(axes).items() if label == "normal")
     np.testing.assert_allclose(normal, np.exp(-(normal_x**2) / 2) / (2 * np.pi) ** 0.5)
     assert len(lines(axes)) == 4
     for label, (x, share) in lines(axes).items():
         if label != "normal":
             count, mean, sigma = map(float, re.findall(r"[+-]?\d+\.?\d*", label))
-            assert abs(mean) < 5 / count**0.5 and abs(sigma - 1) < 5 / (2 * count) ** 0.5 + 0.01  # rounding's shape
+            assert (
+                abs(mean) < 5 / count**0.5 and abs(sigma - 1) < 5 / (2 * count) ** 0.5 + 0.01
+            )  # rounding's shape
             assert (share * (x[1] - x[0])).sum() == pytest.approx(1, abs=0.01)
 
 
@@ -322,12 +384,18 @@ def test_photon_transfer_finds_what_the_sensor_was_given():
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     gain = float(next(one for one in labels if one.startswith("photons")).split()[3])
     dark = float(next(one for one in labels if one.startswith("dark")).split()[3])
-    assert gain == pytest.approx(sensor.gain_dn_per_electron, rel=0.02)  # 96 x 96 pixels, 16 levels: 0.4 %
-    assert dark == pytest.approx(sensor.read_sigma, rel=0.05)  # 96 x 96 pixels: 0.7 %, and dark offsets none
+    assert gain == pytest.approx(
+        sensor.gain_dn_per_electron, rel=0.02
+    )  # 96 x 96 pixels, 16 levels: 0.4 %
+    assert dark == pytest.approx(
+        sensor.read_sigma, rel=0.05
+    )  # 96 x 96 pixels: 0.7 %, and dark offsets none
     x, y = lines(axes)["frames"]
     below = x < 0.6 * x.max()
     expected = np.sqrt(gain * x[below] + y[x.argmin()] ** 2)
-    np.testing.assert_allclose(y[below], expected, rtol=0.06)  # 1 / sqrt(2 x 9216) is 0.7 % of each of the two
+    np.testing.assert_allclose(
+        y[below], expected, rtol=0.06
+    )  # 1 / sqrt(2 x 9216) is 0.7 % of each of the two
 
 
 def test_colour_errors_are_colour_sciences(checker):
@@ -335,16 +403,32 @@ def test_colour_errors_are_colour_sciences(checker):
     axes = gs.plot.color_checker(frame, scene)
     heights = [bar.get_height() for bar in axes.patches]
     table = reflectances("colorchecker").at(np.arange(400.0, 701.0), outside=None)
-    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(400, 700, 1))
+    cmfs = (
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        .copy()
+        .align(colour.SpectralShape(400, 700, 1))
+    )
     light = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(400, 700, 1))
     white, ones = np.array([0.3127, 0.3290]), np.ones(301)
-    lit = colour.sd_to_XYZ(colour.SpectralDistribution(ones, np.arange(400.0, 701.0)), cmfs, light) / 100
+    lit = (
+        colour.sd_to_XYZ(colour.SpectralDistribution(ones, np.arange(400.0, 701.0)), cmfs, light)
+        / 100
+    )
     for number, (rows, cols) in enumerate(colorchecker_patches((96, 64))):
-        own = np.clip(frame.linear[rows, cols][1:-1, 1:-1].mean(axis=(0, 1)) / frame.rendering.diffuser, 0, 1)
+        own = np.clip(
+            frame.linear[rows, cols][1:-1, 1:-1].mean(axis=(0, 1)) / frame.rendering.diffuser, 0, 1
+        )
         seen = colour.RGB_to_XYZ(own, "sRGB", white)
-        true = colour.sd_to_XYZ(colour.SpectralDistribution(table[number], np.arange(400.0, 701.0)), cmfs, light) / 100
+        true = (
+            colour.sd_to_XYZ(
+                colour.SpectralDistribution(table[number], np.arange(400.0, 701.0)), cmfs, light
+            )
+            / 100
+        )
         true = colour.chromatic_adaptation(true, lit, colour.xy_to_XYZ(white), transform="Bradford")
-        expected = colour.delta_E(*(colour.XYZ_to_Lab(one, white) for one in (seen, true)), method="CIE 2000")
+        expected = colour.delta_E(
+            *(colour.XYZ_to_Lab(one, white) for one in (seen, true)), method="CIE 2000"
+        )
         assert heights[number] == pytest.approx(expected, abs=0.15)  # 10 nm: lines or splines
     drawn = gs.plot.delta_e(frame, scene).images[0].get_array()
     assert drawn.shape == scene.shape and drawn.min() >= 0
@@ -358,7 +442,9 @@ def test_error_map_is_electrons_against_the_reference():
     simulator = gs.Simulator(camera, device="numpy", tolerance=0.3)
     frame = simulator(scene, verify=True)
     axes = gs.plot.error(simulator, scene)
-    assert np.abs(axes.images[0].get_array()).max() == pytest.approx(frame.report.error.max_sigma, rel=1e-5)
+    assert np.abs(axes.images[0].get_array()).max() == pytest.approx(
+        frame.report.error.max_sigma, rel=1e-5
+    )
 
 
 def test_plan_bars_are_the_reports(checker):
@@ -367,11 +453,14 @@ def test_plan_bars_are_the_reports(checker):
     times, errors = figure.axes
     names = [text.get_text() for text in times.get_yticklabels()]
     assert dict(zip(names, (bar.get_width() for bar in times.patches), strict=True)) == {
-        stage.stage: stage.ms for stage in report.stages if stage.ms}
+        stage.stage: stage.ms for stage in report.stages if stage.ms
+    }
     assert errors.patches[-1].get_width() == report.account.total.rms
     forecast = Forecast.of(gs.Simulator(PHONE, device="numpy", tolerance="preview"), checker[0])
     figure = gs.plot.plan(forecast)
-    assert sum(bar.get_width() for bar in figure.axes[0].patches) == pytest.approx(sum(forecast.ms.values()))
+    assert sum(bar.get_width() for bar in figure.axes[0].patches) == pytest.approx(
+        sum(forecast.ms.values())
+    )
     assert "tolerance met" in figure.get_suptitle() and "99.9 %" in figure.axes[1].get_xlabel()
 
 
@@ -384,38 +473,81 @@ def test_picture_and_efficiency_are_the_camera_s(checker):
 # --------------------------------------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize("call, error, words", [
-    (lambda: gs.plot.mtf(3), BadData, "camera: int, wanted a Camera"),
-    (lambda: gs.plot.mtf(PHONE, "X"), UnknownName, "unknown channel 'X'; known: B, G, R"),
-    (lambda: gs.plot.mtf(PHONE, 5), OutOfRange, "of = 5: allowed is wavelengths within"),
-    (lambda: gs.plot.mtf(PHONE, []), BadData, "nothing to draw"),
-    (lambda: gs.plot.mtf(PHONE, direction="up"), UnknownName, "unknown direction 'up'"),
-    (lambda: gs.plot.mtf(PHONE, light="D66"), UnknownName, "unknown light 'D66'"),
-    (lambda: gs.plot.mtf(PHONE, light=3), BadData, "light of int: wanted a name"),
-    (lambda: gs.plot.mtf(PHONE, place=3), BadData, r"place = 3: wanted a field point \(y, x\)"),
-    (lambda: gs.plot.psf(PHONE, 550, place=(1, 1)), OutOfRange, r"place = \(1.0, 1.0\): allowed is up to 1"),
-    (lambda: gs.plot.snr(PHONE, light=PHONE.sensor.qe), BadData, "light of Spectrum: wanted a name"),
-    (lambda: gs.plot.snr(PHONE, seconds="1"), OutOfRange, "seconds = 1 s: allowed is 0 <= seconds"),
-    (lambda: gs.plot.mtf(PHONE, 550, 3), BadData, "ax: int, wanted axes of matplotlib"),
-    (lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))), BadData, "no lens that blurs"),
-    (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
-    (lambda: gs.plot.snr(PHONE.with_(photon="none", read_e=0, prnu=0, dsnu_e=0, bits=32)), BadData, "has no noise"),
-    (lambda: gs.plot.snr("phone"), BadData, "snr: str, wanted a Camera or a Sensor"),
-    (lambda: gs.plot.snr(PHONE, seconds=-1), OutOfRange, "seconds = -1 s"),
-    (lambda: gs.plot.raw(PHONE), BadData, "raw: Camera, wanted a frame"),
-    (lambda: gs.plot.scene("colorchecker"), BadData, "scene: str, wanted a Scene"),
-    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (9, 0)), OutOfRange, r"at = \(9, 0\): allowed is columns"),
-    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), 3), BadData, "at = 3: wanted a pixel"),
-    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (1.5, 2)), BadData, "wanted a pixel"),
-    (lambda: gs.plot.spectra(gs.chart("flat"), quantity="x"), UnknownName, "unknown quantity 'x'"),
-    (lambda: gs.plot.optical_image("phone", 3), BadData, "camera: str, wanted a Camera"),
-    (lambda: gs.plot.noise(PHONE), BadData, "noise: Camera, wanted a frame"),
-    (lambda: gs.plot.photon_transfer(3), BadData, "photon_transfer: int, wanted a PhotonTransfer"),
-    (lambda: gs.plot.delta_e(3, 3), BadData, "delta_e: int, wanted a frame"),
-    (lambda: gs.plot.error(PHONE, 3), BadData, "error: Camera, wanted a Simulator"),
-    (lambda: gs.plot.plan(PHONE), BadData, "plan: Camera, wanted a Forecast or"),
-    (lambda: gs.plot.sfr(np.ones((9, 9))), BadData, "sfr: ndarray, wanted a Camera, a frame"),
-])
+@pytest.mark.parametrize(
+    "call, error, words",
+    [
+        (lambda: gs.plot.mtf(3), BadData, "camera: int, wanted a Camera"),
+        (lambda: gs.plot.mtf(PHONE, "X"), UnknownName, "unknown channel 'X'; known: B, G, R"),
+        (lambda: gs.plot.mtf(PHONE, 5), OutOfRange, "of = 5: allowed is wavelengths within"),
+        (lambda: gs.plot.mtf(PHONE, []), BadData, "nothing to draw"),
+        (lambda: gs.plot.mtf(PHONE, direction="up"), UnknownName, "unknown direction 'up'"),
+        (lambda: gs.plot.mtf(PHONE, light="D66"), UnknownName, "unknown light 'D66'"),
+        (lambda: gs.plot.mtf(PHONE, light=3), BadData, "light of int: wanted a name"),
+        (lambda: gs.plot.mtf(PHONE, place=3), BadData, r"place = 3: wanted a field point \(y, x\)"),
+        (
+            lambda: gs.plot.psf(PHONE, 550, place=(1, 1)),
+            OutOfRange,
+            r"place = \(1.0, 1.0\): allowed is up to 1",
+        ),
+        (
+            lambda: gs.plot.snr(PHONE, light=PHONE.sensor.qe),
+            BadData,
+            "light of Spectrum: wanted a name",
+        ),
+        (
+            lambda: gs.plot.snr(PHONE, seconds="1"),
+            OutOfRange,
+            "seconds = 1 s: allowed is 0 <= seconds",
+        ),
+        (lambda: gs.plot.mtf(PHONE, 550, 3), BadData, "ax: int, wanted axes of matplotlib"),
+        (
+            lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))),
+            BadData,
+            "no lens that blurs",
+        ),
+        (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
+        (
+            lambda: gs.plot.snr(PHONE.with_(photon="none", read_e=0, prnu=0, dsnu_e=0, bits=32)),
+            BadData,
+            "has no noise",
+        ),
+        (lambda: gs.plot.snr("phone"), BadData, "snr: str, wanted a Camera or a Sensor"),
+        (lambda: gs.plot.snr(PHONE, seconds=-1), OutOfRange, "seconds = -1 s"),
+        (lambda: gs.plot.raw(PHONE), BadData, "raw: Camera, wanted a frame"),
+        (lambda: gs.plot.scene("colorchecker"), BadData, "scene: str, wanted a Scene"),
+        (
+            lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (9, 0)),
+            OutOfRange,
+            r"at = \(9, 0\): allowed is columns",
+        ),
+        (
+            lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), 3),
+            BadData,
+            "at = 3: wanted a pixel",
+        ),
+        (
+            lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (1.5, 2)),
+            BadData,
+            "wanted a pixel",
+        ),
+        (
+            lambda: gs.plot.spectra(gs.chart("flat"), quantity="x"),
+            UnknownName,
+            "unknown quantity 'x'",
+        ),
+        (lambda: gs.plot.optical_image("phone", 3), BadData, "camera: str, wanted a Camera"),
+        (lambda: gs.plot.noise(PHONE), BadData, "noise: Camera, wanted a frame"),
+        (
+            lambda: gs.plot.photon_transfer(3),
+            BadData,
+            "photon_transfer: int, wanted a PhotonTransfer",
+        ),
+        (lambda: gs.plot.delta_e(3, 3), BadData, "delta_e: int, wanted a frame"),
+        (lambda: gs.plot.error(PHONE, 3), BadData, "error: Camera, wanted a Simulator"),
+        (lambda: gs.plot.plan(PHONE), BadData, "plan: Camera, wanted a Forecast or"),
+        (lambda: gs.plot.sfr(np.ones((9, 9))), BadData, "sfr: ndarray, wanted a Camera, a frame"),
+    ],
+)
 def test_bad_input_is_refused_in_one_line(call, error, words):
     with pytest.raises(error, match=words) as refused:
         call()
@@ -425,5 +557,7 @@ def test_bad_input_is_refused_in_one_line(call, error, words):
 def test_without_matplotlib_it_is_said_how_to_get_it(monkeypatch):
     for name in ("matplotlib", "matplotlib.pyplot"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(Missing, match=r"matplotlib is not installed; wanted: pip install 'gpusim\[plot\]'"):
+    with pytest.raises(
+        Missing, match=r"matplotlib is not installed; wanted: pip install 'gpusim\[plot\]'"
+    ):
         gs.plot.mtf(PHONE)

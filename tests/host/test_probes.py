@@ -21,10 +21,19 @@ RANDOM = np.random.default_rng(3)
 SPECTRA = RANDOM.random((4, 31))
 SHAPE = (150, 190)
 LIGHT = gs.chart("flat").illuminant
-FORMS = {"cube": (Cube(WAVELENGTHS, RANDOM.random((31, *SHAPE), np.float32)), 31),
-         "basis": (Basis(WAVELENGTHS, RANDOM.random((4, *SHAPE), np.float32), SPECTRA), 4),
-         "materials": (Materials(WAVELENGTHS, RANDOM.integers(0, 4, SHAPE).astype(np.uint8),
-                                 RANDOM.random(SHAPE, np.float32), SPECTRA), 31)}
+FORMS = {
+    "cube": (Cube(WAVELENGTHS, RANDOM.random((31, *SHAPE), np.float32)), 31),
+    "basis": (Basis(WAVELENGTHS, RANDOM.random((4, *SHAPE), np.float32), SPECTRA), 4),
+    "materials": (
+        Materials(
+            WAVELENGTHS,
+            RANDOM.integers(0, 4, SHAPE).astype(np.uint8),
+            RANDOM.random(SHAPE, np.float32),
+            SPECTRA,
+        ),
+        31,
+    ),
+}
 
 
 class Counted(OnHost):
@@ -55,22 +64,32 @@ class Counted(OnHost):
 def test_a_plan_reads_a_scene_once(form, tolerance, monkeypatch):
     """All of it for its brightness, some pairs of rows, and windows, of which as few planes are transformed as tell."""
     (content, planes), transformed, inner = FORMS[form], [], scipy.fft.rfft2
-    monkeypatch.setattr(probes.scipy.fft, "rfft2", lambda values, **how: transformed.append(values.shape) or inner(
-        values, **how))
+    monkeypatch.setattr(
+        probes.scipy.fft,
+        "rfft2",
+        lambda values, **how: transformed.append(values.shape) or inner(values, **how),
+    )
     samples = Counted(content)
-    plan(gs.Scene(content, LIGHT), PHONE, tolerance=tolerance and Tolerance.parse(tolerance),
-         facts=Facts(content, None, samples))
+    plan(
+        gs.Scene(content, LIGHT),
+        PHONE,
+        tolerance=tolerance and Tolerance.parse(tolerance),
+        facts=Facts(content, None, samples),
+    )
     rows = 2 * (SHAPE[0] - 1) * SHAPE[1]
     windows = [shape for shape in transformed if len(shape) == 4]
     if tolerance is None:
         assert samples.read == ["brightness", rows] and not windows
     else:
-        (count, each, *_), = windows
+        ((count, each, *_),) = windows
         assert samples.read == ["brightness", rows, count * SIDE**2] and each == planes
 
 
-@pytest.mark.parametrize("content", [FORMS["basis"][0], gs.picture(RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8))
-                                     .content], ids=["basis", "picture"])
+@pytest.mark.parametrize(
+    "content",
+    [FORMS["basis"][0], gs.picture(RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8)).content],
+    ids=["basis", "picture"],
+)
 def test_samples_that_a_scene_was_made_of_are_not_checked_again(content, monkeypatch):
     scene = gs.Scene(content, LIGHT)
     simulator = gs.Simulator(PHONE, device="numpy")
@@ -85,8 +104,21 @@ def test_entries_are_probed_as_their_spectra_are():
     cube = Cube(WAVELENGTHS, basis.bands_at(slice(None)).astype(np.float32))
     for border in ("edge", "zero"):
         windows = Windows.of(basis.brightness(np.ones(31)), 0, border, 6, SIDE, RIM)
-        own, its = (Probes.of(Facts(content), windows, border, tables=None, weights=None, even=None, share=None,
-                              level=1.0, seconds=1.0, noise=1.0) for content in (basis, cube))
+        own, its = (
+            Probes.of(
+                Facts(content),
+                windows,
+                border,
+                tables=None,
+                weights=None,
+                even=None,
+                share=None,
+                level=1.0,
+                seconds=1.0,
+                noise=1.0,
+            )
+            for content in (basis, cube)
+        )
         np.testing.assert_allclose(own.means, its.means, rtol=1e-6)
         assert np.abs(own.spectra - its.spectra).max() < 4 * 2.0**-24 * SIDE**2 * its.means.max()
 
@@ -98,9 +130,18 @@ def test_the_figures_of_an_error():
     weight /= weight.sum()
     tables = np.ones((channels, SIDE, SIDE // 2 + 1))
     light = RANDOM.random((count, channels, SIDE, SIDE), np.float32)
-    made = Probes(Windows(np.zeros((count, SIDE), int), np.zeros((count, SIDE), int), weight, 1.25),
-                  scipy.fft.rfft2(light), np.ones((count, channels)), tables, np.eye(channels), np.eye(channels), share,
-                  level=3.0, seconds=7.0, noise=2.0)
+    made = Probes(
+        Windows(np.zeros((count, SIDE), int), np.zeros((count, SIDE), int), weight, 1.25),
+        scipy.fft.rfft2(light),
+        np.ones((count, channels)),
+        tables,
+        np.eye(channels),
+        np.eye(channels),
+        share,
+        level=3.0,
+        seconds=7.0,
+        noise=2.0,
+    )
     wrong = RANDOM.normal(size=light.shape) * 10.0 ** -RANDOM.uniform(0, 3, (count, channels, 1, 1))
     wrong = wrong.astype(np.float32)
     found = made.bound(scipy.fft.rfft2(wrong))
@@ -129,8 +170,11 @@ def test_points_of_light_are_all_looked_at():
     assert len(found.rows) == 12
     one = INNER**2 / light.size
     for y, x in points:
-        seen = [weight for rows, cols, weight in zip(found.rows, found.cols, found.weight, strict=True)
-                if y in rows[RIM:-RIM] and x in cols[RIM:-RIM]]
+        seen = [
+            weight
+            for rows, cols, weight in zip(found.rows, found.cols, found.weight, strict=True)
+            if y in rows[RIM:-RIM] and x in cols[RIM:-RIM]
+        ]
         assert min(seen) == pytest.approx(one, rel=0.2)
 
 

@@ -18,7 +18,9 @@ from gpusim.optics.otf import hopkins, transfer
 from gpusim.optics.psf import psf_tables
 
 CLEAR, FLAT = Pupil(), np.zeros((1, 5, 5))
-COMA = Wavefront(seidel=(0, 0.7, 0.5, 0.4, 0))  # the corner of the mild lens of the notes on field variation
+COMA = Wavefront(
+    seidel=(0, 0.7, 0.5, 0.4, 0)
+)  # the corner of the mild lens of the notes on field variation
 
 
 def defocus(waves):
@@ -26,6 +28,7 @@ def defocus(waves):
 
 
 # ---- the transfer function
+
 
 def test_no_wavefront_is_airy():
     """Both integrals give the closed form of the in-focus circle; 1e-13 is some hundred roundings of sums near 1."""
@@ -39,8 +42,15 @@ def test_hopkins_integral_against_adaptive_integration_in_two_dimensions(waves):
     """The issue's 1e-9; the adaptive integration is asked for 1e-10 of pi / 4 in each of two directions."""
     for s in (0.03, 0.2, 0.5, 0.8, 0.97):
         end = np.sqrt(1 - s * s)  # a quarter of the overlap: it is even both ways
-        quarter = dblquad(lambda x, y, s=s: np.cos(8 * np.pi * waves * s * x), 0, end,
-                          0, lambda y, s=s: max(np.sqrt(max(1 - y * y, 0)) - s, 0), epsabs=1e-11, epsrel=1e-11)[0]
+        quarter = dblquad(
+            lambda x, y, s=s: np.cos(8 * np.pi * waves * s * x),
+            0,
+            end,
+            0,
+            lambda y, s=s: max(np.sqrt(max(1 - y * y, 0)) - s, 0),
+            epsabs=1e-11,
+            epsrel=1e-11,
+        )[0]
         assert abs(hopkins(s, waves) - 4 * quarter / np.pi) <= 1e-9
         assert abs(transfer(CLEAR, defocus(waves), [s], [0.0])[0, 0] - 4 * quarter / np.pi) <= 1e-9
 
@@ -55,20 +65,31 @@ def test_corner_wavefront_against_adaptive_integration():
 
     waves = COMA.polynomial(0.8, 0.5)
     for sx, sy in ((0.3, 0.1), (-0.2, 0.5)):
+
         def integrand(x, y, part, sx=sx, sy=sy):
             inside = (x + sx) ** 2 + (y + sy) ** 2 < 1 and (x - sx) ** 2 + (y - sy) ** 2 < 1
             difference = polyval2d(x + sx, y + sy, waves) - polyval2d(x - sx, y - sy, waves)
             return part(2 * np.pi * difference) if inside else 0.0
 
         def first(y, sx=sx, sy=sy):
-            return max(-np.sqrt(max(1 - (y + sy) ** 2, 0)) - sx, -np.sqrt(max(1 - (y - sy) ** 2, 0)) + sx)
+            return max(
+                -np.sqrt(max(1 - (y + sy) ** 2, 0)) - sx, -np.sqrt(max(1 - (y - sy) ** 2, 0)) + sx
+            )
 
         def last(y, sx=sx, sy=sy):
-            return max(min(np.sqrt(max(1 - (y + sy) ** 2, 0)) - sx, np.sqrt(max(1 - (y - sy) ** 2, 0)) + sx), first(y))
+            return max(
+                min(
+                    np.sqrt(max(1 - (y + sy) ** 2, 0)) - sx, np.sqrt(max(1 - (y - sy) ** 2, 0)) + sx
+                ),
+                first(y),
+            )
 
         top = 1 - abs(sy)
-        parts = [dblquad(integrand, -top, top, first, last, args=(part,), epsabs=1e-9, epsrel=1e-9)[0] / np.pi
-                 for part in (np.cos, np.sin)]
+        parts = [
+            dblquad(integrand, -top, top, first, last, args=(part,), epsabs=1e-9, epsrel=1e-9)[0]
+            / np.pi
+            for part in (np.cos, np.sin)
+        ]
         assert abs(transfer(CLEAR, waves[None], [sx], [sy])[0, 0] - complex(*parts)) < 2e-8
 
 
@@ -86,19 +107,28 @@ def test_obscured_circle_closed_form(hole):
     where two roots meet (s near a kink), and Gauss-Legendre of n nodes errs there as n^-5: 20^-5 = 3e-7 of a panel
     whose area is a tenth of the whole. 5e-8 is that; 2e-8 is the most that was measured.
     """
+
     def lens(r1, r2, d):
         if d >= r1 + r2:
             return 0.0
         if d <= abs(r1 - r2):
             return np.pi * min(r1, r2) ** 2
         kite = (-d + r1 + r2) * (d + r1 - r2) * (d - r1 + r2) * (d + r1 + r2)
-        return (r1**2 * np.arccos((d * d + r1**2 - r2**2) / (2 * d * r1))
-                + r2**2 * np.arccos((d * d + r2**2 - r1**2) / (2 * d * r2)) - np.sqrt(kite) / 2)
+        return (
+            r1**2 * np.arccos((d * d + r1**2 - r2**2) / (2 * d * r1))
+            + r2**2 * np.arccos((d * d + r2**2 - r1**2) / (2 * d * r2))
+            - np.sqrt(kite) / 2
+        )
 
     s = np.linspace(0.01, 1, 60)
-    truth = [(lens(1, 1, 2 * v) - 2 * lens(1, hole, 2 * v) + lens(hole, hole, 2 * v)) / (np.pi * (1 - hole**2))
-             for v in s]
-    np.testing.assert_allclose(transfer(Pupil(0, hole), FLAT, 0.6 * s, -0.8 * s)[0], truth, atol=5e-8)
+    truth = [
+        (lens(1, 1, 2 * v) - 2 * lens(1, hole, 2 * v) + lens(hole, hole, 2 * v))
+        / (np.pi * (1 - hole**2))
+        for v in s
+    ]
+    np.testing.assert_allclose(
+        transfer(Pupil(0, hole), FLAT, 0.6 * s, -0.8 * s)[0], truth, atol=5e-8
+    )
 
 
 def test_square_pupil_closed_form():
@@ -138,6 +168,7 @@ def test_mtf50_of_the_lens_of_figure_8():
 
 # ---- the description
 
+
 def test_zernike_polynomials_are_orthonormal_and_in_noll_order():
     """Mean over the disc by a rule exact for their degree; the first are those of Noll's table I."""
     from numpy.polynomial.polynomial import polyval2d
@@ -149,9 +180,12 @@ def test_zernike_polynomials_are_orthonormal_and_in_noll_order():
     values = [polyval2d(x, y, noll(j)) for j in range(1, 67)]
     gram = [[(a * b * measure).sum() for a in values] for b in values]
     np.testing.assert_allclose(gram, np.eye(66), atol=1e-12)
-    for j, expected in ((4, np.sqrt(3) * (2 * r**2 - 1)), (5, np.sqrt(6) * r**2 * np.sin(2 * t)),
-                        (8, np.sqrt(8) * (3 * r**3 - 2 * r) * np.cos(t)),
-                        (11, np.sqrt(5) * (6 * r**4 - 6 * r**2 + 1))):
+    for j, expected in (
+        (4, np.sqrt(3) * (2 * r**2 - 1)),
+        (5, np.sqrt(6) * r**2 * np.sin(2 * t)),
+        (8, np.sqrt(8) * (3 * r**3 - 2 * r) * np.cos(t)),
+        (11, np.sqrt(5) * (6 * r**4 - 6 * r**2 + 1)),
+    ):
         np.testing.assert_allclose(values[j - 1], expected, atol=1e-12)
 
 
@@ -183,20 +217,36 @@ def test_wavefront_scales_with_wavelength_and_turns_with_azimuth():
 def test_axial_colour_is_a_defocus_of_each_wavelength():
     optics = Optics(2.0, 5e-3, defocus=Spectrum([400.0, 600.0], [-4e-6, 4e-6]))
     assert not optics.is_ideal
-    np.testing.assert_allclose(optics.waves([400.0, 500.0, 600.0])[:, 2, 0],
-                               [-4e-6 / 32 / 400e-9, 0, 4e-6 / 32 / 600e-9], atol=1e-12)
+    np.testing.assert_allclose(
+        optics.waves([400.0, 500.0, 600.0])[:, 2, 0],
+        [-4e-6 / 32 / 400e-9, 0, 4e-6 / 32 / 600e-9],
+        atol=1e-12,
+    )
 
 
-@pytest.mark.parametrize(("line", "says"), [
-    ("pupil = {blades = 2}", "blades"), ("pupil = {blades = 6, obscuration = 0.9}", "0.866"),
-    ("pupil = {sides = 6}", "obscuration"), ("defocus_um = 1e5", "defocus"), ("zernike_waves = [99]", "40 waves"),
-    ("zernike_waves = 3", "numbers"), ("seidel_waves = [1, 2]", "5 numbers"), ("reference_nm = 1", "reference_nm"),
-    ("defocus_um = 1\ndefocus_diopters = 1", "one of them"), ("diffuser_um = -1", "diffuser"),
-    ("birefringence_um = [1]", "2 numbers"), ("seidel_waves = [nan, 0, 0, 0, 0]", "40 waves in all")])
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("pupil = {blades = 2}", "blades"),
+        ("pupil = {blades = 6, obscuration = 0.9}", "0.866"),
+        ("pupil = {sides = 6}", "obscuration"),
+        ("defocus_um = 1e5", "defocus"),
+        ("zernike_waves = [99]", "40 waves"),
+        ("zernike_waves = 3", "numbers"),
+        ("seidel_waves = [1, 2]", "5 numbers"),
+        ("reference_nm = 1", "reference_nm"),
+        ("defocus_um = 1\ndefocus_diopters = 1", "one of them"),
+        ("diffuser_um = -1", "diffuser"),
+        ("birefringence_um = [1]", "2 numbers"),
+        ("seidel_waves = [nan, 0, 0, 0, 0]", "40 waves in all"),
+    ],
+)
 def test_bad_lenses_are_refused(tmp_path, line, says):
     path = tmp_path / "lens.toml"
-    path.write_text(f'[optics]\nf_number = 2\nfocal_length_mm = 4\n{line}\n[sensor]\npixel_pitch_um = 1.4\n'
-                    'qe = "mt9v024"\nfull_well_e = 1000\nbits = 10\n')
+    path.write_text(
+        f"[optics]\nf_number = 2\nfocal_length_mm = 4\n{line}\n[sensor]\npixel_pitch_um = 1.4\n"
+        'qe = "mt9v024"\nfull_well_e = 1000\nbits = 10\n'
+    )
     with pytest.raises(BadFile, match="lens") as caught:
         open_camera(path)
     assert says in str(caught.value)
@@ -205,10 +255,12 @@ def test_bad_lenses_are_refused(tmp_path, line, says):
 
 def test_a_lens_from_a_file(tmp_path):
     path = tmp_path / "lens.toml"
-    path.write_text('[optics]\nf_number = 2\nfocal_length_mm = 4\npupil = {blades = 6, rotation_deg = 90}\n'
-                    'defocus_diopters = 0.5\nzernike_waves = [0, 0, 0, 0, 0, 0, 0, 0.1]\nreference_nm = 600\n'
-                    'birefringence_um = [1.4, 0]\ndiffuser_um = 0.2\n'
-                    '[sensor]\npixel_pitch_um = 1.4\nqe = "mt9v024"\nfull_well_e = 1000\nbits = 10\n')
+    path.write_text(
+        "[optics]\nf_number = 2\nfocal_length_mm = 4\npupil = {blades = 6, rotation_deg = 90}\n"
+        "defocus_diopters = 0.5\nzernike_waves = [0, 0, 0, 0, 0, 0, 0, 0.1]\nreference_nm = 600\n"
+        "birefringence_um = [1.4, 0]\ndiffuser_um = 0.2\n"
+        '[sensor]\npixel_pitch_um = 1.4\nqe = "mt9v024"\nfull_well_e = 1000\nbits = 10\n'
+    )
     optics = open_camera(path).optics
     assert optics.pupil == Pupil(6, 0.0, np.pi / 2)
     assert optics.defocus == pytest.approx(0.5 * 4e-3**2)
@@ -218,6 +270,7 @@ def test_a_lens_from_a_file(tmp_path):
 
 
 # ---- given point spreads
+
 
 def test_pixel_energies_are_used_as_they_are():
     """The tables' transform is the kernel itself, to rounding."""
@@ -250,7 +303,9 @@ def test_pillbox_is_the_area_of_the_disc_in_each_pixel():
 
     kernel = pillbox_kernel(5.3)
     r = 2.65
-    area = quad(lambda x: np.clip(np.sqrt(max(r * r - x * x, 0)), 0.5, 1.5) - 0.5, 1.5, 2.5, limit=200)[0]
+    area = quad(
+        lambda x: np.clip(np.sqrt(max(r * r - x * x, 0)), 0.5, 1.5) - 0.5, 1.5, 2.5, limit=200
+    )[0]
     assert kernel[4, 5] == pytest.approx(area / (np.pi * r * r), abs=1e-9)
     for diameter in (0.3, 1.0, 1.2, 7.0, 20.4):
         assert abs(pillbox_kernel(diameter).sum() - 1) < 1e-13
@@ -275,9 +330,16 @@ def test_point_spreads_from_a_file(tmp_path):
         read_psf(tmp_path / "none.npz")
 
 
-@pytest.mark.parametrize(("values", "says"), [
-    (np.zeros((1, 0, 3)), "shape"), (np.full((1, 3, 3), -1.0), "negative"), (np.full((1, 3, 3), np.nan), "NaN"),
-    (np.zeros((1, 3, 3)), "no energy"), (np.ones((2, 3, 3)), "wavelengths")])
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        (np.zeros((1, 0, 3)), "shape"),
+        (np.full((1, 3, 3), -1.0), "negative"),
+        (np.full((1, 3, 3), np.nan), "NaN"),
+        (np.zeros((1, 3, 3)), "no energy"),
+        (np.ones((2, 3, 3)), "wavelengths"),
+    ],
+)
 def test_bad_point_spreads_are_refused(values, says):
     with pytest.raises(BadData, match=says):
         PointSpread([550.0], values, 1e-6)
@@ -285,9 +347,19 @@ def test_bad_point_spreads_are_refused(values, says):
 
 def test_point_spreads_that_do_not_go_with_the_scene_are_refused():
     spread = PointSpread([500.0, 600.0], np.ones((2, 9, 9)), 1e-6)
-    for arguments, says in ((([400.0], 1e-6, 1.0, 32, 32), "500 .. 600"), (([550.0], 1e-6, 1.0, 8, 32), "8 pixels"),
-                            (([550.0], 1e-6, 1.0, 32, 32, 0.7e-6), "0.7 um")):
+    for arguments, says in (
+        (([400.0], 1e-6, 1.0, 32, 32), "500 .. 600"),
+        (([550.0], 1e-6, 1.0, 8, 32), "8 pixels"),
+        (([550.0], 1e-6, 1.0, 32, 32, 0.7e-6), "0.7 um"),
+    ):
         with pytest.raises(OutOfRange, match=says):
             psf_tables(spread, *arguments)
     with pytest.raises(OutOfRange, match="pixel pitch"):
-        psf_tables(PointSpread([550.0], np.ones((1, 3, 3)), 1e-6, integrated=True), [550.0], 2e-6, 1.0, 32, 32)
+        psf_tables(
+            PointSpread([550.0], np.ones((1, 3, 3)), 1e-6, integrated=True),
+            [550.0],
+            2e-6,
+            1.0,
+            32,
+            32,
+        )

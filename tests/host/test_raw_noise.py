@@ -20,8 +20,14 @@ BLACK = 256  # [DN]: no value drawn here reaches 0
 
 
 def sensor_with(gain=0.5, bits=14, **noise):
-    return replace(open_camera("mono").sensor, gain=gain, bits=bits, full_well=1e6 if bits == FLOAT_BITS else 3e4,
-                   black_level=BLACK, noise=Noise(**noise))
+    return replace(
+        open_camera("mono").sensor,
+        gain=gain,
+        bits=bits,
+        full_well=1e6 if bits == FLOAT_BITS else 3e4,
+        black_level=BLACK,
+        noise=Noise(**noise),
+    )
 
 
 def drawn(random, sensor, mean, shape, pattern=None, dark=0.0, shift=0.0):
@@ -34,10 +40,17 @@ def drawn(random, sensor, mean, shape, pattern=None, dark=0.0, shift=0.0):
     fixed = pattern if pattern is not None else pattern_of(random, noise, shape)
     electrons = np.broadcast_to(mean * fixed["response"] + dark, shape)
     electrons = random.poisson(electrons) if noise.photon != "none" else electrons
-    electrons = electrons + random.normal(0, noise.read, shape) + random.normal(0, noise.reset, shape)
+    electrons = (
+        electrons + random.normal(0, noise.read, shape) + random.normal(0, noise.reset, shape)
+    )
     electrons = electrons + random.normal(0, noise.row, (frames, rows, 1)) + fixed["offset"]
     electrons = electrons + random.normal(0, noise.column, (frames, 1, cols))
-    level = sensor.gain_dn_per_electron * electrons + random.normal(0, noise.adc, shape) + sensor.black_level + shift
+    level = (
+        sensor.gain_dn_per_electron * electrons
+        + random.normal(0, noise.adc, shape)
+        + sensor.black_level
+        + shift
+    )
     return level if sensor.bits == FLOAT_BITS else np.rint(level)
 
 
@@ -45,22 +58,56 @@ def pattern_of(random, noise, shape):
     """Offsets [e-] and responses of chips."""
     frames, rows, cols = shape
     lines = (frames, rows, 1), (frames, 1, cols)
-    return {"offset": random.normal(0, noise.dsnu, shape) + random.normal(0, noise.row_dsnu, lines[0])
-            + random.normal(0, noise.column_dsnu, lines[1]),
-            "response": 1 + random.normal(0, noise.prnu, shape) + random.normal(0, noise.row_prnu, lines[0])
-            + random.normal(0, noise.column_prnu, lines[1])}
+    return {
+        "offset": random.normal(0, noise.dsnu, shape)
+        + random.normal(0, noise.row_dsnu, lines[0])
+        + random.normal(0, noise.column_dsnu, lines[1]),
+        "response": 1
+        + random.normal(0, noise.prnu, shape)
+        + random.normal(0, noise.row_prnu, lines[0])
+        + random.normal(0, noise.column_prnu, lines[1]),
+    }
 
 
-ALL = {"read": 4.0, "reset": 3.0, "adc": 1.5, "row": 5.0, "column": 3.5, "dsnu": 4.5, "row_dsnu": 2.5,
-       "column_dsnu": 3.0}
+ALL = {
+    "read": 4.0,
+    "reset": 3.0,
+    "adc": 1.5,
+    "row": 5.0,
+    "column": 3.5,
+    "dsnu": 4.5,
+    "row_dsnu": 2.5,
+    "column_dsnu": 3.0,
+}
 
 
 @pytest.mark.parametrize("averaged", [1, 2, 3, 4])
-@pytest.mark.parametrize(("mean", "sensor"), [
-    (0.0, {"photon": "none"} | ALL), (40.0, ALL), (40.0, {"photon": "none", "read": 4.0}),
-    (0.0, {"photon": "none", "read": 4.0, "gain": 0.2}), (0.0, {"bits": FLOAT_BITS} | ALL),
-    *[(0.0, {key: 4.0, "photon": "none"}) for key in ("row", "column", "dsnu", "row_dsnu", "column_dsnu")],
-], ids=["dark", "light", "uncounted", "coarse", "float", "row", "column", "dsnu", "row dsnu", "column dsnu"])
+@pytest.mark.parametrize(
+    ("mean", "sensor"),
+    [
+        (0.0, {"photon": "none"} | ALL),
+        (40.0, ALL),
+        (40.0, {"photon": "none", "read": 4.0}),
+        (0.0, {"photon": "none", "read": 4.0, "gain": 0.2}),
+        (0.0, {"bits": FLOAT_BITS} | ALL),
+        *[
+            (0.0, {key: 4.0, "photon": "none"})
+            for key in ("row", "column", "dsnu", "row_dsnu", "column_dsnu")
+        ],
+    ],
+    ids=[
+        "dark",
+        "light",
+        "uncounted",
+        "coarse",
+        "float",
+        "row",
+        "column",
+        "dsnu",
+        "row dsnu",
+        "column dsnu",
+    ],
+)
 def test_variance_is_that_of_drawn_values(mean, sensor, averaged):
     """Frames of one pixel each, so that rows' and columns' noise is every pixel's own.
 
@@ -77,8 +124,12 @@ def test_variance_is_that_of_drawn_values(mean, sensor, averaged):
     level = sensor.gain_dn_per_electron * mean + BLACK + shift[: raw.size, 0, 0]
     measured = pytest.approx(np.square(raw - level).mean(), rel=Z * np.sqrt(2.025 / raw.size))
     assert RawNoise.of(sensor, averaged).variance(mean) * sensor.gain_dn_per_electron**2 == measured
-    gain, dark = Developer(replace(open_camera("mono"), sensor=sensor), open_device("numpy"), averaged).noise
-    assert gain * sensor.gain_dn_per_electron * mean + dark**2 == measured  # what the image processor is told
+    gain, dark = Developer(
+        replace(open_camera("mono"), sensor=sensor), open_device("numpy"), averaged
+    ).noise
+    assert (
+        gain * sensor.gain_dn_per_electron * mean + dark**2 == measured
+    )  # what the image processor is told
 
 
 def test_temporal_variance_leaves_out_what_frames_share():
@@ -97,8 +148,12 @@ def test_temporal_variance_leaves_out_what_frames_share():
 
 
 LINES = {"row": 6.0, "column": 3.0, "row_dsnu": 4.0, "column_dsnu": 2.0}
-NEIGHBOURS = [{"read": 5.0}, {"read": 2.0} | LINES, {"prnu": 0.03, "row_prnu": 0.02, "column_prnu": 0.01},
-              {"photon": "none", "read": 3.0, "dsnu": 5.0, "bits": FLOAT_BITS}]
+NEIGHBOURS = [
+    {"read": 5.0},
+    {"read": 2.0} | LINES,
+    {"prnu": 0.03, "row_prnu": 0.02, "column_prnu": 0.01},
+    {"photon": "none", "read": 3.0, "dsnu": 5.0, "bits": FLOAT_BITS},
+]
 
 
 @pytest.mark.parametrize("noise", NEIGHBOURS, ids=["pixels", "lines", "response", "float"])
@@ -116,8 +171,11 @@ def test_difference_is_that_of_drawn_neighbours(noise):
     assert abs(found - squares.mean()) < Z * error
 
 
-@pytest.mark.parametrize("noise", [*NEIGHBOURS, {"read": 5.0, "dark_current": 3000.0, "prnu": 0.03}],
-                         ids=["pixels", "lines", "response", "float", "dark current"])
+@pytest.mark.parametrize(
+    "noise",
+    [*NEIGHBOURS, {"read": 5.0, "dark_current": 3000.0, "prnu": 0.03}],
+    ids=["pixels", "lines", "response", "float", "dark current"],
+)
 def test_an_even_field_has_no_contrast(noise):
     """Autofocus takes away all that the noise adds: what is left scatters about 0, frame by frame.
 
@@ -125,7 +183,13 @@ def test_an_even_field_has_no_contrast(noise):
     scatters by 0.6 % at most, in second order 1e-4 of what the noise adds; the frames' mean scatters by 2e-3 of that.
     """
     sensor = sensor_with(**noise)
-    raw = drawn(np.random.default_rng(34), sensor, 400.0, (1500, 24, 24), dark=0.1 * sensor.noise.dark_current)
+    raw = drawn(
+        np.random.default_rng(34),
+        sensor,
+        400.0,
+        (1500, 24, 24),
+        dark=0.1 * sensor.noise.dark_current,
+    )
     contrasts = np.array([_contrast(one - BLACK, sensor, (1, 1), 0.1, 1)[0] for one in raw])
     assert abs(contrasts.mean()) < Z * contrasts.std(ddof=1) / np.sqrt(len(contrasts))
 
@@ -138,7 +202,15 @@ def test_merge_inputs_know_the_variance_of_means(averaged):
     does. Means of 2.3 DN of noise: rounding is as good as uniform.
     """
     sensor = sensor_with(read=3.0, dark_current=200.0, gain=0.6)
-    raw = drawn(np.random.default_rng(35), sensor, 50.0, (averaged * 20_000, 1, 1)).reshape(averaged, -1).mean(axis=0)
-    frame = SimpleNamespace(camera=SimpleNamespace(sensor=sensor), exposure_time=0.1, raw=np.rint(raw).reshape(100, -1))
+    raw = (
+        drawn(np.random.default_rng(35), sensor, 50.0, (averaged * 20_000, 1, 1))
+        .reshape(averaged, -1)
+        .mean(axis=0)
+    )
+    frame = SimpleNamespace(
+        camera=SimpleNamespace(sensor=sensor), exposure_time=0.1, raw=np.rint(raw).reshape(100, -1)
+    )
     inputs = merge_inputs([frame], averaged)
-    assert inputs.variances.mean() == pytest.approx(inputs.rates.var(), rel=Z * np.sqrt(2.025 / 20_000))
+    assert inputs.variances.mean() == pytest.approx(
+        inputs.rates.var(), rel=Z * np.sqrt(2.025 / 20_000)
+    )

@@ -35,7 +35,10 @@ def test_damaged_files_are_refused(reader):
     """About a thousand of the slow test's."""
     count = 6 if reader == "fields" else 125
     row = fuzz.fuzz(reader, fuzz.SEEDS[0], 0, count)
-    assert row["mutated"] == count == row["accepted"] + row["refused"] + row["wrong"] and not row["wrong"], row
+    assert (
+        row["mutated"] == count == row["accepted"] + row["refused"] + row["wrong"]
+        and not row["wrong"]
+    ), row
     assert row["refused"] > count / 5, "files are hardly damaged"
 
 
@@ -46,11 +49,15 @@ def test_many_damaged_files_are_refused(reader, seed):
     """315,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
     count = 100 if reader == "fields" else 5000
     row = fuzz.in_a_process(reader, seed, count)
-    assert row["mutated"] == count and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
+    assert (
+        row["mutated"] == count and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20
+    ), row
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("text", ["nm,a\n400,1\ninf,1\n-inf,2\n", "Wavelength (um),1\n0.4,0.1\n1e308,0.2\n"])
+@pytest.mark.parametrize(
+    "text", ["nm,a\n400,1\ninf,1\n-inf,2\n", "Wavelength (um),1\n0.4,0.1\n1e308,0.2\n"]
+)
 def test_numbers_that_are_none_make_no_second_line(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)
     with refused("a.csv", error=BadFile):
@@ -85,17 +92,38 @@ def large(folder, name):
     elif name == "rgb.exr":
         write_rgb_exr(path, np.moveaxis(planes[:3], 0, -1))
     elif path.suffix == ".mat":
-        variables = {"scene": {"data": {"photons": np.moveaxis(planes, 0, -1)}, "spectrum": {"wave": waves},
-                               "illuminant": {"data": {"photons": np.ones(31)}}}}
-        path.write_bytes((mat_mutations.saved_73 if name == "7.3.mat" else mat_mutations.saved_5)(variables))
+        variables = {
+            "scene": {
+                "data": {"photons": np.moveaxis(planes, 0, -1)},
+                "spectrum": {"wave": waves},
+                "illuminant": {"data": {"photons": np.ones(31)}},
+            }
+        }
+        path.write_bytes(
+            (mat_mutations.saved_73 if name == "7.3.mat" else mat_mutations.saved_5)(variables)
+        )
     else:
         gs.save_scene(cube, path, half=name == "half.exr")
     return path, {"wavelengths": waves} if name == "planes.tif" else {}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["8.png", "16.png", "8.jpg", "16.tif", "planes.tif", "rgb.exr", "cube.exr", "half.exr",
-                                  "cube.npz", "5.mat", "7.3.mat"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "8.png",
+        "16.png",
+        "8.jpg",
+        "16.tif",
+        "planes.tif",
+        "rgb.exr",
+        "cube.exr",
+        "half.exr",
+        "cube.npz",
+        "5.mat",
+        "7.3.mat",
+    ],
+)
 def test_whole_files_take_the_memory_that_was_estimated(name, tmp_path):
     """Or less: what is estimated to fit does fit."""
     path, options = large(tmp_path, name)
@@ -110,9 +138,19 @@ def test_whole_files_take_the_memory_that_was_estimated(name, tmp_path):
 # ---- what is no file, or none that can be read
 
 
-READERS = {".toml": open_camera, ".exr": open_scene, ".png": open_scene, ".jpg": open_scene, ".npz": open_scene,
-           "psf.npz": read_psf, "table.npz": read_table, ".hdr": open_scene, ".csv": open_scene, ".txt": read_zemax_psf,
-           ".npy": lambda path: open_scene(path, wavelengths=WAVES)}
+READERS = {
+    ".toml": open_camera,
+    ".exr": open_scene,
+    ".png": open_scene,
+    ".jpg": open_scene,
+    ".npz": open_scene,
+    "psf.npz": read_psf,
+    "table.npz": read_table,
+    ".hdr": open_scene,
+    ".csv": open_scene,
+    ".txt": read_zemax_psf,
+    ".npy": lambda path: open_scene(path, wavelengths=WAVES),
+}
 
 
 def special_files(folder, suffix):
@@ -138,9 +176,13 @@ def test_pipes_devices_folders_and_sockets_are_refused(tmp_path, monkeypatch, su
 def test_files_that_a_camera_names_are_opened_as_carefully(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     os.mkfifo(tmp_path / "pipe.npz")
-    for old, new in (('"curves.csv"', '"pipe.csv"'), ("f_number = 2", 'f_number = 2\npsf = "pipe.npz"'),
-                     ("bits = 10", 'bits = 10\n[processor]\ndemosaic = "learned"\ntable = "pipe.npz"'),
-                     ('"curves.csv"', '"/dev/zero.csv"'), ('"curves.csv"', f'"{"x" * 5000}.csv"')):
+    for old, new in (
+        ('"curves.csv"', '"pipe.csv"'),
+        ("f_number = 2", 'f_number = 2\npsf = "pipe.npz"'),
+        ("bits = 10", 'bits = 10\n[processor]\ndemosaic = "learned"\ntable = "pipe.npz"'),
+        ('"curves.csv"', '"/dev/zero.csv"'),
+        ('"curves.csv"', f'"{"x" * 5000}.csv"'),
+    ):
         (tmp_path / "curves.csv").write_bytes(fuzz.good_texts("curves")[0][0])
         (tmp_path / "own.toml").write_text(fuzz.CAMERA.replace(old, new))
         with refused(error=BadFile):
@@ -168,8 +210,13 @@ def png(rows, present, bits=8, colour=2, cols=11, interlaced=0):
     """A PNG of `rows` lines whose pixel data, whole in themselves, end after `present` of them."""
     samples = {0: 1, 2: 3, 6: 4}[colour]
     lines = bytes(present * (1 + cols * samples * bits // 8))
-    return png_of([(b"IHDR", struct.pack(">IIBBBBB", cols, rows, bits, colour, 0, 0, interlaced)),
-                   (b"IDAT", zlib.compress(lines)), (b"IEND", b"")])
+    return png_of(
+        [
+            (b"IHDR", struct.pack(">IIBBBBB", cols, rows, bits, colour, 0, 0, interlaced)),
+            (b"IDAT", zlib.compress(lines)),
+            (b"IEND", b""),
+        ]
+    )
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -206,8 +253,21 @@ def test_whole_pngs_are_read(tmp_path, mode, size):
 @pytest.mark.parametrize("cols, rows", list(itertools.product((1, 2, 5, 8, 13), repeat=2)))
 def test_interlaced_pngs_are_read(tmp_path, cols, rows):
     """Seven passes, each the pixels that its number marks in the specification's 8 x 8 pattern."""
-    pattern = np.array([list(line) for line in ("16462646", "77777777", "56565656", "77777777", "36463646", "77777777",
-                                                "56565656", "77777777")])
+    pattern = np.array(
+        [
+            list(line)
+            for line in (
+                "16462646",
+                "77777777",
+                "56565656",
+                "77777777",
+                "36463646",
+                "77777777",
+                "56565656",
+                "77777777",
+            )
+        ]
+    )
     pixels = np.random.default_rng(3).integers(0, 256, (rows, cols), np.uint8)
     number = np.tile(pattern, (2, 2))[:rows, :cols]
     lines = b""
@@ -217,12 +277,21 @@ def test_interlaced_pngs_are_read(tmp_path, cols, rows):
                 lines += b"\0" + line[marks].tobytes()
     path = tmp_path / "a.png"
     for shift, good in ((0, True), (-1, False)):
-        path.write_bytes(png_of([(b"IHDR", struct.pack(">IIBBBBB", cols, rows, 8, 0, 0, 0, 1)),
-                                 (b"IDAT", zlib.compress(lines[:len(lines) + shift])), (b"IEND", b"")]))
+        path.write_bytes(
+            png_of(
+                [
+                    (b"IHDR", struct.pack(">IIBBBBB", cols, rows, 8, 0, 0, 0, 1)),
+                    (b"IDAT", zlib.compress(lines[: len(lines) + shift])),
+                    (b"IEND", b""),
+                ]
+            )
+        )
         if good:
             shading = open_scene(path).content.shading
-            np.testing.assert_array_equal(np.argsort(shading.ravel(), kind="stable"),
-                                          np.argsort(pixels.ravel(), kind="stable"))
+            np.testing.assert_array_equal(
+                np.argsort(shading.ravel(), kind="stable"),
+                np.argsort(pixels.ravel(), kind="stable"),
+            )
         else:
             with refused("truncated", error=BadFile):
                 open_scene(path)
@@ -256,7 +325,7 @@ def test_a_jpeg_whose_bytes_cannot_hold_its_size_is_refused(tmp_path, number):
 
     data = bytearray(fuzz.good_pictures("jpg", tmp_path)[number])
     frame = data.index(b"\xff\xc2" if number == 1 else b"\xff\xc0")
-    data[frame + 5:frame + 9] = struct.pack(">HH", 9000, 12000)
+    data[frame + 5 : frame + 9] = struct.pack(">HH", 9000, 12000)
     path = tmp_path / "a.jpg"
     path.write_bytes(data)
     with refused("truncated", "12000 x 9000", error=BadFile), takes(SMALL):
@@ -268,7 +337,12 @@ def test_a_jpeg_whose_bytes_cannot_hold_its_size_is_refused(tmp_path, number):
 
 
 def test_point_spreads_ask_for_memory(tmp_path, monkeypatch):
-    path = archive(tmp_path / "a.npz", psf=np.zeros((3, 2048, 2048), np.uint8), wavelengths_nm=WAVES, spacing_um=1.0)
+    path = archive(
+        tmp_path / "a.npz",
+        psf=np.zeros((3, 2048, 2048), np.uint8),
+        wavelengths_nm=WAVES,
+        spacing_um=1.0,
+    )
     monkeypatch.setattr(memory, "host_memory", lambda: 100 * 2**20)
     with refused(path, "GiB", error=DoesNotFit), takes(SMALL):
         read_psf(path)
@@ -287,16 +361,26 @@ def test_the_groups_of_a_table_are_checked_before_they_are_counted(tmp_path):
     for groups in ([0, 2**31 - 1], [0, 50_000_000], [-1, 0], [1, 1]):
         many = np.resize(groups, len(arrays["groups"]))
         path = archive(tmp_path / "a.npz", **arrays | {"groups": many})
-        with refused(path, "groups: wanted every number from 0 to the largest", error=BadFile), takes(SMALL):
+        with (
+            refused(path, "groups: wanted every number from 0 to the largest", error=BadFile),
+            takes(SMALL),
+        ):
             read_table(path)
 
 
 def test_an_array_is_read_once_and_only_if_it_is_asked_for(tmp_path, monkeypatch):
     from gpusim.io.archive import Archive, open_archive
 
-    path, read = archive(tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES, other=np.ones(9)), []
+    path, read = (
+        archive(
+            tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES, other=np.ones(9)
+        ),
+        [],
+    )
     take = Archive.__getitem__
-    monkeypatch.setattr(Archive, "__getitem__", lambda self, name: read.append(name) or take(self, name))
+    monkeypatch.setattr(
+        Archive, "__getitem__", lambda self, name: read.append(name) or take(self, name)
+    )
     open_scene(path)
     assert sorted(read) == ["cube", "wavelengths_nm"]
     with open_archive(path) as stored:
@@ -308,22 +392,33 @@ KINDS = [np.uint8, np.float16, np.float32, np.float64]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("reader", ["psf", "cube", "photons", "coefficients", "coef", "ids", "table", "png8", "png16"])
+@pytest.mark.parametrize(
+    "reader", ["psf", "cube", "photons", "coefficients", "coef", "ids", "table", "png8", "png16"]
+)
 def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, reader, kind):
     """NumPy's and Python's own; Pillow's (4 bytes a pixel and the coded file) is not seen here."""
     planes, asked = np.ones((3, 300, 400), kind), []
     monkeypatch.setattr(memory, "host_memory", lambda: 2**62)
     monkeypatch.setattr(memory, "DoesNotFit", DoesNotFit)
-    arrays = {"psf": {"psf": planes, "spacing_um": 1.0}, "cube": {"cube": planes},
-              "photons": {"photons": planes.T, "illuminant_photons": np.full(3, 2.0)},
-              "coefficients": {"coefficients": planes, "basis": np.eye(3), "kind": "reflectance"},
-              "coef": {"coef": planes.T, "basis": np.eye(3), "illuminant_photons": np.full(3, 2.0)},
-              "ids": {"ids": np.zeros((300, 400), np.int64), "shading": planes[0], "spectra": np.ones((1, 3))}}
+    arrays = {
+        "psf": {"psf": planes, "spacing_um": 1.0},
+        "cube": {"cube": planes},
+        "photons": {"photons": planes.T, "illuminant_photons": np.full(3, 2.0)},
+        "coefficients": {"coefficients": planes, "basis": np.eye(3), "kind": "reflectance"},
+        "coef": {"coef": planes.T, "basis": np.eye(3), "illuminant_photons": np.full(3, 2.0)},
+        "ids": {
+            "ids": np.zeros((300, 400), np.int64),
+            "shading": planes[0],
+            "spectra": np.ones((1, 3)),
+        },
+    }
     path = tmp_path / ("a.png" if reader.startswith("png") else "a.npz")
     if reader == "table":
         good = fuzz.good_archives("table")[0]
-        wide = {name: np.resize(good[name], (2, 60, *good[name].shape[2:])).astype(kind)
-                for name in ("filters", "offsets")}
+        wide = {
+            name: np.resize(good[name], (2, 60, *good[name].shape[2:])).astype(kind)
+            for name in ("filters", "offsets")
+        }
         archive(path, **good | wide | {"levels": np.linspace(0, 1, 60)})
     elif reader.startswith("png"):
         path.write_bytes(png(300, 300, int(reader[3:]), 6, 400))
@@ -351,8 +446,9 @@ def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, reade
 def test_letters_that_are_none(tmp_path):
     for kind in ("<u4", ">u4"):
         buffer = io.BytesIO()
-        np.lib.format.write_array_header_1_0(buffer, {"descr": kind.replace("u4", "U2"), "fortran_order": False,
-                                                      "shape": ()})
+        np.lib.format.write_array_header_1_0(
+            buffer, {"descr": kind.replace("u4", "U2"), "fortran_order": False, "shape": ()}
+        )
         data = np.array([65, 0x110000], kind).tobytes()
         path = archive(tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES)
         with zipfile.ZipFile(path, "a") as file:
@@ -365,18 +461,25 @@ def test_an_array_that_says_more_than_its_file_holds_is_refused(tmp_path):
     """Sizes of the directory, of the array's header, and of the header itself."""
     path = tmp_path / "a.npz"
     buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**8,)})
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**8,)}
+    )
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("psf.npy", buffer.getvalue() + bytes(80))
-    with refused("truncated or damaged: shape (100000000,) of float64", error=BadFile), takes(SMALL):
+    with (
+        refused("truncated or damaged: shape (100000000,) of float64", error=BadFile),
+        takes(SMALL),
+    ):
         read_psf(path)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:  # a header of 50 MiB in 50 kB
-        file.writestr("psf.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 50 * 2**20) + b" " * 50 * 2**20)
+        file.writestr(
+            "psf.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 50 * 2**20) + b" " * 50 * 2**20
+        )
     with refused(path, error=BadFile), takes(SMALL):
         read_psf(path)
     data = bytearray(archive(path, psf=np.ones(3)).read_bytes())
     at = data.index(b"PK\x01\x02") + 24
-    data[at:at + 4] = struct.pack("<I", 2**31)
+    data[at : at + 4] = struct.pack("<I", 2**31)
     path.write_bytes(data)
     with refused("cannot come of", error=BadFile), takes(SMALL):
         read_psf(path)

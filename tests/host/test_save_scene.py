@@ -19,8 +19,14 @@ LIGHT = white_radiance(illuminant("FL2"), 80.0)
 
 
 def scene(content=None, illuminant=LIGHT, **changes):
-    content = content or gs.Cube(WAVES, RANDOM.random((5, 70, 9), np.float32))  # more rows than are converted at once
-    return gs.Scene(content, illuminant, **{"name": "made", "depth": 1 + RANDOM.random((70, 9), np.float32)} | changes)
+    content = content or gs.Cube(
+        WAVES, RANDOM.random((5, 70, 9), np.float32)
+    )  # more rows than are converted at once
+    return gs.Scene(
+        content,
+        illuminant,
+        **{"name": "made", "depth": 1 + RANDOM.random((70, 9), np.float32)} | changes,
+    )
 
 
 def forms():
@@ -28,8 +34,14 @@ def forms():
     yield scene(illuminant=unit_light(WAVES), border="zero")
     yield scene(border="scene", margin=2, depth=None)
     yield scene(gs.Basis(WAVES, RANDOM.random((2, 70, 9), np.float32), RANDOM.random((2, 5))))
-    yield scene(gs.Materials(WAVES, RANDOM.integers(0, 4, (70, 9)).astype(np.uint8), RANDOM.random((70, 9), np.float32),
-                             RANDOM.random((4, 5))))
+    yield scene(
+        gs.Materials(
+            WAVES,
+            RANDOM.integers(0, 4, (70, 9)).astype(np.uint8),
+            RANDOM.random((70, 9), np.float32),
+            RANDOM.random((4, 5)),
+        )
+    )
     yield gs.picture(RANDOM.integers(0, 256, (70, 9, 3), np.uint8), light="A", border="edge")
 
 
@@ -39,7 +51,9 @@ def spectra(scene):
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".npz"])
-@pytest.mark.parametrize("made", list(forms()), ids=lambda scene: f"{scene.content.form}-{scene.border}")
+@pytest.mark.parametrize(
+    "made", list(forms()), ids=lambda scene: f"{scene.content.form}-{scene.border}"
+)
 def test_all_of_a_scene_comes_back(tmp_path, made, suffix):
     gs.save_scene(made, tmp_path / f"a{suffix}")
     back = gs.open_scene(tmp_path / f"a{suffix}")
@@ -54,13 +68,17 @@ def test_all_of_a_scene_comes_back(tmp_path, made, suffix):
 
 def test_colour_science_reads_reflectance_and_radiance(tmp_path):
     """By its reader of the layout of Fichet et al. (2021), through OpenImageIO: names, wavelengths, units, order."""
-    pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio")
+    pytest.importorskip(
+        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
+    )
     import colour
 
     made = scene()
     for radiance, kind in ((False, "T"), (True, "S0")):
         gs.save_scene(made, tmp_path / "a.exr", radiance=radiance)
-        found, said = colour.read_spectral_image_Fichet2021(str(tmp_path / "a.exr"), additional_data=True)
+        found, said = colour.read_spectral_image_Fichet2021(
+            str(tmp_path / "a.exr"), additional_data=True
+        )
         waves, values = found[kind]
         assert list(found) == [kind] and said.is_emissive == radiance and not said.is_polarised
         np.testing.assert_array_equal(waves, WAVES)
@@ -79,14 +97,22 @@ def test_luminance_by_colour_science(tmp_path):
     differ by a sixth of the product of their changes within a nanometre: at most 2 % of the observer's peak and 2 % of
     D65, so 7e-5. The file's 380 to 780 nm leave out 2e-6.
     """
-    pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio")
+    pytest.importorskip(
+        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
+    )
     import colour
 
     waves = np.arange(380.0, 781.0)
-    white = gs.Scene(gs.Cube(waves, np.ones((401, 2, 2), np.float32)), white_radiance(illuminant("D65"), 100.0))
+    white = gs.Scene(
+        gs.Cube(waves, np.ones((401, 2, 2), np.float32)), white_radiance(illuminant("D65"), 100.0)
+    )
     gs.save_scene(white, tmp_path / "a.exr", radiance=True)
     found, values = colour.read_spectral_image_Fichet2021(str(tmp_path / "a.exr"))["S0"]
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(380, 780, 1))
+    observer = (
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        .copy()
+        .align(colour.SpectralShape(380, 780, 1))
+    )
     np.testing.assert_array_equal(found, observer.wavelengths)
     assert 683 * values[0, 0] @ observer.values[:, 1] == pytest.approx(100, rel=7e-5)
 
@@ -97,25 +123,37 @@ def test_depth_and_description_are_plain_channels_and_text(tmp_path):
     made = scene()
     gs.save_scene(made, tmp_path / "a.exr", half=True)
     with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
-        np.testing.assert_array_equal(file.channels()["Z"].pixels, made.depth)  # distances stay 32-bit
+        np.testing.assert_array_equal(
+            file.channels()["Z"].pixels, made.depth
+        )  # distances stay 32-bit
         assert file.channels()["T.450,250000nm"].pixels.dtype == np.float16
         said = json.loads(file.header()["gpusimScene"])
     assert said["illuminant"]["values"] == LIGHT.values.tolist() and said["border"] == "edge"
 
 
 def test_undershoot_of_a_basis_is_dark(tmp_path):
-    low = gs.Basis(WAVES, np.array([[[1.0, -0.05]]], np.float32), np.array([[1.0, 0.5, 0.25, 0, 1]]))
+    low = gs.Basis(
+        WAVES, np.array([[[1.0, -0.05]]], np.float32), np.array([[1.0, 0.5, 0.25, 0, 1]])
+    )
     gs.save_scene(scene(low, depth=None), tmp_path / "a.exr")
-    np.testing.assert_array_equal(spectra(gs.open_scene(tmp_path / "a.exr"))[:, 0], [[1, 0], [.5, 0], [.25, 0], [0, 0],
-                                                                                    [1, 0]])
+    np.testing.assert_array_equal(
+        spectra(gs.open_scene(tmp_path / "a.exr"))[:, 0],
+        [[1, 0], [0.5, 0], [0.25, 0], [0, 0], [1, 0]],
+    )
 
 
 def test_light_that_varies(tmp_path):
     smooth = gs.Basis(WAVES, RANDOM.random((1, 70, 9), np.float32), np.ones((1, 5)))
-    lamps = gs.illuminated(scene(smooth), {"A": np.linspace(1, 50, 630).reshape(70, 9), "D65": 20.0})
+    lamps = gs.illuminated(
+        scene(smooth), {"A": np.linspace(1, 50, 630).reshape(70, 9), "D65": 20.0}
+    )
     gs.save_scene(lamps, tmp_path / "a.npz")
-    np.testing.assert_array_equal(gs.open_scene(tmp_path / "a.npz").content.maps, lamps.content.maps)
-    with pytest.raises(BadFile, match=r"a\.exr: the light of made varies over the scene.*radiance=True"):
+    np.testing.assert_array_equal(
+        gs.open_scene(tmp_path / "a.npz").content.maps, lamps.content.maps
+    )
+    with pytest.raises(
+        BadFile, match=r"a\.exr: the light of made varies over the scene.*radiance=True"
+    ):
         gs.save_scene(lamps, tmp_path / "a.exr")
     gs.save_scene(lamps, tmp_path / "a.exr", radiance=True)
     shown = spectra(lamps) * lamps.illuminant.at(lamps.wavelengths)[:, None, None]
@@ -123,15 +161,30 @@ def test_light_that_varies(tmp_path):
     np.testing.assert_allclose(spectra(gs.open_scene(tmp_path / "a.exr")), shown, rtol=4 * ULP)
 
 
-@pytest.mark.parametrize(("change", "name", "options", "error", "words"), [
-    ({"depth": None, "view": gs.View(shift=(1.0, 0.0))}, "a.exr", {}, BadFile, "a view of made"),
-    ({"layers": "one"}, "a.exr", {}, BadFile, "1 layers of made"),
-    ({}, "a.tif", {}, UnknownName, r"format of a scene's file '\.tif'; .*\.exr"),
-    ({}, "scene", {}, UnknownName, "format of a scene's file"),
-    ({}, "a.npz", {"half": True}, OutOfRange, r"for \.exr alone"),
-    ({}, "none/a.exr", {}, BadFile, "does not exist"),
-    ({"illuminant": LIGHT.scaled(1e30)}, "a.exr", {"radiance": True}, GpusimError, "NaN or infinite"),
-])
+@pytest.mark.parametrize(
+    ("change", "name", "options", "error", "words"),
+    [
+        (
+            {"depth": None, "view": gs.View(shift=(1.0, 0.0))},
+            "a.exr",
+            {},
+            BadFile,
+            "a view of made",
+        ),
+        ({"layers": "one"}, "a.exr", {}, BadFile, "1 layers of made"),
+        ({}, "a.tif", {}, UnknownName, r"format of a scene's file '\.tif'; .*\.exr"),
+        ({}, "scene", {}, UnknownName, "format of a scene's file"),
+        ({}, "a.npz", {"half": True}, OutOfRange, r"for \.exr alone"),
+        ({}, "none/a.exr", {}, BadFile, "does not exist"),
+        (
+            {"illuminant": LIGHT.scaled(1e30)},
+            "a.exr",
+            {"radiance": True},
+            GpusimError,
+            "NaN or infinite",
+        ),
+    ],
+)
 def test_what_no_file_holds(tmp_path, change, name, options, error, words):
     made = scene()
     if "layers" in change:
@@ -143,16 +196,31 @@ def test_what_no_file_holds(tmp_path, change, name, options, error, words):
         gs.save_scene(made.content, tmp_path / "a.exr")
 
 
-@pytest.mark.parametrize("text", [
-    "{", "[]", "null", '"border"', '{"border": []}', '{"margin": 1e999}', '{"margin": 3}', '{"fov": "wide"}',
-    '{"illuminant": {}}', '{"illuminant": {"name": "", "wavelengths_nm": [500, 400], "values": [1, 2]}}',
-    '{"illuminant": {"name": "", "wavelengths_nm": [400, 500], "values": [-1, 2]}}',
-    '{"illuminant": {"name": "", "wavelengths_nm": [400, 500], "values": [NaN, 2]}}',
-    '{"samples_per_pixel": 0.5}', "[" * 5000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        "null",
+        '"border"',
+        '{"border": []}',
+        '{"margin": 1e999}',
+        '{"margin": 3}',
+        '{"fov": "wide"}',
+        '{"illuminant": {}}',
+        '{"illuminant": {"name": "", "wavelengths_nm": [500, 400], "values": [1, 2]}}',
+        '{"illuminant": {"name": "", "wavelengths_nm": [400, 500], "values": [-1, 2]}}',
+        '{"illuminant": {"name": "", "wavelengths_nm": [400, 500], "values": [NaN, 2]}}',
+        '{"samples_per_pixel": 0.5}',
+        "[" * 5000,
+    ],
+)
 def test_descriptions_that_others_wrote(tmp_path, text):
     from gpusim.io.exr import write_spectral_exr
 
-    write_spectral_exr(tmp_path / "a.exr", WAVES, np.ones((5, 4, 6)), reflectance=True, gpusimScene=text)
+    write_spectral_exr(
+        tmp_path / "a.exr", WAVES, np.ones((5, 4, 6)), reflectance=True, gpusimScene=text
+    )
     with pytest.raises(BadFile, match=r"a\.exr: ") as error:
         gs.open_scene(tmp_path / "a.exr")
     assert "\n" not in str(error.value)

@@ -75,7 +75,9 @@ def test_pixel_and_gaussian(shape, degrees, sigma):
     print(f"{shape}, {degrees} degrees, sigma {sigma}: {error[inside].max():.5f}")
     assert error[inside].max() <= allowed
     # `uneven` is for one period of phases: over several it averages, but for 3 and 10 degrees, where they nearly repeat
-    assert error[inside].max() < (EVEN if (shape, degrees) == (SHAPE, 5) else 4e-3 if min(shape) >= 100 else 9e-3)
+    assert error[inside].max() < (
+        EVEN if (shape, degrees) == (SHAPE, 5) else 4e-3 if min(shape) >= 100 else 9e-3
+    )
     # the centroid of pixels that cut off a sharp edge wobbles by less than 1e-2 pixel over the height
     assert np.degrees(found.angle) == pytest.approx(degrees, abs=np.degrees(1e-2 / shape[0]))
 
@@ -112,7 +114,10 @@ def test_channels_are_measured_by_themselves():
     assert found.response.shape == (3, len(found.frequencies)) and found.angle.shape == (3,)
     assert np.array_equal(found.response[1], sfr(planes[1]).response)
     assert found.per_mm == pytest.approx(found.frequencies / 2e-3)
-    halves = [brentq(lambda f, s=sigma: gaussian_mtf(f, FIVE, s) - 0.5, 0.01, 0.9) / 2e-3 for sigma in sigmas]
+    halves = [
+        brentq(lambda f, s=sigma: gaussian_mtf(f, FIVE, s) - 0.5, 0.01, 0.9) / 2e-3
+        for sigma in sigmas
+    ]
     # unevenness over the slope of the response, f |M'| >= 0.6 of these at the half
     assert mtf50(found) == pytest.approx(halves, rel=EVEN / 0.6)
     tenth = brentq(lambda f: gaussian_mtf(f, FIVE, 1.0) - 0.1, 0.01, 0.9)
@@ -147,8 +152,12 @@ def test_noise():
     found = np.array([mtf50(sfr(image + 0.02 * random.standard_normal(SHAPE))) for _ in range(20)])
     slope = (gaussian_mtf(truth - 1e-4, FIVE, 0.5) - gaussian_mtf(truth + 1e-4, FIVE, 0.5)) / 2e-4
     bins = 0.02**2 / (SHAPE[0] / 4)
-    expected = np.sqrt(bins * 8 * reach(SHAPE, FIVE) * 0.4 / 2) * 2 * np.sin(np.pi * truth / 4) / slope
-    print(f"{found.mean():.5f} +- {found.std(ddof=1):.5f}, exact {truth:.5f}, spread expected {expected:.5f}")
+    expected = (
+        np.sqrt(bins * 8 * reach(SHAPE, FIVE) * 0.4 / 2) * 2 * np.sin(np.pi * truth / 4) / slope
+    )
+    print(
+        f"{found.mean():.5f} +- {found.std(ddof=1):.5f}, exact {truth:.5f}, spread expected {expected:.5f}"
+    )
     assert found.std(ddof=1) == pytest.approx(expected, rel=0.64)
     assert abs(found.mean() - truth) < 4 * expected / np.sqrt(20) + EVEN * truth
 
@@ -162,28 +171,31 @@ def several():
     return image + 1e-3 * np.random.default_rng(0).standard_normal(image.shape)
 
 
-@pytest.mark.parametrize(("image", "options", "what"), [
-    (np.full((60, 60), 3.0), {}, "no edge"),
-    (np.random.default_rng(0).standard_normal((60, 60)), {}, "no edge"),
-    (several(), {}, "no edge"),
-    (np.tile(np.arange(60.0), (60, 1)), {}, "edge"),
-    (np.tile(np.arange(60) >= 30, (60, 1)).astype(float), {}, "turn it"),
-    (gaussian_edge(60, 60, np.radians(0.5), 0.5), {}, "turn it"),
-    (gaussian_edge(61, 61, np.radians(44.9), 0.5), {}, "border|degrees"),
-    (gaussian_edge(60, 200, np.arctan(0.5), 0.5), {}, "phases"),
-    (gaussian_edge(60, 200, np.radians(52), 0.5)[:, 60:140], {}, "border|degrees|no edge"),
-    (np.roll(GOOD, -25, axis=1), {}, "border|edge"),
-    (GOOD[:9], {}, "10 x 10"),
-    (GOOD[None, None], {}, "shape"),
-    (GOOD.astype(complex), {}, "complex"),
-    (np.where(np.eye(60) > 0, np.nan, GOOD), {}, "NaN"),
-    (np.where(np.eye(60) > 0, np.inf, GOOD), {}, "infinite"),
-    ((300 * GOOD).clip(0, 255).astype(np.uint8), {}, "clipped"),
-    (GOOD, {"limits": (-1, 0.9)}, "clipped"),
-    (GOOD, {"pitch": 0.0}, "pitch = 0.0 m"),
-    (GOOD, {"pitch": np.nan}, "pitch"),
-    (GOOD, {"order": 3}, "1 or 2"),
-])
+@pytest.mark.parametrize(
+    ("image", "options", "what"),
+    [
+        (np.full((60, 60), 3.0), {}, "no edge"),
+        (np.random.default_rng(0).standard_normal((60, 60)), {}, "no edge"),
+        (several(), {}, "no edge"),
+        (np.tile(np.arange(60.0), (60, 1)), {}, "edge"),
+        (np.tile(np.arange(60) >= 30, (60, 1)).astype(float), {}, "turn it"),
+        (gaussian_edge(60, 60, np.radians(0.5), 0.5), {}, "turn it"),
+        (gaussian_edge(61, 61, np.radians(44.9), 0.5), {}, "border|degrees"),
+        (gaussian_edge(60, 200, np.arctan(0.5), 0.5), {}, "phases"),
+        (gaussian_edge(60, 200, np.radians(52), 0.5)[:, 60:140], {}, "border|degrees|no edge"),
+        (np.roll(GOOD, -25, axis=1), {}, "border|edge"),
+        (GOOD[:9], {}, "10 x 10"),
+        (GOOD[None, None], {}, "shape"),
+        (GOOD.astype(complex), {}, "complex"),
+        (np.where(np.eye(60) > 0, np.nan, GOOD), {}, "NaN"),
+        (np.where(np.eye(60) > 0, np.inf, GOOD), {}, "infinite"),
+        ((300 * GOOD).clip(0, 255).astype(np.uint8), {}, "clipped"),
+        (GOOD, {"limits": (-1, 0.9)}, "clipped"),
+        (GOOD, {"pitch": 0.0}, "pitch = 0.0 m"),
+        (GOOD, {"pitch": np.nan}, "pitch"),
+        (GOOD, {"order": 3}, "1 or 2"),
+    ],
+)
 def test_refused(image, options, what):
     with pytest.raises(GpusimError, match=what):
         sfr(image, **options)
@@ -209,7 +221,9 @@ def test_figure_8_formula():
     airy = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
     assert figure8.defocused_otf(f, 550e-9, 2.4, 0.0) == pytest.approx(airy, abs=1e-9)
     for defocus, known in ((10e-6, 165.2), (40e-6, 42.8)):
-        half = brentq(lambda f, d=defocus: figure8.defocused_otf(np.array(f), 550e-9, 2.4, d) - 0.5, 1e3, 3e5)
+        half = brentq(
+            lambda f, d=defocus: figure8.defocused_otf(np.array(f), 550e-9, 2.4, d) - 0.5, 1e3, 3e5
+        )
         assert half / 1e3 == pytest.approx(known, abs=0.06)  # given to a tenth
     published = [mtf50(figure8.chapter(defocus)) for defocus in figure8.DEFOCUS]
     print("as published", np.round(published, 1))

@@ -20,7 +20,10 @@ RTOL = 2e-5
 def brute_force(sensor):
     """Electrons of each channel per lux second of D55, from colour-science's tables and CODATA's constants."""
     nm = np.arange(300, 780.001, 0.01)
-    light, eye = colour.SDS_ILLUMINANTS["D55"], colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    light, eye = (
+        colour.SDS_ILLUMINANTS["D55"],
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"],
+    )
     power = np.interp(nm, light.wavelengths, light.values)
     sight = np.interp(nm, eye.wavelengths, eye.values[:, 1], left=0, right=0)
     lux = 683 * np.trapezoid(power * sight, nm)
@@ -43,13 +46,27 @@ def test_gain_divides_the_exposure_that_saturates():
     sensor = open_camera("phone").sensor
     base = iso_speed(sensor)
     assert iso_speed(replace(sensor, analog_gain=8.0)) == pytest.approx(8 * base, rel=1e-12)
-    assert iso_speed(replace(sensor, analog_gain=0.5)) == pytest.approx(base, rel=1e-12)  # the well is full
-    assert iso_speed(replace(sensor, full_well=sensor.full_well / 2)) == pytest.approx(2 * base, rel=1e-12)
+    assert iso_speed(replace(sensor, analog_gain=0.5)) == pytest.approx(
+        base, rel=1e-12
+    )  # the well is full
+    assert iso_speed(replace(sensor, full_well=sensor.full_well / 2)) == pytest.approx(
+        2 * base, rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("changes", [{}, {"analog_offset": 300.0}, {"gain": 0.5}, {"gain": 0.05}, {"analog_gain": 3.0},
-                                     {"binning": (2, 2)}, {"binning": (2, 2), "gain": 0.05},
-                                     {"binning": (2, 1), "binning_mode": "digital"}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"analog_offset": 300.0},
+        {"gain": 0.5},
+        {"gain": 0.05},
+        {"analog_gain": 3.0},
+        {"binning": (2, 2)},
+        {"binning": (2, 2), "gain": 0.05},
+        {"binning": (2, 1), "binning_mode": "digital"},
+    ],
+)
 @pytest.mark.parametrize("times", [1, 1.7, 20])
 def test_the_converter_is_full_at_the_exposure_that_the_speed_names(changes, times):
     """Light of 78 / S lx s, counted, amplified and with its offset, is the white level."""
@@ -68,15 +85,21 @@ def test_the_converter_is_full_at_the_exposure_that_the_speed_names(changes, tim
 def test_what_has_no_such_speed_says_so():
     sensor = open_camera("phone").sensor
     base = iso_speed(sensor)
-    with pytest.raises(OutOfRange, match=r"^iso = 25: allowed is 51\.95, this sensor's base speed, or more"):
+    with pytest.raises(
+        OutOfRange, match=r"^iso = 25: allowed is 51\.95, this sensor's base speed, or more"
+    ):
         gain_for_speed(sensor, 25)
     for given in (1.01e4 * base, np.inf):
         with pytest.raises(OutOfRange, match="up to an analog gain of 10000"):
             gain_for_speed(sensor, given)
     assert gain_for_speed(sensor, 51.95) >= 1  # what the message allows
-    with pytest.raises(OutOfRange, match=r"iso = 400: allowed is none: without a converter it is 51\.9"):
+    with pytest.raises(
+        OutOfRange, match=r"iso = 400: allowed is none: without a converter it is 51\.9"
+    ):
         gain_for_speed(replace(sensor, bits=32), 400)
-    with pytest.raises(OutOfRange, match="base speed"):  # 60 e- less the 100 of the offset are no light
+    with pytest.raises(
+        OutOfRange, match="base speed"
+    ):  # 60 e- less the 100 of the offset are no light
         gain_for_speed(replace(sensor, analog_offset=-100.0), 100 * base)
     infrared = replace(sensor, qe=Spectrum([800.0, 900.0], np.full((3, 2), 0.5)))
     assert iso_speed(infrared) == 0

@@ -15,17 +15,31 @@ from gpusim.backends.warp import WarpDevice
 
 def test_collecting_the_host_s_tests_loads_no_driver():
     """Nor the list of devices that the other tests run on, which probes them."""
-    code = ("import sys, pytest; "
-            "status = pytest.main(['-q', '--collect-only', '-n0', '-p', 'no:cacheprovider', sys.argv[1]]); "
-            "print(int(status), sorted({'pyopencl', 'warp', 'devices'} & set(sys.modules)))")
-    result = subprocess.run([sys.executable, "-c", code, Path(__file__).parent], capture_output=True, text=True,
-                            cwd=Path(__file__).parents[2])
+    code = (
+        "import sys, pytest; "
+        "status = pytest.main(['-q', '--collect-only', '-n0', '-p', 'no:cacheprovider', sys.argv[1]]); "
+        "print(int(status), sorted({'pyopencl', 'warp', 'devices'} & set(sys.modules)))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, Path(__file__).parent],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
     assert result.stdout.splitlines()[-1] == "0 []", result.stdout[-2000:] + result.stderr
 
 
-@pytest.mark.parametrize("use", [lambda: OpenCLDevice(None, "opencl:0"), lambda: WarpDevice("cpu", "warp:cpu"),
-                                 lambda: open_device("auto").name, lambda: open_device("warp:cpu").name,
-                                 lambda: probe.devices(refresh=True)], ids=["opencl", "warp", "auto", "name", "probe"])
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda: OpenCLDevice(None, "opencl:0"),
+        lambda: WarpDevice("cpu", "warp:cpu"),
+        lambda: open_device("auto").name,
+        lambda: open_device("warp:cpu").name,
+        lambda: probe.devices(refresh=True),
+    ],
+    ids=["opencl", "warp", "auto", "name", "probe"],
+)
 def test_devices_are_out_of_reach(use):
     with pytest.raises(AssertionError, match="without devices"):
         use()
@@ -35,7 +49,9 @@ def test_numpy_is_within_reach():
     assert open_device("numpy").name == "numpy"
 
 
-@pytest.mark.parametrize(("marked", "end"), [(None, pytest.fail.Exception), ("slow", StopIteration)])
+@pytest.mark.parametrize(
+    ("marked", "end"), [(None, pytest.fail.Exception), ("slow", StopIteration)]
+)
 def test_a_test_beyond_its_budget_fails(marked, end, monkeypatch):
     """Unless it is marked slow."""
     around = budget.budgeted(SimpleNamespace(get_closest_marker=lambda name: name == marked))

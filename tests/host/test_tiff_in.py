@@ -26,16 +26,22 @@ PHOTON = 1.98644586e-25  # [J m] h c, CODATA 2018, nine digits
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_opencvs_files_hold_the_same_samples(tmp_path, suffix, kind, channels):
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install opencv-python-headless")
+    cv2 = pytest.importorskip(
+        "cv2", reason="OpenCV is not installed: pip install opencv-python-headless"
+    )
     codes = RANDOM.integers(0, np.iinfo(kind).max + 1, (7, 9, channels)).astype(kind)
-    assert cv2.imwrite(str(tmp_path / f"a{suffix}"), codes[..., ::-1] if channels == 3 else codes[..., 0])  # blue first
+    assert cv2.imwrite(
+        str(tmp_path / f"a{suffix}"), codes[..., ::-1] if channels == 3 else codes[..., 0]
+    )  # blue first
     samples = read_samples(tmp_path / f"a{suffix}")
     assert samples.dtype == kind
     np.testing.assert_array_equal(samples, codes)
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
-@pytest.mark.parametrize("options", [{}, {"compression": "zlib", "predictor": 3}, {"planarconfig": "separate"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"compression": "zlib", "predictor": 3}, {"planarconfig": "separate"}]
+)
 def test_floats_are_linear(tmp_path, kind, options):
     linear = RANDOM.uniform(0, 4, (7, 9, 3)).astype(kind)
     stored = np.moveaxis(linear, -1, 0) if "planarconfig" in options else linear
@@ -54,15 +60,21 @@ def test_pillows_tiffs_are_read_as_their_pngs_are(tmp_path, mode, compression):
     picture = Image.fromarray(RANDOM.integers(0, 256, (7, 9, 4), np.uint8), "RGBA").convert(mode)
     picture.save(tmp_path / "a.tif", compression=compression)
     picture.save(tmp_path / "a.png")
-    np.testing.assert_array_equal(read_samples(tmp_path / "a.tif"), read_samples(tmp_path / "a.png"))
+    np.testing.assert_array_equal(
+        read_samples(tmp_path / "a.tif"), read_samples(tmp_path / "a.png")
+    )
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_orientation_is_pillows(tmp_path, orientation):
     from PIL import Image, ImageOps
 
-    tifffile.imwrite(tmp_path / "a.tif", RGB16.astype(np.uint8), photometric="rgb",
-                     extratags=[(274, "H", 1, orientation, True)])
+    tifffile.imwrite(
+        tmp_path / "a.tif",
+        RGB16.astype(np.uint8),
+        photometric="rgb",
+        extratags=[(274, "H", 1, orientation, True)],
+    )
     with Image.open(tmp_path / "a.tif") as image:
         seen = np.asarray(ImageOps.exif_transpose(image))
     np.testing.assert_array_equal(read_samples(tmp_path / "a.tif"), seen)
@@ -85,15 +97,24 @@ def test_white_is_zero_tiles_thumbnails_and_premultiplied_alpha(tmp_path):
 # ---- planes
 
 
-@pytest.mark.parametrize("options", [{"photometric": "minisblack"}, {"photometric": "minisblack", "bigtiff": True},
-                                     {"planarconfig": "separate", "photometric": "minisblack"},
-                                     {"photometric": "minisblack", "compression": "lzw"}, {"imagej": True}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"photometric": "minisblack"},
+        {"photometric": "minisblack", "bigtiff": True},
+        {"planarconfig": "separate", "photometric": "minisblack"},
+        {"photometric": "minisblack", "compression": "lzw"},
+        {"imagej": True},
+    ],
+)
 def test_planes_are_a_cube(tmp_path, options):
     planes, waves = RANDOM.integers(0, 65536, (5, 7, 9), np.uint16), [400, 450, 500.5, 600, 700]
     tifffile.imwrite(tmp_path / "a.tif", planes, **options)
     scene = open_scene(tmp_path / "a.tif", wavelengths=waves)
     np.testing.assert_array_equal(scene.wavelengths, waves)
-    np.testing.assert_array_equal(scene.content.values, planes.astype(np.float32) / np.float32(65535))
+    np.testing.assert_array_equal(
+        scene.content.values, planes.astype(np.float32) / np.float32(65535)
+    )
     assert scene.light_is_known
 
 
@@ -103,24 +124,32 @@ def test_channels_of_a_page_are_planes(tmp_path):
     waves = np.array([400.0, 500, 600, 700])
     scene = open_scene(tmp_path / "a.tif", wavelengths=waves, kind="radiance")
     # W m-2 sr-1 nm-1 to photons: a factor of float32 and its product
-    np.testing.assert_allclose(np.moveaxis(scene.content.values, 0, -1), values * waves * 1e-9 / PHOTON, rtol=2e-7)
+    np.testing.assert_allclose(
+        np.moveaxis(scene.content.values, 0, -1), values * waves * 1e-9 / PHOTON, rtol=2e-7
+    )
     assert not scene.light_is_known
 
 
 def test_opencvs_pages_are_planes(tmp_path):
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install opencv-python-headless")
+    cv2 = pytest.importorskip(
+        "cv2", reason="OpenCV is not installed: pip install opencv-python-headless"
+    )
     planes = RANDOM.random((3, 7, 9), np.float32)
     assert cv2.imwritemulti(str(tmp_path / "a.tif"), list(planes))
     got = open_scene(tmp_path / "a.tif", wavelengths=(400, 500, 600)).content.values
     np.testing.assert_array_equal(got, planes)
 
 
-@pytest.mark.parametrize("text, wanted", [("400:700:100", [400, 500, 600, 700]), ("450,550.5", [450, 550.5])])
+@pytest.mark.parametrize(
+    "text, wanted", [("400:700:100", [400, 500, 600, 700]), ("450,550.5", [450, 550.5])]
+)
 def test_wavelengths_on_a_command_line(text, wanted):
     assert _wavelengths(text) == wanted
 
 
-@pytest.mark.parametrize("text", ["", "a", "400:700", "400:700:0", "400:700:7", "700:400:10", "1:1e9:1e-9", "nan:1:1"])
+@pytest.mark.parametrize(
+    "text", ["", "a", "400:700", "400:700:0", "400:700:7", "700:400:10", "1:1e9:1e-9", "nan:1:1"]
+)
 def test_wavelengths_that_are_none(text):
     with pytest.raises(argparse.ArgumentTypeError, match="400:700:10"):
         _wavelengths(text)
@@ -129,7 +158,9 @@ def test_wavelengths_that_are_none(text):
 def test_the_command_line_takes_wavelengths(tmp_path, capsys):
     from gpusim.cli.main import main
 
-    tifffile.imwrite(tmp_path / "a.tif", np.full((4, 8, 8), 0.5, np.float32), photometric="minisblack")
+    tifffile.imwrite(
+        tmp_path / "a.tif", np.full((4, 8, 8), 0.5, np.float32), photometric="minisblack"
+    )
     asked = ["simulate", str(tmp_path / "a.tif"), "--camera", "mono", "--device", "numpy"]
     assert main([*asked, "--wavelengths", "400:700:100"]) == 0
     assert main(asked) == 2 and "--wavelengths" in capsys.readouterr().err
@@ -155,7 +186,16 @@ def test_refusals(tmp_path):
         open_scene(path)
     with refused(path, "3 planes, but 2 wavelengths", error=BadFile):
         open_scene(path, wavelengths=[400, 500])
-    for waves in ([], [500, 400, 600], [400, 400, 500], [0, 1, 2], [1, 2, np.nan], "red", [[1, 2]], [1, 2, np.inf]):
+    for waves in (
+        [],
+        [500, 400, 600],
+        [400, 400, 500],
+        [0, 1, 2],
+        [1, 2, np.nan],
+        "red",
+        [[1, 2]],
+        [1, 2, np.inf],
+    ):
         with refused("wavelengths", "ascending", error=OutOfRange):
             open_scene(path, wavelengths=waves)
     with refused("'light'", "radiance", error=UnknownName):
@@ -166,16 +206,27 @@ def test_refusals(tmp_path):
         open_scene("flat", wavelengths=[1, 2, 3])
 
 
-@pytest.mark.parametrize("array, options, said", [
-    (np.zeros((7, 9), np.int32), {}, "wanted 8 or 16 bit"),
-    (np.zeros((7, 9), bool), {}, "wanted 8 or 16 bit"),
-    (np.zeros((7, 9, 4), np.uint8), {"photometric": "separated"}, "4 channels"),
-    (np.zeros((7, 9), np.uint8), {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}, "1 channels"),
-    (np.zeros((7, 9, 3), np.uint8), {"photometric": "rgb", "compression": "jpeg"}, "compressed by"),
-    (np.full((7, 9), np.nan, np.float32), {}, "NaN"),
-    (np.full((7, 9), 1e300), {}, "more than float32 holds"),
-    (np.full((7, 9), -1, np.float32), {}, "negative values (lowest -1)"),
-])
+@pytest.mark.parametrize(
+    "array, options, said",
+    [
+        (np.zeros((7, 9), np.int32), {}, "wanted 8 or 16 bit"),
+        (np.zeros((7, 9), bool), {}, "wanted 8 or 16 bit"),
+        (np.zeros((7, 9, 4), np.uint8), {"photometric": "separated"}, "4 channels"),
+        (
+            np.zeros((7, 9), np.uint8),
+            {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)},
+            "1 channels",
+        ),
+        (
+            np.zeros((7, 9, 3), np.uint8),
+            {"photometric": "rgb", "compression": "jpeg"},
+            "compressed by",
+        ),
+        (np.full((7, 9), np.nan, np.float32), {}, "NaN"),
+        (np.full((7, 9), 1e300), {}, "more than float32 holds"),
+        (np.full((7, 9), -1, np.float32), {}, "negative values (lowest -1)"),
+    ],
+)
 def test_kinds_that_are_not_read(tmp_path, array, options, said):
     tifffile.imwrite(tmp_path / "a.tif", array, **{"photometric": "minisblack"} | options)
     with refused(tmp_path / "a.tif", said, error=BadFile):
@@ -187,7 +238,9 @@ def test_without_its_library_a_compressed_file_says_what_to_install(tmp_path, mo
 
     tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", compression="lzw")
     find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "imagecodecs" else find(name))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "imagecodecs" else find(name)
+    )
     with refused("LZW", "pip install 'gpusim[tiff]'", error=BadFile):
         open_scene(tmp_path / "a.tif")
 
@@ -205,8 +258,12 @@ def test_truncated(tmp_path, compression):
 
 def test_pages_that_go_in_a_circle(tmp_path):
     """The last of three pages says that the first comes next; each page's link stands behind its tags (TIFF 6, 2)."""
-    tifffile.imwrite(tmp_path / "a.tif", RANDOM.integers(0, 65536, (3, 7, 9), np.uint16), photometric="minisblack",
-                     metadata=None)
+    tifffile.imwrite(
+        tmp_path / "a.tif",
+        RANDOM.integers(0, 65536, (3, 7, 9), np.uint16),
+        photometric="minisblack",
+        metadata=None,
+    )
     data = bytearray((tmp_path / "a.tif").read_bytes())
     first = at = struct.unpack_from("<I", data, 4)[0]
     while True:
@@ -221,12 +278,19 @@ def test_pages_that_go_in_a_circle(tmp_path):
 
 def test_a_file_that_says_it_is_huge_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "a.tif"
-    tifffile.imwrite(path, np.zeros((7, 9), np.uint16), photometric="minisblack", compression="zlib")
+    tifffile.imwrite(
+        path, np.zeros((7, 9), np.uint16), photometric="minisblack", compression="zlib"
+    )
     data = bytearray(path.read_bytes())
     for tag in (256, 257, 278):  # columns, rows, rows of a strip
-        at = next(i for i in range(len(data)) if data[i:i + 2] == struct.pack("<H", tag)
-                  and data[i + 2] in (3, 4) and data[i + 4:i + 8] == b"\1\0\0\0")
-        data[at + 2:at + 12] = struct.pack("<HII", 4, 1, 2**20)
+        at = next(
+            i
+            for i in range(len(data))
+            if data[i : i + 2] == struct.pack("<H", tag)
+            and data[i + 2] in (3, 4)
+            and data[i + 4 : i + 8] == b"\1\0\0\0"
+        )
+        data[at + 2 : at + 12] = struct.pack("<HII", 4, 1, 2**20)
     path.write_bytes(data)
     with refused(path, "1048576 x 1048576", "cannot come of", error=BadFile), takes(SMALL):
         open_scene(path)
@@ -244,21 +308,31 @@ def test_memory_is_asked_for(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32, np.float64])
-@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"tile": (64, 64)}, {"planarconfig": "separate"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"compression": "zlib"}, {"tile": (64, 64)}, {"planarconfig": "separate"}]
+)
 @pytest.mark.parametrize("stack", [False, True])
 def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, kind, options, stack):
     """NumPy's and Python's own, as they read; twice the estimate would be a fault already."""
     planes, asked, path = np.ones((3, 300, 400), kind), [], tmp_path / "a.tif"
     apart = "planarconfig" in options
-    tifffile.imwrite(path, planes if stack or apart else np.moveaxis(planes, 0, -1),
-                     photometric="minisblack" if stack else "rgb", **options)
+    tifffile.imwrite(
+        path,
+        planes if stack or apart else np.moveaxis(planes, 0, -1),
+        photometric="minisblack" if stack else "rgb",
+        **options,
+    )
     waves = [400, 500, 600] if stack else None
     open_scene(path, wavelengths=waves)  # modules and tables of the program are loaded
-    monkeypatch.setattr("gpusim.io.scene.tiff.require_memory", lambda what, needed: asked.append(needed))
+    monkeypatch.setattr(
+        "gpusim.io.scene.tiff.require_memory", lambda what, needed: asked.append(needed)
+    )
     tracemalloc.start()
     try:
         open_scene(path, wavelengths=waves)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak <= sum(asked) + 2**20, f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"  # 1 MiB: spectra, names
+    assert peak <= sum(asked) + 2**20, (
+        f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"
+    )  # 1 MiB: spectra, names

@@ -32,7 +32,7 @@ def test_truncated_files_of_matlab_are_refused(tmp_path, packed):
         data, ends, at = mat_mutations.saved_5(variables, packed), [], 128  # the header's length
         while at < len(data):
             ends.append(at)
-            at += 8 + int.from_bytes(data[at + 4:at + 8], "little")
+            at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
         cuts = {cut for cut in range(1, LAST + 1) if len(data) - cut in ends[1:]}
         assert at == len(data) and set(cuts_read(tmp_path / "a.mat", data, open_scene)) <= cuts
     (tmp_path / "a.mat").write_bytes(data[:128])
@@ -46,7 +46,10 @@ def test_truncated_files_of_matlab_7_3_are_refused(tmp_path, superblock):
     data = mat_mutations.saved_73(mat_mutations.GOOD[0])
     if superblock == "latest":  # copied by HDF5's own library into the newest structures
         (tmp_path / "b.mat").write_bytes(data)
-        with h5py.File(tmp_path / "b.mat") as old, h5py.File(tmp_path / "c.mat", "w", libver="latest") as new:
+        with (
+            h5py.File(tmp_path / "b.mat") as old,
+            h5py.File(tmp_path / "c.mat", "w", libver="latest") as new,
+        ):
             for name in old:
                 old.copy(name, new)
         data = (tmp_path / "c.mat").read_bytes()
@@ -67,8 +70,15 @@ def test_truncated_listings_of_zemax_are_refused(tmp_path, encoding, form, end):
     """Or give the same: without the last line's end nothing is lost if all numbers have one length."""
     values = np.random.default_rng(3).random((7, 9))
     text = instrument_files.LISTING.format(
-        kind="Huygens", um=0.55, field="0 deg", centre="Center coordinates", x=0, y=0, middle="4, 5",
-        values="relative intensity").replace("8 by 7", "7 by 9")
+        kind="Huygens",
+        um=0.55,
+        field="0 deg",
+        centre="Center coordinates",
+        x=0,
+        y=0,
+        middle="4, 5",
+        values="relative intensity",
+    ).replace("8 by 7", "7 by 9")
     lines = (end or "\n").join("\t".join(format(value, form) for value in line) for line in values)
     data = (text + lines + end).encode(encoding)
     (tmp_path / "a.txt").write_bytes(data)

@@ -17,16 +17,25 @@ def gaussian(center, width):
 
 QE = Spectrum(FINE, np.stack([gaussian(600, 35), gaussian(540, 35), gaussian(460, 30)]))
 # smooth reflectances, cubic splines through a few points, as measured tables are
-REFLECTANCES = [CubicSpline([400, 480, 560, 640, 700], values) for values in np.random.default_rng(0).random((20, 5))]
+REFLECTANCES = [
+    CubicSpline([400, 480, 560, 640, 700], values)
+    for values in np.random.default_rng(0).random((20, 5))
+]
 LIGHTS = {
     "daylight": 1 + 0.3 * np.sin(FINE / 40),
     # three-band lamp: lines 1 nm wide on a weak continuum
-    "fluorescent": 0.05 + sum(h * gaussian(c, 0.5) for c, h in ((435.8, 8), (487.3, 3), (546.1, 20), (611.2, 16))),
+    "fluorescent": 0.05
+    + sum(h * gaussian(c, 0.5) for c, h in ((435.8, 8), (487.3, 3), (546.1, 20), (611.2, 16))),
     "lasers": sum(gaussian(c, 0.9) for c in (447.3, 523.7, 638.1)),
 }
 # numerics notes section 1, cubic row: largest relative error over patches and channels, as measured there on other
 # reflectances; this is the bound, the trapezoid on the same nodes errs by 0.66 and 1.0 under the two last lights
-BOUNDS = {("daylight", 10): 1.5e-3, ("fluorescent", 10): 5e-3, ("lasers", 10): 5e-3, ("fluorescent", 20): 2e-2}
+BOUNDS = {
+    ("daylight", 10): 1.5e-3,
+    ("fluorescent", 10): 5e-3,
+    ("lasers", 10): 5e-3,
+    ("fluorescent", 20): 2e-2,
+}
 
 
 @pytest.mark.parametrize(("light", "step"), BOUNDS)
@@ -36,7 +45,9 @@ def test_weights_integrate_spiky_lights(light, step):
     weights = product_weights(nodes, lamp, QE)
     for reflectance in REFLECTANCES:
         truth = np.trapezoid(QE.values * LIGHTS[light] * reflectance(FINE), FINE, axis=1)
-        scale = np.trapezoid(QE.values * LIGHTS[light], FINE, axis=1) * 0.1  # a 10 % grey: dark patches count in full
+        scale = (
+            np.trapezoid(QE.values * LIGHTS[light], FINE, axis=1) * 0.1
+        )  # a 10 % grey: dark patches count in full
         error = np.abs(weights @ reflectance(nodes) - truth).max()
         assert error <= BOUNDS[light, step] * np.maximum(truth, scale).max()
 

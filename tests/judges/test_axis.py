@@ -11,10 +11,18 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 
-ROWS, COLS, MORE = 64, 88, 40  # the wide frame has MORE columns on the right: the axis is MORE / 2 off
+ROWS, COLS, MORE = (
+    64,
+    88,
+    40,
+)  # the wide frame has MORE columns on the right: the axis is MORE / 2 off
 INNER = np.s_[10:-10, 10:-18]  # what the border of either frame does not reach
 # Wavefront of the wide frame [waves] at its corner, and the power of the field height with which each term grows
-SEIDEL = {"coma": ((0, 1.0, 0, 0, 0), 1), "astigmatism": ((0, 0, 1.0, 0, 0), 2), "displacement": ((0, 0, 0, 0, 1.0), 3)}
+SEIDEL = {
+    "coma": ((0, 1.0, 0, 0, 0), 1),
+    "astigmatism": ((0, 0, 1.0, 0, 0), 2),
+    "displacement": ((0, 0, 0, 0, 1.0), 3),
+}
 
 
 def scene_of(cols):
@@ -25,9 +33,14 @@ def scene_of(cols):
 
 def mean_of(cols, right, **lens):
     camera = gs.open_camera("phone").with_(exposure_time_ms=5)
-    focal = camera.optics.focal_length / camera.sensor.pixel_pitch / 20  # [pixel]; a wide angle, so that angles count
-    optics = replace(camera.optics, distortion=gs.Calibration(
-        cols, ROWS, focal, focal, (cols - 1) / 2 + right, (ROWS - 1) / 2), **lens)
+    focal = (
+        camera.optics.focal_length / camera.sensor.pixel_pitch / 20
+    )  # [pixel]; a wide angle, so that angles count
+    optics = replace(
+        camera.optics,
+        distortion=gs.Calibration(cols, ROWS, focal, focal, (cols - 1) / 2 + right, (ROWS - 1) / 2),
+        **lens,
+    )
     camera = replace(camera, optics=optics)
     return np.asarray(gs.Simulator(camera, device="opencl").expose(scene_of(cols)).mean, np.float64)
 
@@ -41,7 +54,9 @@ def cut_is_the_wide_frame(wide, narrow, limit):
     assert np.sqrt(np.mean((centred - whole) ** 2)) > 10 * limit * size
 
 
-NARROWER = np.hypot(ROWS, COLS) / np.hypot(ROWS, COLS + MORE)  # corner over corner: field heights are relative to it
+NARROWER = np.hypot(ROWS, COLS) / np.hypot(
+    ROWS, COLS + MORE
+)  # corner over corner: field heights are relative to it
 
 
 @pytest.mark.slow  # a minute each: pupils without symmetry, at many places
@@ -51,7 +66,10 @@ def test_blur_follows_the_axis(name):
     random squares, has up to four times its contrast."""
     waves, power = SEIDEL[name]
     wavefront = gs.open_camera("phone").optics.wavefront
-    wide, narrow = (replace(wavefront, seidel=tuple(scale * one for one in waves)) for scale in (1, NARROWER**power))
+    wide, narrow = (
+        replace(wavefront, seidel=tuple(scale * one for one in waves))
+        for scale in (1, NARROWER**power)
+    )
     cut_is_the_wide_frame({"wavefront": wide}, {"wavefront": narrow}, 4e-3)
 
 
@@ -64,8 +82,11 @@ def test_lateral_colour_follows_the_axis():
 
 def test_relative_illumination_follows_the_axis():
     """A polynomial of the field height; float32 gains."""
-    cut_is_the_wide_frame({"relative_illumination": (0.0, -0.3)}, {"relative_illumination": (0.0, -0.3 * NARROWER**2)},
-                          1e-3)
+    cut_is_the_wide_frame(
+        {"relative_illumination": (0.0, -0.3)},
+        {"relative_illumination": (0.0, -0.3 * NARROWER**2)},
+        1e-3,
+    )
 
 
 def test_microlenses_follow_the_axis():
@@ -75,8 +96,14 @@ def test_microlenses_follow_the_axis():
     def gains(cols, right):
         camera = gs.open_camera("phone")
         focal = camera.optics.focal_length / camera.sensor.pixel_pitch
-        optics = replace(camera.optics, relative_illumination="none", focal_length=camera.optics.focal_length / 20,
-                         distortion=gs.Calibration(cols, ROWS, focal, focal, (cols - 1) / 2 + right, (ROWS - 1) / 2))
+        optics = replace(
+            camera.optics,
+            relative_illumination="none",
+            focal_length=camera.optics.focal_length / 20,
+            distortion=gs.Calibration(
+                cols, ROWS, focal, focal, (cols - 1) / 2 + right, (ROWS - 1) / 2
+            ),
+        )
         lens = Microlens(np.array([0.0, 0.5, 1.5]), np.array([1.0, 0.8, 0.1]))
         sensor = replace(camera.sensor, microlens=lens)
         return plan(scene_of(cols), replace(camera, optics=optics, sensor=sensor)).falloff

@@ -34,11 +34,16 @@ def images(kind, shape, random):
     elif kind == "ramp":
         plane = 10 ** (random.uniform(1, 6) * ((along - along.min()) / np.ptp(along) - 1))
     elif kind == "texture":
-        plane = np.exp(gaussian_filter(random.normal(size=shape), s := random.uniform(0.5, 6)) * 2 * s)
+        plane = np.exp(
+            gaussian_filter(random.normal(size=shape), s := random.uniform(0.5, 6)) * 2 * s
+        )
     elif kind == "blocks":
         plane = np.full(shape, 0.1)
         for _ in range(4):
-            (top, left), size = (random.uniform(size=2) * shape).astype(int), random.integers(5, 40, 2)
+            (top, left), size = (
+                (random.uniform(size=2) * shape).astype(int),
+                random.integers(5, 40, 2),
+            )
             plane[top : top + size[0], left : left + size[1]] = 10 ** random.uniform(-1, 1)
     elif kind == "leaves":
         plane = np.full(shape, 0.5)
@@ -60,8 +65,13 @@ def camera(q, optics=None, name="mono"):
     own = gs.open_camera(name)
     f_number = q * own.sensor.pixel_pitch / (BANDS[-1] * 1e-9)
     sensor = replace(own.sensor, fill_factor=1.0)
-    return replace(own, sensor=sensor, optics=Optics(f_number, own.optics.focal_length, relative_illumination="none",
-                                                     **optics or {}))
+    return replace(
+        own,
+        sensor=sensor,
+        optics=Optics(
+            f_number, own.optics.focal_length, relative_illumination="none", **optics or {}
+        ),
+    )
 
 
 def scene_of(values, border, margin=0):
@@ -71,10 +81,14 @@ def scene_of(values, border, margin=0):
 def truth(scene, plan, waves=(0.0, 0.0), hole=0.0):
     """Mean electrons for one second, band by band."""
     border = "edge" if scene.border == "scene" else scene.border
-    bands = [picture(plane, q, border, wave, hole)
-             for plane, q, wave in zip(scene.content.values, plan.q, waves, strict=True)]
+    bands = [
+        picture(plane, q, border, wave, hole)
+        for plane, q, wave in zip(scene.content.values, plan.q, waves, strict=True)
+    ]
     m = scene.margin
-    channels = np.tensordot(plan.weights, np.stack(bands), 1)[:, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m]
+    channels = np.tensordot(plan.weights, np.stack(bands), 1)[
+        :, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m
+    ]
     y, x = np.indices(channels.shape[1:])
     cfa = plan.camera.sensor.cfa_indices
     return np.take_along_axis(channels, cfa[y % cfa.shape[0], x % cfa.shape[1]][None], 0)[0]
@@ -99,9 +113,14 @@ def compared(number):
     reference = true_mean(gs.Simulator, simulator.camera, scene, plan, 1.0)
     frame = relative(simulator.expose(scene, 1.0).mean - own, own)
     wrong, predicted = relative(reference - own, own), plan.account.bounds["border"].rms
-    corners = [abs(reference[at] / own[at] - 1) for at in ((0, 0), (-1, -1), (0, -1), (shape[0] // 2 - margin, 0))]
-    print(f"{number}: {kind} {shape[1]}x{shape[0]} {border} q {q:.2f}: reference {wrong:.1e}, at its corners and sides "
-          f"{max(corners):.1e}; border {frame:.1e}, predicted {predicted:.1e}")
+    corners = [
+        abs(reference[at] / own[at] - 1)
+        for at in ((0, 0), (-1, -1), (0, -1), (shape[0] // 2 - margin, 0))
+    ]
+    print(
+        f"{number}: {kind} {shape[1]}x{shape[0]} {border} q {q:.2f}: reference {wrong:.1e}, at its corners and sides "
+        f"{max(corners):.1e}; border {frame:.1e}, predicted {predicted:.1e}"
+    )
     return wrong, frame, predicted
 
 
@@ -139,7 +158,9 @@ def test_highlights_go_on_as_the_border_says(device, border):
     plan = simulator.plan(scene)
     own = truth(scene, plan)
     mean = simulator.device.numpy(simulator.expose(scene, 1.0).mean)
-    print(f"{border}: {relative(mean - own, own):.2g}, predicted {plan.account.bounds['border'].rms:.2g}")
+    print(
+        f"{border}: {relative(mean - own, own):.2g}, predicted {plan.account.bounds['border'].rms:.2g}"
+    )
     # of three, one is no part of an edge; or each with its images within 84 pixels along both axes
     assert len(plan.highlights.places) == (1 if border == "edge" else 33)
     assert 1 / 2.5 < plan.account.bounds["border"].rms / relative(mean - own, own) < 2.5
@@ -155,7 +176,9 @@ def test_the_brightest_pixels_of_a_ramp_are_no_points(border):
     plan = simulator.plan(scene)
     own = truth(scene, plan)
     error = relative(simulator.expose(scene, 1.0).mean - own, own)
-    assert error < 2e-3  # 3.6e-2 where split pixels are not continued; what the surroundings lack is 2 q / (pi^3 64)
+    assert (
+        error < 2e-3
+    )  # 3.6e-2 where split pixels are not continued; what the surroundings lack is 2 q / (pi^3 64)
     assert 1 / 2.5 < plan.account.bounds["border"].rms / error < 2.5
 
 
@@ -175,11 +198,15 @@ def test_a_tolerance_says_which_surroundings_it_wants(border):
     """More than the frame is long, dearer than the exact frame; asked for, the true error keeps it, and says so."""
     camera, scene = edge_chart(border)
     verdict = gs.Simulator(camera, device="numpy", tolerance=3e-5).plan(scene).verdict
-    wanted = re.match(r"reach = (\d+) pixels would meet it, at about .* times the cost", verdict.remedy)
+    wanted = re.match(
+        r"reach = (\d+) pixels would meet it, at about .* times the cost", verdict.remedy
+    )
     assert not verdict.met and verdict.by == "border" and wanted
     simulator = gs.Simulator(camera, device="numpy", tolerance=3e-5, reach=int(wanted[1]))
     report = simulator(scene, verify=True).report
-    assert report.verdict.met and report.meets_tolerance and report.error.rms > 1e-6  # the border is in it
+    assert (
+        report.verdict.met and report.meets_tolerance and report.error.rms > 1e-6
+    )  # the border is in it
     assert 1 / 2.5 < report.prediction_ratio < 2.5
     assert "tolerance: met: " in str(report) and " of 3e-05 rms" in str(report)
 
@@ -191,7 +218,7 @@ def test_a_tolerance_that_the_border_breaks_is_not_met():
         simulator = gs.Simulator(camera, device="numpy", **options)
         for verify in (False, True):
             report = simulator(scene, verify=verify).report
-            line, = (line for line in str(report).splitlines() if "tolerance" in line)
+            (line,) = (line for line in str(report).splitlines() if "tolerance" in line)
             assert "NOT met: " in line and f"of {options['tolerance']:.2g} rms" in line
             assert report.meets_tolerance is (False if verify else None)
 
@@ -199,7 +226,7 @@ def test_a_tolerance_that_the_border_breaks_is_not_met():
 def test_an_exact_frame_says_what_it_leaves_out():
     camera, scene = edge_chart("edge")
     report = gs.Simulator(camera, device="numpy")(scene, verify=True).report
-    line, = (line for line in report.left_out if "outside the frame" in line)
+    (line,) = (line for line in report.left_out if "outside the frame" in line)
     assert "64 pixels" in line and f"{report.account.bounds['border'].rms:.2g}" in line
     assert 1 / 2.5 < report.prediction_ratio < 2.5 and report.error.rms > 1e-4
 

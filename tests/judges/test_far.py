@@ -21,7 +21,10 @@ def seen(monkeypatch, scene, lens, reach, device="numpy"):
     monkeypatch.setattr(model, "OVERLAPS", ())
     simulator = gs.Simulator(lens, device=device, tolerance=1e-7 if device == "numpy" else 1e-6)
     exposure = simulator.expose(scene, 1.0)
-    assert exposure.plan.far is not None and f"beyond {reach} pixels" in exposure.plan.models["optics.far"]
+    assert (
+        exposure.plan.far is not None
+        and f"beyond {reach} pixels" in exposure.plan.models["optics.far"]
+    )
     return simulator.device.numpy(exposure.mean), exposure.plan
 
 
@@ -30,19 +33,31 @@ def judged(monkeypatch, q, reach, border, pupils):
     random, margin = np.random.default_rng(int(10 * q)), 7 if border == "scene" else 0
     for hole, kind in pupils:
         scene = scene_of(images(kind, (70 + 2 * margin, 91 + 2 * margin), random), border, margin)
-        lens = camera(q, {"pupil": Pupil(obscuration=hole)} if hole else None, "phone" if kind == "blocks" else "mono")
+        lens = camera(
+            q,
+            {"pupil": Pupil(obscuration=hole)} if hole else None,
+            "phone" if kind == "blocks" else "mono",
+        )
         mean, plan = seen(monkeypatch, scene, lens, max(reach, 32) if hole else reach)
         own = truth(scene, plan, hole=hole)
         error, predicted = relative(mean - own, own), plan.account.bounds["border"].rms
-        print(f"q {q}, reach {reach}, {border}, {kind}, hole {hole}: {error:.1e}, predicted {predicted:.1e}")
+        print(
+            f"q {q}, reach {reach}, {border}, {kind}, hole {hole}: {error:.1e}, predicted {predicted:.1e}"
+        )
         # the light of rims nearer to one another rings farther: more of it, as is predicted
         assert error < (6 if hole else 1) * MUST
         assert error < BAND * predicted
 
 
-@pytest.mark.parametrize("q, reach, border, pupils", [
-    (2.0, 16, "edge", [(0.0, "leaves")]), (6.0, 96, "reflect", [(0.0, "blocks"), (0.3, "edge")]),
-    (6.0, 96, "scene", [(0.5, "leaves")]), (2.0, 32, "zero", [(0.3, "edge")])])
+@pytest.mark.parametrize(
+    "q, reach, border, pupils",
+    [
+        (2.0, 16, "edge", [(0.0, "leaves")]),
+        (6.0, 96, "reflect", [(0.0, "blocks"), (0.3, "edge")]),
+        (6.0, 96, "scene", [(0.5, "leaves")]),
+        (2.0, 32, "zero", [(0.3, "edge")]),
+    ],
+)
 def test_frames_of_a_world_without_end(monkeypatch, q, reach, border, pupils):
     judged(monkeypatch, q, reach, border, pupils)
 
@@ -52,11 +67,18 @@ def test_frames_of_a_world_without_end(monkeypatch, q, reach, border, pupils):
 @pytest.mark.parametrize("border", ["edge", "reflect", "zero", "scene"])
 def test_frames_of_a_world_without_end_at_length(monkeypatch, q, reach, border):
     """Clear pupils are within 1e-5 everywhere."""
-    judged(monkeypatch, q, reach, border, [(0.0, "leaves"), (0.3, "edge"), (0.5, "leaves"), (0.0, "blocks")])
+    judged(
+        monkeypatch,
+        q,
+        reach,
+        border,
+        [(0.0, "leaves"), (0.3, "edge"), (0.5, "leaves"), (0.0, "blocks")],
+    )
 
 
-@pytest.mark.parametrize("q, reach, seed", [
-    (3.0, 16, 1), (2.0, 16, 2), pytest.param(4.0, 32, 3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "q, reach, seed", [(3.0, 16, 1), (2.0, 16, 2), pytest.param(4.0, 32, 3, marks=pytest.mark.slow)]
+)
 def test_points_of_light_are_seen_where_the_transform_repeats_them(monkeypatch, q, reach, seed):
     """Their waves are most of the error, which is told within 2.5; without them it is told too low."""
     random = np.random.default_rng(seed)
@@ -92,14 +114,25 @@ def test_what_comes_from_infinity_counts(monkeypatch):
     mean, plan = seen(monkeypatch, scene, lens, 16)
     whole = relative(mean - truth(scene, plan), truth(scene, plan))
     all_of_them = farfield.energies
-    monkeypatch.setattr(farfield, "energies", lambda sigmas, tails, border=None: all_of_them(
-        sigmas, tails, border) * (np.isfinite(sigmas) if border else 1))
+    monkeypatch.setattr(
+        farfield,
+        "energies",
+        lambda sigmas, tails, border=None: (
+            all_of_them(sigmas, tails, border) * (np.isfinite(sigmas) if border else 1)
+        ),
+    )
     mean, plan = seen(monkeypatch, scene, lens, 16)
     assert relative(mean - truth(scene, plan), truth(scene, plan)) > 10 * whole
 
 
-@pytest.mark.parametrize("waves, q, reach", [(2.0, 1.1, 64), pytest.param(0.5, 1.1, 32, marks=pytest.mark.slow),
-                                             pytest.param(1.0, 0.7, 32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "waves, q, reach",
+    [
+        (2.0, 1.1, 64),
+        pytest.param(0.5, 1.1, 32, marks=pytest.mark.slow),
+        pytest.param(1.0, 0.7, 32, marks=pytest.mark.slow),
+    ],
+)
 def test_defocus_spreads_the_tail(monkeypatch, waves, q, reach):
     """Rays land up to 4 waves q from the image: three powers of the distance, down to the same error."""
     scene, own = scene_of(images("leaves", (80, 75), np.random.default_rng(3)), "edge"), camera(q)

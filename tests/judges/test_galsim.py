@@ -19,11 +19,15 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
 
-galsim = pytest.importorskip("galsim", reason="GalSim, the judge of these tests, is not installed: pip install galsim")
+galsim = pytest.importorskip(
+    "galsim", reason="GalSim, the judge of these tests, is not installed: pip install galsim"
+)
 
 SIZE = 33
 ARCSEC = np.pi / 180 / 3600
-ACCURATE = galsim.GSParams(folding_threshold=2e-3, maxk_threshold=1e-6, kvalue_accuracy=1e-9, xvalue_accuracy=1e-9)
+ACCURATE = galsim.GSParams(
+    folding_threshold=2e-3, maxk_threshold=1e-6, kvalue_accuracy=1e-9, xvalue_accuracy=1e-9
+)
 FLAT = np.zeros((1, 3, 3))
 
 
@@ -45,7 +49,9 @@ def single(value):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("f_number", "pitch"), [(1.8, 4e-6), (1.8, 1.4e-6), (2.8, 1.4e-6), (8, 1.4e-6), (16, 1.4e-6)])
+@pytest.mark.parametrize(
+    ("f_number", "pitch"), [(1.8, 4e-6), (1.8, 1.4e-6), (2.8, 1.4e-6), (8, 1.4e-6), (16, 1.4e-6)]
+)
 def test_airy_images(f_number, pitch, device):
     """550 nm, Q = .25 .. 6.3, within 1e-5 of the peak (the issue's figure).
 
@@ -85,13 +91,26 @@ def aberrated(q, zernike):
     """GalSim's image of a point; zernike: (Noll's number, waves RMS) of each term."""
     lam = q * ARCSEC * 1e9  # [nm] for a pupil of 1 m: lambda / D is Q pixels
     accurate = galsim.GSParams(maxk_threshold=1e-5)
-    aperture = galsim.Aperture(diam=1.0, lam=lam, pupil_plane_scale=0.5 / RADIUS, pupil_plane_size=1024 / RADIUS,
-                               gsparams=accurate)
+    aperture = galsim.Aperture(
+        diam=1.0,
+        lam=lam,
+        pupil_plane_scale=0.5 / RADIUS,
+        pupil_plane_size=1024 / RADIUS,
+        gsparams=accurate,
+    )
     aberrations = np.zeros(max(j for j, _ in zernike) + 1)
     for j, weight in zernike:
         aberrations[j] = weight
-    return judged(galsim.OpticalPSF(lam=lam, diam=1.0, aper=aperture, aberrations=aberrations, ii_pad_factor=2,
-                                    gsparams=accurate))
+    return judged(
+        galsim.OpticalPSF(
+            lam=lam,
+            diam=1.0,
+            aper=aperture,
+            aberrations=aberrations,
+            ii_pad_factor=2,
+            gsparams=accurate,
+        )
+    )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -113,5 +132,7 @@ def test_images_of_an_aberrated_pupil(zernike, device):
     tables = pupil(Pupil(), waves, np.array([q], np.float32), 1.0, *period, device=device)
     found = image(tables, period, device)
     assert np.abs(found - wanted).max() < 1e-4 * wanted.max()
-    flat = image(pupil(Pupil(), FLAT, np.array([q], np.float32), 1.0, *period, device=device), period, device)
+    flat = image(
+        pupil(Pupil(), FLAT, np.array([q], np.float32), 1.0, *period, device=device), period, device
+    )
     assert np.abs(flat - wanted).max() > 0.1 * wanted.max()  # the aberrations are seen

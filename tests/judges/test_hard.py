@@ -10,7 +10,10 @@ from gpusim.cli.main import main
 from gpusim.judge.hard import case, hard
 
 LONG = {1, 2, 3, 4, 8, 13, 18, 19, 24, 28, 29}  # take more than about 5 s
-NUMBERS = [pytest.param(number, marks=pytest.mark.slow) if number in LONG else number for number in range(1, 31)]
+NUMBERS = [
+    pytest.param(number, marks=pytest.mark.slow) if number in LONG else number
+    for number in range(1, 31)
+]
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -25,12 +28,22 @@ def test_there_are_thirty():
     assert sorted(case.CASES) == list(range(1, 31))
 
 
-@pytest.mark.parametrize("run", [lambda device: 1 / 0, lambda device: (float("nan"), 1.0, "no number"),
-                                 lambda device: (2.0, 1.0, "too much")])
+@pytest.mark.parametrize(
+    "run",
+    [
+        lambda device: 1 / 0,
+        lambda device: (float("nan"), 1.0, "no number"),
+        lambda device: (2.0, 1.0, "too much"),
+    ],
+)
 def test_what_fails_is_a_line_and_a_status(run, monkeypatch, capsys, tmp_path):
     """A device that raises, a figure that is none, one beyond its limit: never a skip."""
-    monkeypatch.setattr("gpusim.judge.hard.CASES", {27: case.Case(27, "made to fail", "nothing", run)})
-    assert main(["verify", "--hard", "--device", "numpy", "--json", str(tmp_path / "rows.json")]) == 1
+    monkeypatch.setattr(
+        "gpusim.judge.hard.CASES", {27: case.Case(27, "made to fail", "nothing", run)}
+    )
+    assert (
+        main(["verify", "--hard", "--device", "numpy", "--json", str(tmp_path / "rows.json")]) == 1
+    )
     out = capsys.readouterr().out
     assert "FAIL numpy      27 made to fail" in out and "0 passed, 1 failed" in out
     (row,) = json.loads((tmp_path / "rows.json").read_text())

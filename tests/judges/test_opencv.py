@@ -15,8 +15,10 @@ from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.kernels.optics.distort_ref import _lagrange
 from gpusim.optics.geometry import distortion_grid
 
-cv2 = pytest.importorskip("cv2", reason="OpenCV, the judge of these tests, is not installed: "
-                                        "pip install opencv-python-headless")
+cv2 = pytest.importorskip(
+    "cv2",
+    reason="OpenCV, the judge of these tests, is not installed: pip install opencv-python-headless",
+)
 PITCH = 1.4e-6
 COUNTS = (0, 4, 5, 8, 12, 14)
 HERE = np.zeros(3)  # the camera's place and turn
@@ -28,11 +30,23 @@ def random_camera(random, fisheye=False, count=4):
     width, height = (int(n) for n in random.integers(120, 700, 2))
     half = np.hypot(width, height) / 2
     # a fisheye to 35 .. 70 degrees at the corner, others to 20 .. 40
-    fx = half / np.radians(random.uniform(35, 70)) if fisheye else half / np.tan(np.radians(random.uniform(20, 40)))
+    fx = (
+        half / np.radians(random.uniform(35, 70))
+        if fisheye
+        else half / np.tan(np.radians(random.uniform(20, 40)))
+    )
     move = 0.02 if fisheye else 0.05
-    matrix = np.array([[fx, 0, (width - 1) / 2 + random.uniform(-move, move) * width],
-                       [0, fx * random.uniform(0.97, 1.03), (height - 1) / 2 + random.uniform(-move, move) * height],
-                       [0, 0, 1]])
+    matrix = np.array(
+        [
+            [fx, 0, (width - 1) / 2 + random.uniform(-move, move) * width],
+            [
+                0,
+                fx * random.uniform(0.97, 1.03),
+                (height - 1) / 2 + random.uniform(-move, move) * height,
+            ],
+            [0, 0, 1],
+        ]
+    )
     if fisheye:
         return (width, height), matrix, random.uniform(-1, 1, 4) * (0.05, 0.02, 0.005, 0.001)
     limits = [0.2, 0.05, 3e-3, 3e-3, 0.01, 0.05, 0.02, 0.01, 3e-3, 3e-3, 3e-3, 3e-3, 0.05, 0.05]
@@ -41,7 +55,9 @@ def random_camera(random, fisheye=False, count=4):
 
 def projected(points, matrix, coefficients, fisheye):
     """Where OpenCV puts points of the pinhole's picture, (n, 2) -> (n, 2) [pixel]."""
-    rays = np.column_stack([(points - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(points))])
+    rays = np.column_stack(
+        [(points - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(points))]
+    )
     project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
     coefficients = np.asarray(coefficients, float) if len(coefficients) else np.zeros(4)
     return project(rays[:, None], HERE, HERE, matrix, coefficients)[0].reshape(-1, 2)
@@ -95,8 +111,14 @@ def test_the_derivative_is_that_of_opencv():
         _, _, coefficients = random_camera(random, fisheye, count)
         lens = gs.Calibration.of(np.eye(3), coefficients, (1, 1), fisheye).lens
         at = random.uniform(-0.5, 0.5, (300, 2))
-        steps = [(projected(at + step, np.eye(3), coefficients, fisheye)
-                  - projected(at - step, np.eye(3), coefficients, fisheye)) / (2 * h) for step in ((h, 0), (0, h))]
+        steps = [
+            (
+                projected(at + step, np.eye(3), coefficients, fisheye)
+                - projected(at - step, np.eye(3), coefficients, fisheye)
+            )
+            / (2 * h)
+            for step in ((h, 0), (0, h))
+        ]
         wanted = steps[0][:, 0], steps[1][:, 0], steps[0][:, 1], steps[1][:, 1]
         assert np.abs(np.subtract(lens.derivative(*at.T), wanted)).max() < 1e-7
 
@@ -106,17 +128,26 @@ def test_the_derivative_is_that_of_opencv():
 
 SIZE = (240, 180)
 MATRIX = np.array([[210.0, 0, 126.5], [0, 214.0, 84.25], [0, 0, 1]])
-LENSES = {"Brown-Conrady": ((-0.25, 0.07, 2e-3, -1e-3, -0.01), False),
-          "rational": ((0.3, 0.05, 1e-3, 1e-3, 0.01, 0.5, 0.1, 0.02), False),
-          "thin prism and tilt": ((-0.2, 0.05, 0, 0, 0, 0, 0, 0, 3e-3, -1e-3, -2e-3, 1e-3, 0.03, -0.02), False),
-          "fisheye": ((0.02, -0.01, 2e-3, -1e-4), True)}
+LENSES = {
+    "Brown-Conrady": ((-0.25, 0.07, 2e-3, -1e-3, -0.01), False),
+    "rational": ((0.3, 0.05, 1e-3, 1e-3, 0.01, 0.5, 0.1, 0.02), False),
+    "thin prism and tilt": (
+        (-0.2, 0.05, 0, 0, 0, 0, 0, 0, 3e-3, -1e-3, -2e-3, 1e-3, 0.03, -0.02),
+        False,
+    ),
+    "fisheye": ((0.02, -0.01, 2e-3, -1e-4), True),
+}
 
 
 def exposed(device, planes, calibration, **optics):
     """Mean electrons of a monochrome camera without blur, float64."""
-    camera = camera_with(gs.open_camera("mono"), optics={"model": "none", "distortion": calibration, **optics})
-    scene = gs.Scene(gs.Cube(np.linspace(420.0, 680.0, 4), np.repeat(planes[None].astype(np.float32), 4, 0)),
-                     gs.chart("flat").illuminant)
+    camera = camera_with(
+        gs.open_camera("mono"), optics={"model": "none", "distortion": calibration, **optics}
+    )
+    scene = gs.Scene(
+        gs.Cube(np.linspace(420.0, 680.0, 4), np.repeat(planes[None].astype(np.float32), 4, 0)),
+        gs.chart("flat").illuminant,
+    )
     simulator = gs.Simulator(camera, device=device)
     return np.asarray(simulator.device.numpy(simulator.expose(scene, 0.01).mean), np.float64)
 
@@ -137,14 +168,20 @@ def test_points_land_where_opencv_puts_them(device, lens, scale):
     middles = [(60 * scale, 45 * scale), (150 * scale, 120 * scale), (200 * scale, 40 * scale)]
     y, x = np.indices(size[::-1])
     spots = [np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * sigma**2)) for cx, cy in middles]
-    frame = exposed(device, np.sum(spots, 0), gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye),
-                    relative_illumination="none")
+    frame = exposed(
+        device,
+        np.sum(spots, 0),
+        gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye),
+        relative_illumination="none",
+    )
     for spot in spots:
         near = spot > 1e-8
-        lands = projected(np.stack([x[near], y[near]], -1).astype(float), matrix, coefficients, fisheye)
+        lands = projected(
+            np.stack([x[near], y[near]], -1).astype(float), matrix, coefficients, fisheye
+        )
         wanted = spot[near] @ lands / spot[near].sum()
         rows, cols = np.rint(wanted).astype(int)[::-1]
-        window = np.s_[rows - 15:rows + 16, cols - 15:cols + 16]
+        window = np.s_[rows - 15 : rows + 16, cols - 15 : cols + 16]
         light = frame[window]
         found = np.array([(light * x[window]).sum(), (light * y[window]).sum()]) / light.sum()
         assert np.abs(found - wanted).max() < MOST
@@ -160,9 +197,15 @@ def test_undistort_gives_the_scene_back(device):
     coefficients, _ = LENSES["Brown-Conrady"]
     y, x = np.indices(SIZE[::-1])
     scene = 1 + 0.4 * np.sin(2 * np.pi * x / 40) * np.cos(2 * np.pi * y / 60)
-    frame = exposed(device, scene, gs.Calibration.of(MATRIX, coefficients, SIZE), relative_illumination="none")
-    flat = exposed(device, np.ones_like(scene), gs.Calibration.of(MATRIX, coefficients, SIZE),
-                   relative_illumination="none")
+    frame = exposed(
+        device, scene, gs.Calibration.of(MATRIX, coefficients, SIZE), relative_illumination="none"
+    )
+    flat = exposed(
+        device,
+        np.ones_like(scene),
+        gs.Calibration.of(MATRIX, coefficients, SIZE),
+        relative_illumination="none",
+    )
     back = cv2.undistort(frame / flat, MATRIX, np.array(coefficients))
     inner = np.s_[12:-12, 12:-12]
     assert np.abs(back - scene)[inner].max() < 5e-3
@@ -175,7 +218,9 @@ def test_flux_and_cos4_follow_the_calibration(lens):
     Differences over a pixel err by their third derivative, 1e-5 at most here, and float32 counts by 1e-6.
     """
     coefficients, fisheye = LENSES[lens]
-    frame = exposed("numpy", np.ones(SIZE[::-1]), gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye))
+    frame = exposed(
+        "numpy", np.ones(SIZE[::-1]), gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye)
+    )
     lens = gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye).framed(SIZE[::-1], 1.0)
 
     def rays(x, y):
@@ -189,7 +234,11 @@ def test_flux_and_cos4_follow_the_calibration(lens):
 
     y, x = np.indices(SIZE[::-1]).astype(float)
     along, down = rays(x + 0.5, y) - rays(x - 0.5, y), rays(x, y + 0.5) - rays(x, y - 0.5)
-    area = np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]) * MATRIX[0, 0] * MATRIX[1, 1]
+    area = (
+        np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])
+        * MATRIX[0, 0]
+        * MATRIX[1, 1]
+    )
     wanted = area * (1 + (rays(x, y) ** 2).sum(-1)) ** -2
     at = np.unravel_index(np.argmax(wanted), wanted.shape)
     assert np.abs(frame / frame[at] - wanted / wanted[at]).max() < 1e-4
@@ -198,13 +247,17 @@ def test_flux_and_cos4_follow_the_calibration(lens):
 def test_a_frame_of_another_shape_is_refused():
     calibration = gs.Calibration.of(MATRIX, None, SIZE)
     for size in ((480, 360), (160, 120), (81, 61)):
-        assert calibration.framed(size[::-1], PITCH).radius == pytest.approx(210 * size[0] / 240 * PITCH, rel=1e-12)
+        assert calibration.framed(size[::-1], PITCH).radius == pytest.approx(
+            210 * size[0] / 240 * PITCH, rel=1e-12
+        )
     with refused("320 x 180", "240 x 180", error=OutOfRange):
         exposed("numpy", np.ones((180, 320)), calibration)
 
 
 def test_a_scene_of_another_field_of_view_is_said():
-    camera = camera_with(PHONE, optics={"distortion": gs.Calibration.of(MATRIX, [-0.1, 0, 0, 0], SIZE)})
+    camera = camera_with(
+        PHONE, optics={"distortion": gs.Calibration.of(MATRIX, [-0.1, 0, 0, 0], SIZE)}
+    )
     # of the pinhole: 2 atan(120 / 210) = 59.49 deg
     for degrees, said in ((59.49, False), (50.0, True)):
         scene = replace(gs.chart("flat", size=SIZE), fov=np.radians(degrees))
@@ -215,7 +268,9 @@ def test_a_scene_of_another_field_of_view_is_said():
 # ---- files
 
 
-TRUTH = gs.Calibration(752, 480, 461.629, 460.152, 362.68, 246.049, (-0.277, 0.0671, 8.7e-4, 1.1e-4, 0.0))
+TRUTH = gs.Calibration(
+    752, 480, 461.629, 460.152, 362.68, 246.049, (-0.277, 0.0671, 8.7e-4, 1.1e-4, 0.0)
+)
 ROS = """image_width: 752
 image_height: 480
 camera_name: narrow_stereo
@@ -282,14 +337,20 @@ def written(tmp_path, text, name="a.yaml"):
     return tmp_path / name
 
 
-@pytest.mark.parametrize("text", [ROS, MESSAGE, MESSAGE.replace("d:", "D:").replace("k:", "K:")],
-                         ids=["camera_info", "ROS 2's message", "ROS 1's"])
+@pytest.mark.parametrize(
+    "text",
+    [ROS, MESSAGE, MESSAGE.replace("d:", "D:").replace("k:", "K:")],
+    ids=["camera_info", "ROS 2's message", "ROS 1's"],
+)
 def test_files_of_ros(tmp_path, text):
     assert gs.read_calibration(written(tmp_path, text)) == TRUTH
     fisheye = text.replace("plumb_bob", "equidistant").replace(", 0.00011, 0.0]", ", 0.00011]")
-    assert gs.read_calibration(written(tmp_path, fisheye)) == replace(TRUTH, coefficients=TRUTH.coefficients[:4],
-                                                                       fisheye=True)
-    rational = text.replace("plumb_bob", "rational_polynomial").replace(", 0.0]\n", ", 0.0, 0.1, 0.2, 0.3]\n", 1)
+    assert gs.read_calibration(written(tmp_path, fisheye)) == replace(
+        TRUTH, coefficients=TRUTH.coefficients[:4], fisheye=True
+    )
+    rational = text.replace("plumb_bob", "rational_polynomial").replace(
+        ", 0.0]\n", ", 0.0, 0.1, 0.2, 0.3]\n", 1
+    )
     if "camera_matrix" not in text:
         assert gs.read_calibration(written(tmp_path, rational)).coefficients[5:] == (0.1, 0.2, 0.3)
 
@@ -297,13 +358,16 @@ def test_files_of_ros(tmp_path, text):
 def test_files_of_kalibr(tmp_path):
     path = written(tmp_path, KALIBR)
     assert gs.read_calibration(path, "cam0") == replace(TRUTH, coefficients=TRUTH.coefficients[:4])
-    assert gs.read_calibration(path, "cam1") == gs.Calibration(512, 512, 190.978, 190.973, 254.932, 256.897,
-                                                               (-0.01, 0.02, -0.03, 0.004), fisheye=True)
+    assert gs.read_calibration(path, "cam1") == gs.Calibration(
+        512, 512, 190.978, 190.973, 254.932, 256.897, (-0.01, 0.02, -0.03, 0.004), fisheye=True
+    )
     with refused(path, "2 cameras", 'camera = "cam0"', error=BadFile):
         gs.read_calibration(path)
     with refused(path, "'cam9'", error=BadFile):
         gs.read_calibration(path, "cam9")
-    omni = KALIBR.replace("camera_model: pinhole", "camera_model: omni").replace("[461.629,", "[1.2, 461.629,")
+    omni = KALIBR.replace("camera_model: pinhole", "camera_model: omni").replace(
+        "[461.629,", "[1.2, 461.629,"
+    )
     with refused("omni", "pinhole-equi", error=BadFile):
         gs.read_calibration(written(tmp_path, omni), "cam0")
 
@@ -314,33 +378,43 @@ def test_files_that_opencv_writes(tmp_path, suffix, count):
     path = tmp_path / f"camera.{suffix}"
     size, matrix, coefficients = random_camera(np.random.default_rng(8), count=count)
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for key, value in (("calibration_time", "Tue 24 Nov 2026 12:00:00"), ("image_width", size[0]),
-                       ("image_height", size[1]), ("flags", 0), ("camera_matrix", matrix),
-                       ("distortion_coefficients", coefficients[:, None])):
+    for key, value in (
+        ("calibration_time", "Tue 24 Nov 2026 12:00:00"),
+        ("image_width", size[0]),
+        ("image_height", size[1]),
+        ("flags", 0),
+        ("camera_matrix", matrix),
+        ("distortion_coefficients", coefficients[:, None]),
+    ):
         file.write(key, value)
     file.release()
     assert gs.read_calibration(path) == gs.Calibration.of(matrix, coefficients, size)
     if suffix == "yaml":  # as OpenCV 2 and 3 wrote it
-        assert gs.read_calibration(written(tmp_path, path.read_text().replace("%YAML 1.2", "%YAML:1.0"))
-                                   ) == gs.Calibration.of(matrix, coefficients, size)
+        assert gs.read_calibration(
+            written(tmp_path, path.read_text().replace("%YAML 1.2", "%YAML:1.0"))
+        ) == gs.Calibration.of(matrix, coefficients, size)
 
 
-@pytest.mark.parametrize(("old", "new", "parts"), [
-    ("image_width: 752\n", "", ["image_width and image_height"]),
-    ("plumb_bob", "bowl", ["distortion_model", "'bowl'", "rational_polynomial"]),
-    ("[461.629, 0.0,", "[461.629, 0.1,", ["skew"]),
-    ("[461.629,", "[-461.629,", ["fx", "-461.629"]),
-    ("362.68", "962.68", ["cx", "962.68"]),
-    ("[461.629,", "[.nan,", ["camera_matrix", "numbers"]),
-    ("-0.277, ", "", []),
-    ("-0.277, 0.0671, ", "", ["3 coefficients", "4, 5, 8, 12 or 14"]),
-    ("data: [-0.277", "data: [a", ["distortion_coefficients", "wanted numbers"]),
-    ("camera_matrix", "matrix", ["camera_matrix", "intrinsics"]),
-    ("image_width: 752", "image_width: [", ["not YAML"]),
-    (ROS, "- 1\n", ["wanted keys"]),
-    (ROS, "", ["wanted keys"]),
-    (ROS, "[" * 50000, ["not YAML"]),
-    ("rows", "!!python/object/apply:os.system [ls]: 1\n  rows", ["not YAML"])])
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("image_width: 752\n", "", ["image_width and image_height"]),
+        ("plumb_bob", "bowl", ["distortion_model", "'bowl'", "rational_polynomial"]),
+        ("[461.629, 0.0,", "[461.629, 0.1,", ["skew"]),
+        ("[461.629,", "[-461.629,", ["fx", "-461.629"]),
+        ("362.68", "962.68", ["cx", "962.68"]),
+        ("[461.629,", "[.nan,", ["camera_matrix", "numbers"]),
+        ("-0.277, ", "", []),
+        ("-0.277, 0.0671, ", "", ["3 coefficients", "4, 5, 8, 12 or 14"]),
+        ("data: [-0.277", "data: [a", ["distortion_coefficients", "wanted numbers"]),
+        ("camera_matrix", "matrix", ["camera_matrix", "intrinsics"]),
+        ("image_width: 752", "image_width: [", ["not YAML"]),
+        (ROS, "- 1\n", ["wanted keys"]),
+        (ROS, "", ["wanted keys"]),
+        (ROS, "[" * 50000, ["not YAML"]),
+        ("rows", "!!python/object/apply:os.system [ls]: 1\n  rows", ["not YAML"]),
+    ],
+)
 def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, parts):
     path = written(tmp_path, ROS.replace(old, new, 1))
     if not parts:  # four of five coefficients are a calibration, too
@@ -350,7 +424,9 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, parts):
         gs.read_calibration(path)
 
 
-@pytest.mark.parametrize(("key", "value"), [("x_offset: 0", "x_offset: 8"), ("binning_x: 0", "binning_x: 2")])
+@pytest.mark.parametrize(
+    ("key", "value"), [("x_offset: 0", "x_offset: 8"), ("binning_x: 0", "binning_x: 2")]
+)
 def test_parts_of_frames_and_binned_ones_are_refused(tmp_path, key, value):
     with refused("wanted", error=BadFile):
         gs.read_calibration(written(tmp_path, MESSAGE.replace(key, value)))
@@ -373,25 +449,46 @@ def test_camera_files_take_calibrations(tmp_path):
     assert opened("calibration = 'camera_info.yaml'\nfocal_length_mm = 2.8").focal_length == 2.8e-3
     assert opened("calibration = {file = 'camchain.yaml', camera = 'cam1'}").distortion.fisheye
     numbers = "width = 752, height = 480, fx = 461.629, fy = 460.152, cx = 362.68, cy = 246.049, "
-    assert opened(f"calibration = {{{numbers}k1 = -0.277, k2 = 0.0671, p1 = 8.7e-4, p2 = 1.1e-4, k3 = 0.0}}"
-                  ).distortion == TRUTH
-    assert opened(f"calibration = {{{numbers}tau_y = 0.1}}").distortion.coefficients == (0.0,) * 13 + (0.1,)
+    assert (
+        opened(
+            f"calibration = {{{numbers}k1 = -0.277, k2 = 0.0671, p1 = 8.7e-4, p2 = 1.1e-4, k3 = 0.0}}"
+        ).distortion
+        == TRUTH
+    )
+    assert opened(f"calibration = {{{numbers}tau_y = 0.1}}").distortion.coefficients == (
+        0.0,
+    ) * 13 + (0.1,)
     assert opened(f"calibration = {{{numbers}fisheye = true, k4 = 0.1}}").distortion == replace(
-        TRUTH, coefficients=(0.0, 0.0, 0.0, 0.1), fisheye=True)
-    for lines, parts in ((f"calibration = {{{numbers}k9 = 1}}", ["calibration", "tau_y"]),
-                         ("calibration = {fx = 1}", ["calibration", "width, height"]),
-                         ("calibration = 3", ["camera_info.yaml"]), ("calibration = 'none.yaml'", ["no such file"]),
-                         ("calibration = 'camchain.yaml'", ["2 cameras"]), ("", ["focal_length_mm"]),
-                         ("calibration = 'camera_info.yaml'\ndistortion = {k1 = 0, k2 = 0, radius_mm = 1}",
-                          ["calibration and distortion"])):
+        TRUTH, coefficients=(0.0, 0.0, 0.0, 0.1), fisheye=True
+    )
+    for lines, parts in (
+        (f"calibration = {{{numbers}k9 = 1}}", ["calibration", "tau_y"]),
+        ("calibration = {fx = 1}", ["calibration", "width, height"]),
+        ("calibration = 3", ["camera_info.yaml"]),
+        ("calibration = 'none.yaml'", ["no such file"]),
+        ("calibration = 'camchain.yaml'", ["2 cameras"]),
+        ("", ["focal_length_mm"]),
+        (
+            "calibration = 'camera_info.yaml'\ndistortion = {k1 = 0, k2 = 0, radius_mm = 1}",
+            ["calibration and distortion"],
+        ),
+    ):
         with refused(*parts, error=BadFile):
             opened(lines)
 
 
-@pytest.mark.parametrize(("matrix", "coefficients", "size", "parts"), [
-    (np.eye(2), None, (4, 4), ["3 x 3"]), (np.eye(3), "abc", (4, 4), ["numbers"]), (np.eye(3), None, 4, ["size"]),
-    (np.eye(3), [1, 2], (4, 4), ["2 coefficients"]), (np.eye(3), [np.nan] * 4, (4, 4), ["k1", "finite"]),
-    (np.eye(3), [0.0] * 12 + [2.0, 0], (4, 4), ["tau_x", "1.5"]), (np.eye(3), None, (0, 4), ["width"])])
+@pytest.mark.parametrize(
+    ("matrix", "coefficients", "size", "parts"),
+    [
+        (np.eye(2), None, (4, 4), ["3 x 3"]),
+        (np.eye(3), "abc", (4, 4), ["numbers"]),
+        (np.eye(3), None, 4, ["size"]),
+        (np.eye(3), [1, 2], (4, 4), ["2 coefficients"]),
+        (np.eye(3), [np.nan] * 4, (4, 4), ["k1", "finite"]),
+        (np.eye(3), [0.0] * 12 + [2.0, 0], (4, 4), ["tau_x", "1.5"]),
+        (np.eye(3), None, (0, 4), ["width"]),
+    ],
+)
 def test_arrays_that_are_no_calibration(matrix, coefficients, size, parts):
     with refused(*parts, error=(BadData, OutOfRange)):
         gs.Calibration.of(matrix, coefficients, size)
@@ -399,18 +496,41 @@ def test_arrays_that_are_no_calibration(matrix, coefficients, size, parts):
 
 def test_a_calibration_that_cv2_made(tmp_path):
     """cv2.calibrateCamera on views of a board: what it returns goes in as it is, and reprojects as it does there."""
-    random, (size, matrix, coefficients) = np.random.default_rng(9), random_camera(np.random.default_rng(3), count=5)
-    board = np.stack([*np.mgrid[-4:5, -3:4] * 0.05, np.zeros((9, 7))], -1).reshape(-1, 3).astype(np.float32)
-    views = [cv2.projectPoints(board, random.uniform(-0.4, 0.4, 3), np.array([0, 0, 0.9]), matrix, coefficients)[0]
-             for _ in range(8)]
-    _, found, distortion, _, _ = cv2.calibrateCamera([board] * 8, [view.astype(np.float32) for view in views], size,
-                                                     None, None)
+    random, (size, matrix, coefficients) = (
+        np.random.default_rng(9),
+        random_camera(np.random.default_rng(3), count=5),
+    )
+    board = (
+        np.stack([*np.mgrid[-4:5, -3:4] * 0.05, np.zeros((9, 7))], -1)
+        .reshape(-1, 3)
+        .astype(np.float32)
+    )
+    views = [
+        cv2.projectPoints(
+            board, random.uniform(-0.4, 0.4, 3), np.array([0, 0, 0.9]), matrix, coefficients
+        )[0]
+        for _ in range(8)
+    ]
+    _, found, distortion, _, _ = cv2.calibrateCamera(
+        [board] * 8, [view.astype(np.float32) for view in views], size, None, None
+    )
     lens = gs.Calibration.of(found, distortion, size).framed(size[::-1], PITCH)
     pixels = random.uniform(0.3, 0.7, (50, 2)) * size
     x, y = ((pixels - (np.array(size) - 1) / 2) * PITCH / lens.radius).T
     rays = np.column_stack([*lens.normalised(*ideal(lens, x, y)), np.ones(50)])
-    assert np.abs(cv2.projectPoints(rays, HERE, HERE, found, distortion)[0][:, 0] - pixels).max() < 1e-9
+    assert (
+        np.abs(cv2.projectPoints(rays, HERE, HERE, found, distortion)[0][:, 0] - pixels).max()
+        < 1e-9
+    )
     path = tmp_path / "a.json"
-    path.write_text(json.dumps({"image_width": size[0], "image_height": size[1], "K": found.tolist(),
-                                "D": distortion.tolist()}))
+    path.write_text(
+        json.dumps(
+            {
+                "image_width": size[0],
+                "image_height": size[1],
+                "K": found.tolist(),
+                "D": distortion.tolist(),
+            }
+        )
+    )
     assert gs.read_calibration(path) == gs.Calibration.of(found, distortion, size)

@@ -15,7 +15,9 @@ from scipy.special import j1
 import gpusim as gs
 from gpusim.domain.errors import OutOfRange
 
-pytest.importorskip("optiland", reason="Optiland, the judge of these tests, is not installed: pip install optiland")
+pytest.importorskip(
+    "optiland", reason="Optiland, the judge of these tests, is not installed: pip install optiland"
+)
 pytestmark = pytest.mark.filterwarnings("ignore")  # Numba's about itself
 WAVES = np.linspace(450.0, 650.0, 5)
 
@@ -26,7 +28,9 @@ def thin_lens(f_number, focal_length):
 
     optic = Optic()
     optic.surfaces.add(index=0, radius=np.inf, thickness=np.inf)
-    optic.surfaces.add(index=1, surface_type="paraxial", f=focal_length, thickness=focal_length, is_stop=True)
+    optic.surfaces.add(
+        index=1, surface_type="paraxial", f=focal_length, thickness=focal_length, is_stop=True
+    )
     optic.surfaces.add(index=2)
     optic.set_aperture(aperture_type="EPD", value=focal_length / f_number)
     optic.fields.set_type("angle")
@@ -72,8 +76,10 @@ def point(size, at):
 
 def light_of(device, scene, **optics):
     mono = gs.open_camera("mono")
-    camera = camera_with(replace(mono, sensor=replace(mono.sensor, pixel_pitch=3e-6)),
-                         optics={"relative_illumination": "none", **optics})
+    camera = camera_with(
+        replace(mono, sensor=replace(mono.sensor, pixel_pitch=3e-6)),
+        optics={"relative_illumination": "none", **optics},
+    )
     simulator = gs.Simulator(camera, device=device)
     return np.asarray(simulator.device.numpy(simulator.expose(scene, 1.0).mean), np.float64)
 
@@ -110,9 +116,16 @@ def test_coma_points_where_rays_go(triplet, traced, number):
     for index, height in enumerate(traced.heights):
         field = _field(triplet, height * 12e-3, 550.0)
         chief = _chief(triplet, field, 550.0)
-        assert abs(chief[1]) == pytest.approx(height * 12e-3, abs=1e-9)  # x = 0, y > 0: outward is up in Optiland
-        rays = triplet.trace(Hx=0, Hy=field, wavelength=traced.wavelengths[number] / 1e3, num_rays=32,
-                             distribution="uniform")
+        assert abs(chief[1]) == pytest.approx(
+            height * 12e-3, abs=1e-9
+        )  # x = 0, y > 0: outward is up in Optiland
+        rays = triplet.trace(
+            Hx=0,
+            Hy=field,
+            wavelength=traced.wavelengths[number] / 1e3,
+            num_rays=32,
+            distribution="uniform",
+        )
         outward = (np.mean(rays.y[rays.i > 0]) / 1e3 - chief[1]) * 1e6  # [um]
         values = traced.values[index, number]
         assert abs(values.sum(1) @ steps) < 0.01  # nothing sideways
@@ -124,15 +137,22 @@ def test_coma_points_where_rays_go(triplet, traced, number):
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("toward", [(1, 1), (-1, 1), (1, -1)], ids=["down right", "up right", "down left"])
+@pytest.mark.parametrize(
+    "toward", [(1, 1), (-1, 1), (1, -1)], ids=["down right", "up right", "down left"]
+)
 def test_pictures_show_coma_away_from_the_middle(device, traced, toward):
     """A point half-way to a corner of a picture: its light lies beyond it, by what the point spread there says.
 
     A frame of 64 pixels stands for the whole field. The field's blur is interpolated to some 1e-2.
     """
     at = tuple(32 + 16 * side for side in toward)
-    light = light_of(device, point((65, 65), at), f_number=5.0, focal_length=50e-3, model="measured", psf=traced)
-    offset = np.array([light.sum(1) @ (np.arange(65) - at[0]), light.sum(0) @ (np.arange(65) - at[1])]) / light.sum()
+    light = light_of(
+        device, point((65, 65), at), f_number=5.0, focal_length=50e-3, model="measured", psf=traced
+    )
+    offset = (
+        np.array([light.sum(1) @ (np.arange(65) - at[0]), light.sum(0) @ (np.arange(65) - at[1])])
+        / light.sum()
+    )
     outward = offset @ toward / np.sqrt(2) * 3e-6
     n = traced.values.shape[-1]
     steps = (np.arange(n) - (n - 1) / 2) * traced.spacing
@@ -149,6 +169,12 @@ def test_recipe(tmp_path, traced):
 def test_what_a_lens_cannot_show_is_said(triplet):
     with refused("image height", "22.5 mm", "18.14 mm", error=OutOfRange):
         gs.optiland_psf(triplet, (550,), 30e-3)
-    for wrong in ({"heights": (0.5, 1)}, {"wavelengths": ()}, {"corner": -1}, {"samples": 2}, {"rays": 1.5}):
+    for wrong in (
+        {"heights": (0.5, 1)},
+        {"wavelengths": ()},
+        {"corner": -1},
+        {"samples": 2},
+        {"rays": 1.5},
+    ):
         with refused():
             gs.optiland_psf(triplet, **{"wavelengths": (550,), "corner": 1e-3, **wrong})

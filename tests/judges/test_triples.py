@@ -60,12 +60,20 @@ def test_questions_are_of_all_kinds(shared_data):
         assert {one.border for one in asked} == set(scenes.BORDERS)
         assert {one.lens for one in asked} == set(scenes.LENSES)
         assert {one.tolerance for one in asked} == set(scenes.TOLERANCES)
-        assert {one.scene.content.form for one in asked} == {"cube", "basis", "materials", "picture"}
+        assert {one.scene.content.form for one in asked} == {
+            "cube",
+            "basis",
+            "materials",
+            "picture",
+        }
         assert {one.scene.samples_per_pixel for one in asked} == set(scenes.RATIOS)
         assert {one.camera.sensor.is_monochrome for one in asked} == {True, False}
         assert {one.camera.sensor.exposure_time is None for one in asked} == {True, False}
         assert {n % 2 for one in asked for n in one.scene.shape} == {0, 1}
-        q = [scenes.GREEN * one.camera.optics.f_number / one.camera.sensor.pixel_pitch for one in asked]
+        q = [
+            scenes.GREEN * one.camera.optics.f_number / one.camera.sensor.pixel_pitch
+            for one in asked
+        ]
         assert min(q) < 0.3 and max(q) > 5
 
 
@@ -83,28 +91,57 @@ def test_without_data_measured_scenes_drop_out():
 
 def test_a_crash_is_a_row(monkeypatch):
     monkeypatch.setattr(triples, "judged", lambda *_: 1 / 0)
-    row, = triples.asked(0, device=DEVICE)
+    (row,) = triples.asked(0, device=DEVICE)
     assert row["status"] == "crash" and "ZeroDivisionError" in row["text"]
     assert summary([row])[1]["promise"]["crashes"] == [(0, row["text"])]
 
 
 def test_a_silent_miss_is_counted():
     """Three rows: kept, missed and said, missed and not said; predicted right, 3 times too small, and right."""
-    rows = [{"seed": seed, "name": f"seed {seed}", "words": f"question {seed}", "status": "ok", "tolerance": "1e-3",
-             "met": met, "within": within, "nearest": "", "verdict": "", "bound": "rms", "allowed": 1e-3,
-             "true": {"rms": 1e-3}, "ratio": ratio, "ratio_rms": ratio, "bounds": {"border": {"rms": 1e-3}}}
-            for seed, met, within, ratio in ((0, True, True, 1.0), (1, False, False, 1 / 3), (2, True, False, 1.0))]
+    rows = [
+        {
+            "seed": seed,
+            "name": f"seed {seed}",
+            "words": f"question {seed}",
+            "status": "ok",
+            "tolerance": "1e-3",
+            "met": met,
+            "within": within,
+            "nearest": "",
+            "verdict": "",
+            "bound": "rms",
+            "allowed": 1e-3,
+            "true": {"rms": 1e-3},
+            "ratio": ratio,
+            "ratio_rms": ratio,
+            "bounds": {"border": {"rms": 1e-3}},
+        }
+        for seed, met, within, ratio in (
+            (0, True, True, 1.0),
+            (1, False, False, 1 / 3),
+            (2, True, False, 1.0),
+        )
+    ]
     text, found = summary(rows)
     found = found["promise"]
     assert [seed for seed, *_ in found["silent"]] == [2] and "question 2" in text
-    assert (found["met"], found["met_within"], found["unmet"], found["unmet_beyond"]) == (2, 1, 1, 1)
+    assert (found["met"], found["met_within"], found["unmet"], found["unmet_beyond"]) == (
+        2,
+        1,
+        1,
+        1,
+    )
     assert (found["ratios"], found["in_band"]) == (3, 2) and found["tails"][0][0] == 1
 
 
-@pytest.mark.parametrize("q, waves, hole", [(1.0, 0.0, 0.0), (0.4, 0.0, 0.0), (3.0, 0.5, 0.0), (2.0, 0.3, 0.4)])
+@pytest.mark.parametrize(
+    "q, waves, hole", [(1.0, 0.0, 0.0), (0.4, 0.0, 0.0), (3.0, 0.5, 0.0), (2.0, 0.3, 0.4)]
+)
 def test_kernels_of_the_brute_force(q, waves, hole):
     """Against Gauss's rule in every pixel, which is right to 1e-7 of the peak: the table between radii leaves 1e-6."""
-    reach = 100 if q < 3 else REACH  # where a window ends its transform wraps, which is seen where little light falls
+    reach = (
+        100 if q < 3 else REACH
+    )  # where a window ends its transform wraps, which is seen where little light falls
     own = brute.kernel(brute.Spread(q, waves, hole=hole), reach, (1, 1), (0, 0))
     other = centred(kernel(q, waves, hole, reach))
     assert np.abs(own - other).max() < 2e-6 * other.max()
@@ -113,7 +150,10 @@ def test_kernels_of_the_brute_force(q, waves, hole):
 def test_polygons_of_the_brute_force():
     """A pupil of very many corners is a circle: area and moments differ by (2 pi / n)^2 / 6, so kernels by 2.5e-4."""
     own = brute.kernel(brute.Spread(1.0, blades=160), 40, (1, 1), (0, 0))
-    assert np.abs(own - centred(kernel(1.0, reach=40))).max() < 2 * (2 * np.pi / 160) ** 2 / 6 * own.max()
+    assert (
+        np.abs(own - centred(kernel(1.0, reach=40))).max()
+        < 2 * (2 * np.pi / 160) ** 2 / 6 * own.max()
+    )
 
 
 def test_chords_of_the_brute_force():
@@ -142,7 +182,7 @@ def test_borders_of_the_brute_force(border, q):
 @pytest.mark.parametrize("seed", [0, 14])
 def test_the_truth_is_that_of_the_brute_force(seed):
     """From a question to electrons with nothing shared: an ideal lens on black, and mirrored with highlights."""
-    row, = triples.asked(seed, device=DEVICE, brute=True)
+    (row,) = triples.asked(seed, device=DEVICE, brute=True)
     print(row["brute"])
     assert row["brute"]["truth"] < 2e-5
 
@@ -179,13 +219,22 @@ def test_the_truth_of_a_varying_lens_is_that_of_the_brute_force():
     the axis is up to a fifth of their light here, and errs by as much: 1e-4.
     """
     camera = gs.open_camera("mono")
-    optics = gs.Optics(1.2 * camera.sensor.pixel_pitch / 550e-9, camera.optics.focal_length, lateral_color=2e-3,
-                       wavefront=Wavefront(seidel=(0.0, 0.5, -0.4, 0.3, 0.0)))
+    optics = gs.Optics(
+        1.2 * camera.sensor.pixel_pitch / 550e-9,
+        camera.optics.focal_length,
+        lateral_color=2e-3,
+        wavefront=Wavefront(seidel=(0.0, 0.5, -0.4, 0.3, 0.0)),
+    )
     camera = replace(camera, optics=optics)
-    planes = np.exp(3.5 * gaussian_filter(np.random.default_rng(3).normal(size=(2, 72, 90)), (0, 2, 2)))
+    planes = np.exp(
+        3.5 * gaussian_filter(np.random.default_rng(3).normal(size=(2, 72, 90)), (0, 2, 2))
+    )
     planes[1], wavelengths = 0, np.array([540.0, 541.0])
-    scene = gs.Scene(gs.Cube(wavelengths, planes.astype(np.float32)), gs.Spectrum(wavelengths, np.full(2, 1e18)),
-                     "zero")
+    scene = gs.Scene(
+        gs.Cube(wavelengths, planes.astype(np.float32)),
+        gs.Spectrum(wavelengths, np.full(2, 1e18)),
+        "zero",
+    )
     simulator = gs.Simulator(camera, device="numpy", tolerance=1e-1)
     exposure, pixels = simulator.expose(scene, 0.01), np.array([(36, 45), (10, 80)])
     _, true = seen(simulator, scene, exposure)

@@ -29,8 +29,13 @@ PITCH = 1.4e-6
 def camera(fill=1.0, **optics):
     own = gs.open_camera("mono")
     sensor = replace(own.sensor, pixel_pitch=PITCH, fill_factor=fill)
-    return replace(own, sensor=sensor, optics=Optics(**{
-        "f_number": 2.8, "focal_length": 4e-3, "relative_illumination": "none"} | optics))
+    return replace(
+        own,
+        sensor=sensor,
+        optics=Optics(
+            **{"f_number": 2.8, "focal_length": 4e-3, "relative_illumination": "none"} | optics
+        ),
+    )
 
 
 def scene_of(plane, border="edge", **more):
@@ -55,8 +60,13 @@ def light(y, x):
     Of the edge's Gauss's curve, of sigma 1.7 samples, exp(-(pi sigma)^2 / 2) = 6e-7 is left at half a cycle a sample.
     """
     down, across = (2 * np.pi * (at + N / 2) / (2 * N) for at in (y, x))
-    return (1 + 0.2 * np.cos(21 * across) + 0.2 * np.cos(33 * down) + 0.1 * np.cos(19 * across) * np.cos(18 * down)
-            + 0.2 * erf(x / (2**0.5 * 1.7)))
+    return (
+        1
+        + 0.2 * np.cos(21 * across)
+        + 0.2 * np.cos(33 * down)
+        + 0.1 * np.cos(19 * across) * np.cos(18 * down)
+        + 0.2 * erf(x / (2**0.5 * 1.7))
+    )
 
 
 def grid(n):
@@ -70,7 +80,9 @@ def test_a_view_of_a_formula_is_the_formula(view):
     y, x = grid(N)
     own, frame = truth(camera(model="none"), scene_of(light(y, x), "reflect", view=view))
     wanted = light(*view.place(y, x))
-    inside = np.s_[2:-2, 2:-2]  # the view's own rim may look beyond the scene, where the edge is mirrored
+    inside = np.s_[
+        2:-2, 2:-2
+    ]  # the view's own rim may look beyond the scene, where the edge is mirrored
     assert np.abs(own - wanted)[inside].max() < 1e-6
     assert np.abs(frame - wanted)[inside].max() > 1e-3  # else this tells nothing of the truth
 
@@ -94,8 +106,15 @@ def test_distortion_of_a_formula_is_the_formula():
     assert np.abs(frame - wanted).max() > 1e-3
 
 
-@pytest.mark.parametrize(("ratio", "fill", "moved"), [(2.0, 0.89, (0.0, 0.0)), (1.5, 1.0, (0.0, 0.0)),
-                                                      (1.0, 0.5, (0.3, -0.2)), (2.7, 0.6, (0.1, 0.0))])
+@pytest.mark.parametrize(
+    ("ratio", "fill", "moved"),
+    [
+        (2.0, 0.89, (0.0, 0.0)),
+        (1.5, 1.0, (0.0, 0.0)),
+        (1.0, 0.5, (0.3, -0.2)),
+        (2.7, 0.6, (0.1, 0.0)),
+    ],
+)
 def test_pixels_integrate_points_wherever_they_lie(ratio, fill, moved):
     """Airy's formula for every point and pixel; even points give even pixels, by their sum over a large even world.
 
@@ -112,12 +131,17 @@ def test_pixels_integrate_points_wherever_they_lie(ratio, fill, moved):
     start = np.floor(start) if ratio.is_integer() else start
     nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(8))
     # in pixels
-    at = [((start / ratio + np.arange(pixels) + 0.5 + move)[:, None] + side * nodes).ravel() for move in moved]
+    at = [
+        ((start / ratio + np.arange(pixels) + 0.5 + move)[:, None] + side * nodes).ravel()
+        for move in moved
+    ]
     points = (np.arange(samples) + 0.5) / ratio
     wanted = np.zeros((pixels, pixels))
     for i, j in np.ndindex(samples, samples):
         irradiance = airy(np.hypot((at[0] - points[i])[:, None], at[1] - points[j]), q) / ratio**2
-        wanted += plane[i, j] * np.einsum("aibj,i,j->ab", irradiance.reshape(pixels, 8, pixels, 8), mass, mass)
+        wanted += plane[i, j] * np.einsum(
+            "aibj,i,j->ab", irradiance.reshape(pixels, 8, pixels, 8), mass, mass
+        )
     assert np.abs(found - wanted).max() < 1e-6 * wanted.max()
 
 
@@ -129,13 +153,24 @@ def test_a_frame_off_its_axis_is_a_part_of_a_wider_one():
 
     def mean(width, right, scale):
         focal = 4e-3 / PITCH / 50  # a wide angle, so that angles count
-        own = camera(wavefront=Wavefront(seidel=(0, 0.3 * scale, 0, 0, 0)), focal_length=4e-3 / 50,
-                     relative_illumination=(0.0, -0.3 * scale**2), distortion=gs.Calibration(
-                         width, rows, focal, focal, (width - 1) / 2 + right, (rows - 1) / 2))
-        own = replace(own, sensor=replace(own.sensor, microlens=Microlens((0.0, 0.5, 1.5), (1.0, 0.8, 0.1))))
+        own = camera(
+            wavefront=Wavefront(seidel=(0, 0.3 * scale, 0, 0, 0)),
+            focal_length=4e-3 / 50,
+            relative_illumination=(0.0, -0.3 * scale**2),
+            distortion=gs.Calibration(
+                width, rows, focal, focal, (width - 1) / 2 + right, (rows - 1) / 2
+            ),
+        )
+        own = replace(
+            own, sensor=replace(own.sensor, microlens=Microlens((0.0, 0.5, 1.5), (1.0, 0.8, 0.1)))
+        )
         return truth(own, scene_of(random[:, :width]))[0]
 
-    wide, off, centred = mean(cols + more, 0, 1.0)[:, :cols], mean(cols, more / 2, narrower), mean(cols, 0, narrower)
+    wide, off, centred = (
+        mean(cols + more, 0, 1.0)[:, :cols],
+        mean(cols, more / 2, narrower),
+        mean(cols, 0, narrower),
+    )
     inside = np.s_[:, : -more + 4]  # what is cut off goes on as an edge
     whole = np.sqrt(np.mean(wide[inside] ** 2))
     assert np.sqrt(np.mean((off - wide)[inside] ** 2)) < 2e-3 * whole
@@ -146,9 +181,13 @@ def test_what_has_no_truth_is_refused_in_one_line():
     y, x = grid(32)
     deep = scene_of(light(y, x), depth=np.full((32, 32), 2.0))
     for own, scene, words in (
-            (camera(distortion=RadialPolynomial(0.0, 0.01, 1e-4)), deep, "depth beside distortion"),
-            (camera(wavefront=Wavefront(seidel=(0, 0.3, 0, 0, 0))), scene_of(light(y, x), samples_per_pixel=2.0),
-             "2 samples per pixel")):
+        (camera(distortion=RadialPolynomial(0.0, 0.01, 1e-4)), deep, "depth beside distortion"),
+        (
+            camera(wavefront=Wavefront(seidel=(0, 0.3, 0, 0, 0))),
+            scene_of(light(y, x), samples_per_pixel=2.0),
+            "2 samples per pixel",
+        ),
+    ):
         with pytest.raises(OutOfRange, match=words) as found:
             require_truth(own, scene)
         assert "\n" not in str(found.value)

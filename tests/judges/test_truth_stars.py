@@ -39,7 +39,11 @@ def sectors(blades=0, hole=0.0, order=56):
             rho = hole + (1 - hole) * nodes[:, None]
             few, share = np.polynomial.legendre.leggauss(16)
             angle = start + (end - start) * (few + 1) / 2
-            points.append(np.stack(np.broadcast_arrays(rho * np.cos(angle), rho * np.sin(angle))).reshape(2, -1))
+            points.append(
+                np.stack(np.broadcast_arrays(rho * np.cos(angle), rho * np.sin(angle))).reshape(
+                    2, -1
+                )
+            )
             areas.append((rho * (1 - hole) * mass[:, None] * (end - start) * share / 2).ravel())
         else:
             a, b = (np.array([np.cos(angle), np.sin(angle)]) for angle in (start, end))
@@ -69,8 +73,13 @@ def seidel_star(place, w040=0.0, w131=0.0, w222=0.0, w220=0.0, w311=0.0):
     def waves(x, y):
         along = x * np.cos(azimuth) + y * np.sin(azimuth)
         r2 = x * x + y * y
-        return (w040 * r2**2 + w131 * h * r2 * along + w222 * h**2 * along**2 + w220 * h**2 * r2
-                + w311 * h**3 * along)
+        return (
+            w040 * r2**2
+            + w131 * h * r2 * along
+            + w222 * h**2 * along**2
+            + w220 * h**2 * r2
+            + w311 * h**3 * along
+        )
 
     return pupil_star(waves)
 
@@ -96,21 +105,32 @@ def one_place():
 
 
 def over_heights():
-    return measured(np.stack([[gaussian_samples(s, s)] * 2 for s in SIGMAS]), heights=np.array([0.0, 1.0]))
+    return measured(
+        np.stack([[gaussian_samples(s, s)] * 2 for s in SIGMAS]), heights=np.array([0.0, 1.0])
+    )
 
 
 def over_a_grid():
     """As traced at 2 x 2 field points: wide along the rows at the bottom, along the columns at the right."""
     grid = (np.array([-1.0, 1.0]), np.array([-1.0, 1.0]))
-    return measured(np.array([[[gaussian_samples(1.2 + 0.5 * i, 1.2 + 0.8 * j)] * 2 for j in (0, 1)] for i in (0, 1)]),
-                    grid=grid)
+    return measured(
+        np.array(
+            [[[gaussian_samples(1.2 + 0.5 * i, 1.2 + 0.8 * j)] * 2 for j in (0, 1)] for i in (0, 1)]
+        ),
+        grid=grid,
+    )
 
 
 def grid_star(place):
     """Spreads are linear between field points."""
     down, across = ((at + 1) / 2 for at in place)
-    return sum((down if i else 1 - down) * (across if j else 1 - across)
-               * gaussian_star((1.2 + 0.5 * i, 1.2 + 0.8 * j)) for i in (0, 1) for j in (0, 1))
+    return sum(
+        (down if i else 1 - down)
+        * (across if j else 1 - across)
+        * gaussian_star((1.2 + 0.5 * i, 1.2 + 0.8 * j))
+        for i in (0, 1)
+        for j in (0, 1)
+    )
 
 
 def traced():
@@ -118,8 +138,18 @@ def traced():
     from gpusim.io.camera.traced import Traced, spread_of
 
     corner = 1e-3
-    listing = [Traced(wavelength, gaussian_samples(s, s), 0.4 * PITCH, (30.0, 30.0), (0.0, height * corner), height)
-               for wavelength in BANDS[[0, -1]] for height, s in zip((0.0, 1.0), SIGMAS, strict=True)]
+    listing = [
+        Traced(
+            wavelength,
+            gaussian_samples(s, s),
+            0.4 * PITCH,
+            (30.0, 30.0),
+            (0.0, height * corner),
+            height,
+        )
+        for wavelength in BANDS[[0, -1]]
+        for height, s in zip((0.0, 1.0), SIGMAS, strict=True)
+    ]
     return {"psf": spread_of(listing, corner), "model": "measured"}
 
 
@@ -131,24 +161,33 @@ def between_heights(place):
 def noll(coefficients):
     """Z7 = sqrt 8 (3 r^2 - 2) y, Z6 = sqrt 6 (x^2 - y^2), Z11 = sqrt 5 (6 r^4 - 6 r^2 + 1) (Noll 1976)."""
     z6, z7, z11 = coefficients
-    return lambda x, y: (z6 * 6**0.5 * (x * x - y * y) + z7 * 8**0.5 * (3 * (x * x + y * y) - 2) * y
-                         + z11 * 5**0.5 * (6 * (x * x + y * y) ** 2 - 6 * (x * x + y * y) + 1))
+    return lambda x, y: (
+        z6 * 6**0.5 * (x * x - y * y)
+        + z7 * 8**0.5 * (3 * (x * x + y * y) - 2) * y
+        + z11 * 5**0.5 * (6 * (x * x + y * y) ** 2 - 6 * (x * x + y * y) + 1)
+    )
 
 
 def seidel(**terms):
     order = ("w040", "w131", "w222", "w220", "w311")
-    return ({"wavefront": Wavefront(seidel=tuple(terms.get(name, 0.0) for name in order))},
-            lambda place: seidel_star(place, **terms))
+    return (
+        {"wavefront": Wavefront(seidel=tuple(terms.get(name, 0.0) for name in order))},
+        lambda place: seidel_star(place, **terms),
+    )
 
 
 ZERNIKE = (0.15, 0.1, -0.08)
 W020 = 1.5  # [waves]
 KINDS = {  # optics; star at a field place
     "ideal": ({}, lambda _: pupil_star(lambda x, y: 0 * x)),
-    "defocused": ({"defocus": W020 * 550e-9 * 8 * F_NUMBER**2}, lambda _: pupil_star(
-        lambda x, y: W020 * (x * x + y * y))),
-    "zernike": ({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, *ZERNIKE[:2], 0, 0, 0, ZERNIKE[2]))},
-                lambda _: pupil_star(noll(ZERNIKE))),
+    "defocused": (
+        {"defocus": W020 * 550e-9 * 8 * F_NUMBER**2},
+        lambda _: pupil_star(lambda x, y: W020 * (x * x + y * y)),
+    ),
+    "zernike": (
+        {"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, *ZERNIKE[:2], 0, 0, 0, ZERNIKE[2]))},
+        lambda _: pupil_star(noll(ZERNIKE)),
+    ),
     "polygonal": ({"pupil": Pupil(7)}, lambda _: pupil_star(lambda x, y: 0 * x, blades=7)),
     "obscured": ({"pupil": Pupil(0, 0.4)}, lambda _: pupil_star(lambda x, y: 0 * x, hole=0.4)),
     "astigmatism .5": seidel(w222=0.5),
@@ -168,8 +207,16 @@ def star(kind, place, size):
     """Camera, scene, window around the star, and the light that it is to have of 1."""
     optics, wanted = KINDS[kind]
     own = gs.open_camera("mono")
-    camera = replace(own, sensor=replace(own.sensor, pixel_pitch=PITCH, fill_factor=1.0), optics=Optics(
-        F_NUMBER, 4e-3, relative_illumination="none", **(optics() if callable(optics) else optics)))
+    camera = replace(
+        own,
+        sensor=replace(own.sensor, pixel_pitch=PITCH, fill_factor=1.0),
+        optics=Optics(
+            F_NUMBER,
+            4e-3,
+            relative_illumination="none",
+            **(optics() if callable(optics) else optics),
+        ),
+    )
     at = (size - 1) // 2 + round(PLACES[place] * ((size - 1) // 2 - SIDE // 2))
     values = np.zeros((3, size, size), np.float32)
     values[1, at, at] = STAR
@@ -182,7 +229,9 @@ def star(kind, place, size):
 def compared(mean, plan, window, wanted):
     """Relative error of the energy, and largest of the shape over the peak."""
     found = mean[window] / (plan.weights[0, 1] * STAR)
-    return abs(found.sum() / wanted.sum() - 1), np.abs(found / found.sum() * wanted.sum() - wanted).max() / wanted.max()
+    return abs(found.sum() / wanted.sum() - 1), np.abs(
+        found / found.sum() * wanted.sum() - wanted
+    ).max() / wanted.max()
 
 
 def judged(kind, place, size, device="opencl"):
@@ -193,19 +242,36 @@ def judged(kind, place, size, device="opencl"):
     frame = np.array(simulator.device.numpy(exposure.mean), np.float64)
     truth = true_mean(gs.Simulator, camera, scene, exposure.plan, 1.0)
     own, its = (compared(one, exposure.plan, window, wanted) for one in (truth, frame))
-    state = gs.Simulator(camera, device=device, tolerance=1e-3).plan(scene, exposure_time=1.0).verdict.state if (
-        max(its) > 1e-3) else ""
-    print(f"{kind:20s} {place:7s} {size:4d}  truth: energy {own[0]:.1e} shape {own[1]:.1e}   "
-          f"frame: energy {its[0]:.1e} shape {its[1]:.1e}  {state}", flush=True)
+    state = (
+        gs.Simulator(camera, device=device, tolerance=1e-3)
+        .plan(scene, exposure_time=1.0)
+        .verdict.state
+        if (max(its) > 1e-3)
+        else ""
+    )
+    print(
+        f"{kind:20s} {place:7s} {size:4d}  truth: energy {own[0]:.1e} shape {own[1]:.1e}   "
+        f"frame: energy {its[0]:.1e} shape {its[1]:.1e}  {state}",
+        flush=True,
+    )
     return own, its, state
 
 
 # The integral by 6 nodes a pixel errs by 1e-6; kernels of a lens that varies by 1e-4 between places and 2e-4 of the
 # peak in complex64; cubics along the rays of a polygon 1.5e-5. 1e-3 is what is promised.
-@pytest.mark.parametrize(("kind", "place"), [("ideal", "half"), ("defocused", "axis"), ("zernike", "corner"),
-                                             ("obscured", "axis"), ("coma .6", "half"),
-                                             ("measured, one place", "half"), ("measured, heights", "axis"),
-                                             ("measured, grid", "corner")])
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [
+        ("ideal", "half"),
+        ("defocused", "axis"),
+        ("zernike", "corner"),
+        ("obscured", "axis"),
+        ("coma .6", "half"),
+        ("measured, one place", "half"),
+        ("measured, heights", "axis"),
+        ("measured, grid", "corner"),
+    ],
+)
 def test_a_star_is_the_integral_of_the_pupil(kind, place):
     """The truth alone, of frames of 51 pixels."""
     camera, scene, window, wanted = star(kind, place, 51)
@@ -233,4 +299,7 @@ if __name__ == "__main__":
                 try:
                     judged(kind, place, size)
                 except Exception as error:  # the table goes on
-                    print(f"{kind:20s} {place:7s} {size:4d}  {type(error).__name__}: {error}", flush=True)
+                    print(
+                        f"{kind:20s} {place:7s} {size:4d}  {type(error).__name__}: {error}",
+                        flush=True,
+                    )

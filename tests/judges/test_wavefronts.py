@@ -32,8 +32,9 @@ def term(j, waves):
 
 def panels(ends, count):
     """Nodes and weights of `count` panels between each two neighbours of `ends`."""
-    edges = np.concatenate([np.linspace(a, b, count + 1)[:-1] for a, b in pairwise(ends)]
-                           + [ends[-1:]])
+    edges = np.concatenate(
+        [np.linspace(a, b, count + 1)[:-1] for a, b in pairwise(ends)] + [ends[-1:]]
+    )
     half = np.diff(edges)[:, None] / 2
     return ((edges[:-1, None] + half) + half * NODES).ravel(), (half * WEIGHTS).ravel()
 
@@ -50,9 +51,13 @@ def _own(wave, shape, s, angle, hole, tolerance):
     if hole:
         heights = [hole]
         heights += [np.sqrt(hole**2 - s**2)] if s < hole else []
-        cross = 1 - ((4 * s * s + 1 - hole**2) / (4 * s)) ** 2  # the hole of one copy and the rim of the other
+        cross = (
+            1 - ((4 * s * s + 1 - hole**2) / (4 * s)) ** 2
+        )  # the hole of one copy and the rim of the other
         heights += [np.sqrt(cross)] if cross > 0 else []
-        kinks += [sign * np.arcsin(h) for h in heights for sign in (1, -1) if np.arcsin(h) < np.arccos(s)]
+        kinks += [
+            sign * np.arcsin(h) for h in heights for sign in (1, -1) if np.arcsin(h) < np.arccos(s)
+        ]
     kinks, before = np.sort(kinks), None
     for count in 2 ** np.arange(1, 11):
         # roots at the kinks: t = middle - half cos(phi) makes them smooth
@@ -61,7 +66,10 @@ def _own(wave, shape, s, angle, hole, tolerance):
             phi, weight = panels(np.array([0, np.pi]), count)
             t = (a + b) / 2 - (b - a) / 2 * np.cos(phi)
             weight = weight * (b - a) / 2 * np.sin(phi) * np.cos(t)
-            total += sum(w * line(wave, s, angle, np.sin(one), hole, count) for one, w in zip(t, weight, strict=True))
+            total += sum(
+                w * line(wave, s, angle, np.sin(one), hole, count)
+                for one, w in zip(t, weight, strict=True)
+            )
         total /= np.pi * (1 - hole**2)
         if before is not None and abs(total - before) < tolerance:
             return total
@@ -75,13 +83,21 @@ def line(wave, s, angle, y, hole, count):
     if hole > abs(y):
         h = np.sqrt(hole * hole - y * y)
         for middle in (-s, s):
-            pieces = [cut for a, b in pieces for cut in ((a, min(b, middle - h)), (max(a, middle + h), b))
-                      if cut[1] > cut[0]]
+            pieces = [
+                cut
+                for a, b in pieces
+                for cut in ((a, min(b, middle - h)), (max(a, middle + h), b))
+                if cut[1] > cut[0]
+            ]
     total = 0.0
     for a, b in pieces:
         x, weight = panels(np.array([a, b]), count)
-        ends = [polyval2d(np.cos(angle) * at - np.sin(angle) * y, np.sin(angle) * at + np.cos(angle) * y, wave)
-                for at in (x + s, x - s)]
+        ends = [
+            polyval2d(
+                np.cos(angle) * at - np.sin(angle) * y, np.sin(angle) * at + np.cos(angle) * y, wave
+            )
+            for at in (x + s, x - s)
+        ]
         total += weight @ np.exp(2j * np.pi * (ends[0] - ends[1]))
     return total
 
@@ -92,7 +108,9 @@ def mixture(seed):
     zernike = np.zeros(66)
     chosen = random.choice(np.arange(1, 66), 4, replace=False)
     zernike[chosen] = random.normal(0, 0.15, 4)
-    wave = Wavefront(tuple(zernike), seidel=tuple(random.normal(0, 0.2, 5))).polynomial(1.0, random.uniform(0, 6))
+    wave = Wavefront(tuple(zernike), seidel=tuple(random.normal(0, 0.2, 5))).polynomial(
+        1.0, random.uniform(0, 6)
+    )
     wave[:3, :3] += random.normal(0, 0.5) * disc_power(1)
     return Pupil(0, random.choice([0.0, 0.0, 0.2, 0.5])), wave[None]
 
@@ -102,10 +120,16 @@ def on_device(outline, waves, device):
 
     At q = 2 all frequencies up to the cut-off are below half a cycle per pixel, and no replica is.
     """
-    table = np.float64(pupil(outline, waves, np.array([2.0], np.float32), 0.1, 40, 40, device=device)[0])
+    table = np.float64(
+        pupil(outline, waves, np.array([2.0], np.float32), 0.1, 40, 40, device=device)[0]
+    )
     y, x = np.array([3, 8, 4, 0, 15]), np.array([4, 1, 11, 14, 6])
     fold = table if table.shape == (21, 21) else table.view(complex)
-    return fold[y, x] / np.sinc(0.1 * y / 40) / np.sinc(0.1 * x / 40), np.hypot(y, x) / 20, np.arctan2(y, x)
+    return (
+        fold[y, x] / np.sinc(0.1 * y / 40) / np.sinc(0.1 * x / 40),
+        np.hypot(y, x) / 20,
+        np.arctan2(y, x),
+    )
 
 
 def check_device(outline, waves, device):
@@ -122,14 +146,18 @@ def check_reference(outline, waves):
         assert abs(value - own(waves[0], s, angle, outline.obscuration)) < 1e-9
 
 
-@pytest.mark.parametrize(("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1), (22, 0.3), (36, 0.3)])
+@pytest.mark.parametrize(
+    ("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1), (22, 0.3), (36, 0.3)]
+)
 def test_terms_that_turn_often(j, waves):
     """They once took nodes for their range alone, and erred by 1e-8 to 1.5e-2."""
     check_reference(Pupil(), term(j, waves))
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1), (22, 0.3)])
+@pytest.mark.parametrize(
+    ("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1), (22, 0.3)]
+)
 def test_tables_of_terms_that_turn_often(j, waves, device):
     check_device(Pupil(), term(j, waves), device)
 
@@ -139,11 +167,17 @@ def test_mixtures(seed):
     check_reference(*mixture(seed))
 
 
-@pytest.mark.parametrize("optics", [
-    Optics(2.0, 4e-3, pupil=Pupil(0, 0.4)), Optics(2.8, 4e-3, pupil=Pupil(0, 0.2), defocus=8e-6),
-    Optics(2.0, 4e-3, wavefront=Wavefront(seidel=(0.8, 0.0, 0.0, 0.0, 0.0))),
-    Optics(2.0, 4e-3, wavefront=Wavefront(zernike=(0.0,) * 6 + (0.2,)), diffuser=4e-7),
-    Optics(2.0, 4e-3, pupil=Pupil(6, 0.1, 0.2)), Optics(4.0, 4e-3, pupil=Pupil(5), defocus=1e-5)])
+@pytest.mark.parametrize(
+    "optics",
+    [
+        Optics(2.0, 4e-3, pupil=Pupil(0, 0.4)),
+        Optics(2.8, 4e-3, pupil=Pupil(0, 0.2), defocus=8e-6),
+        Optics(2.0, 4e-3, wavefront=Wavefront(seidel=(0.8, 0.0, 0.0, 0.0, 0.0))),
+        Optics(2.0, 4e-3, wavefront=Wavefront(zernike=(0.0,) * 6 + (0.2,)), diffuser=4e-7),
+        Optics(2.0, 4e-3, pupil=Pupil(6, 0.1, 0.2)),
+        Optics(4.0, 4e-3, pupil=Pupil(5), defocus=1e-5),
+    ],
+)
 def test_tables_that_planners_look_at(optics):
     """Splines through the devices' nodes against the integral at every frequency that is folded: twice their error."""
     wavelengths, pitch = np.array([430.0, 550.0, 690.0]), 1.4e-6
@@ -152,14 +186,20 @@ def test_tables_that_planners_look_at(optics):
     waves, q = optics.waves(wavelengths), np.float32(q)
     even = tables.shape[1] == 4
     y, x = np.arange(4) / 6 if even else np.fft.fftfreq(6), np.arange(4) / 7
-    for table, wave, one in zip(tables if even else np.ascontiguousarray(tables).view(complex), waves, q, strict=True):
+    for table, wave, one in zip(
+        tables if even else np.ascontiguousarray(tables).view(complex), waves, q, strict=True
+    ):
         more = np.arange(-4, 5)
         fy, fx = np.add.outer(more, y).ravel()[:, None], np.add.outer(more, x).ravel()
-        seen = transfer(optics.pupil, wave[None], *(np.ravel(f) * one for f in np.broadcast_arrays(fx, fy)))
+        seen = transfer(
+            optics.pupil, wave[None], *(np.ravel(f) * one for f in np.broadcast_arrays(fx, fy))
+        )
         seen = seen.reshape(fy.size, fx.size) * np.sinc(0.9 * fy) * np.sinc(0.9 * fx)
         seen *= np.exp(-2 * (np.pi * optics.diffuser / pitch) ** 2 * (fy**2 + fx**2))
         expected = seen.reshape(9, len(y), 9, 4).sum(axis=(0, 2))
-        assert np.abs(table - expected).max() < 2 * (POLYGON_ERROR if optics.pupil.blades else CUBIC_ERROR)
+        assert np.abs(table - expected).max() < 2 * (
+            POLYGON_ERROR if optics.pupil.blades else CUBIC_ERROR
+        )
 
 
 @pytest.mark.parametrize("polygon", [Pupil(6, 0.2, 0.3), Pupil(5, 0, 0.1)])
@@ -167,7 +207,9 @@ def test_polygon_with_a_turning_wavefront(polygon):
     """Twice the nodes everywhere, of a rule asked for a hundredth of the error, agree to 1e-9."""
     waves = term(16, 0.2)
     x, y = PLACES * np.cos(ANGLES) * 0.9, PLACES * np.sin(ANGLES) * 0.9
-    np.testing.assert_allclose(transfer(polygon, waves, x, y), transfer(polygon, waves, x, y, error=1e-12), atol=1e-9)
+    np.testing.assert_allclose(
+        transfer(polygon, waves, x, y), transfer(polygon, waves, x, y, error=1e-12), atol=1e-9
+    )
 
 
 @pytest.fixture
@@ -193,6 +235,7 @@ def test_what_turns_too_often_is_refused_at_once(no_integral):
 
 # ---- all terms
 
+
 def kept(make):
     """`make` of one pupil and wavefront, called once."""
     known = []
@@ -204,7 +247,13 @@ def kept(make):
     return table
 
 
-REFUSED = {25, 26, *range(31, 37), *range(38, 56), *range(57, 67)}  # of 3 waves RMS: minutes of two cores and more
+REFUSED = {
+    25,
+    26,
+    *range(31, 37),
+    *range(38, 56),
+    *range(57, 67),
+}  # of 3 waves RMS: minutes of two cores and more
 
 
 @pytest.mark.slow
@@ -215,8 +264,15 @@ def test_every_term_that_is_refused(j, no_integral):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("j", "waves"), [(j, waves) for j in range(2, 67) for waves in (0.1, 0.3, 1.0, 3.0)
-                                          if waves < 3 or j not in REFUSED])
+@pytest.mark.parametrize(
+    ("j", "waves"),
+    [
+        (j, waves)
+        for j in range(2, 67)
+        for waves in (0.1, 0.3, 1.0, 3.0)
+        if waves < 3 or j not in REFUSED
+    ],
+)
 def test_every_term(j, waves, monkeypatch):
     """Every other Noll term: float64 within 1e-9, every device within 1e-5; the table is made once for all of them."""
     check_reference(Pupil(), term(j, waves))

@@ -24,9 +24,19 @@ def free_port() -> int:
 def serving(*arguments, folder=None):
     """Address of a preview that runs."""
     port = free_port()
-    own = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "NICEGUI"))}
-    process = subprocess.Popen([sys.executable, "-m", "gpusim", "preview", *map(str, arguments), "--port", str(port)],
-                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=own, cwd=folder)
+    own = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTEST", "NICEGUI"))
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "gpusim", "preview", *map(str, arguments), "--port", str(port)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=own,
+        cwd=folder,
+    )
     address = f"http://127.0.0.1:{port}"
     try:
         for _ in range(600):
@@ -49,7 +59,11 @@ def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright")
     with playwright.sync_playwright() as started:
         found = started.chromium.executable_path
-        path = found if os.path.exists(found) else shutil.which("chromium") or shutil.which("google-chrome")
+        path = (
+            found
+            if os.path.exists(found)
+            else shutil.which("chromium") or shutil.which("google-chrome")
+        )
         if path is None:
             pytest.skip("no Chromium: neither Playwright's own nor a system's")
         made = started.chromium.launch(executable_path=path, args=["--no-sandbox"])

@@ -35,8 +35,15 @@ class Fake:
     def picture(self, state, number, drafts=False):
         time.sleep(0.02)
         self.made.append(state)
-        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": "met", "unknown": (),
-                 "left out": ()}
+        facts = {
+            "draft": False,
+            "exposure": 0.01,
+            "gain": 1.0,
+            "error": 1e-4,
+            "verdict": "met",
+            "unknown": (),
+            "left out": (),
+        }
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
     def statistics(self, state):
@@ -81,7 +88,10 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
     assert exposure.number.value == 5.0 and widget.camera.sensor.exposure_time == 0.005
     assert "exposure 5 ms" in widget._known.value and "(met)" in widget._known.value
     widget._undo.click()
-    assert np.array_equal(settled(widget), bright) and exposure.number.value == exposure.slider.value == 20.0
+    assert (
+        np.array_equal(settled(widget), bright)
+        and exposure.number.value == exposure.slider.value == 20.0
+    )
     widget._redo.click()
     assert np.array_equal(settled(widget), dark)
     exposure.switch.value = False
@@ -90,9 +100,20 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
 
 def test_what_settles_is_what_a_simulator_makes(widget):
     """After controls of every kind, the lens's with drafts, one after the other."""
-    moves = [(EXPOSURE, 12.5), (F_NUMBER, 2.8), ("noise.read_e", 8.0), ("optics.object_distance_m", 0.5),
-             ("processor.demosaic", "bilinear"), ("light", LIGHTS[2]), ("luminance", 300.0), ("frame", 7), ("seed", 3),
-             ("optics.defocus_um", 4.0), ("tolerance", "exact"), ("view", "rendered")]
+    moves = [
+        (EXPOSURE, 12.5),
+        (F_NUMBER, 2.8),
+        ("noise.read_e", 8.0),
+        ("optics.object_distance_m", 0.5),
+        ("processor.demosaic", "bilinear"),
+        ("light", LIGHTS[2]),
+        ("luminance", 300.0),
+        ("frame", 7),
+        ("seed", 3),
+        ("optics.defocus_um", 4.0),
+        ("tolerance", "exact"),
+        ("view", "rendered"),
+    ]
     for name, value in moves:
         control = widget.controls[name]
         if getattr(control, "switch", None):
@@ -100,10 +121,15 @@ def test_what_settles_is_what_a_simulator_makes(widget):
         getattr(control, "number", control).value = value
         shown = settled(widget)
         assert not widget._error.value, name
-        scene = gs.chart("colorchecker", size=(96, 64), light=widget.state.light or "D65",
-                         luminance=widget.state.luminance or 100.0)
+        scene = gs.chart(
+            "colorchecker",
+            size=(96, 64),
+            light=widget.state.light or "D65",
+            luminance=widget.state.luminance or 100.0,
+        )
         frame = gs.Simulator(widget.camera, device="opencl", tolerance=widget.state.asked)(
-            scene, seed=widget.state.seed, frame=widget.state.frame)
+            scene, seed=widget.state.seed, frame=widget.state.frame
+        )
         assert np.array_equal(shown, frame.rgb), name
     assert np.array_equal(widget.frame().raw, frame.raw) and widget.state.frame == 7
     widget.controls["view"].value = "raw"
@@ -144,7 +170,10 @@ def test_the_last_good_picture_stays(widget):
     good = settled(widget)
     field = widget.controls[F_NUMBER].number
     field.value = -1.0
-    assert np.array_equal(settled(widget), good) and "f-number = -1.0: allowed is" in widget._error.value
+    assert (
+        np.array_equal(settled(widget), good)
+        and "f-number = -1.0: allowed is" in widget._error.value
+    )
     with pytest.raises(GpusimError, match="f-number = -1"):
         widget.frame()
     field.value = float("nan")  # a field that was emptied
@@ -172,8 +201,11 @@ def test_a_camera_object_is_changed_as_its_file_is():
         for control in CONTROLS.values():
             own, written = given.value(control, table_of(camera)), file.value(control, table)
             assert own == written, control.name
-            value = (control.choices[random.integers(len(control.choices))] if control.choices else
-                     float(control.low + (control.high - control.low) * random.random()))
+            value = (
+                control.choices[random.integers(len(control.choices))]
+                if control.choices
+                else float(control.low + (control.high - control.low) * random.random())
+            )
             changes = {control.name: value}
             try:
                 wanted = repr(replace(file, changes=changes).built())
@@ -197,9 +229,16 @@ def test_a_widget_of_a_camera_object():
     widget.close()
 
 
-@pytest.mark.parametrize(("asked", "words"), [
-    (("moon", "phone"), "unknown scene 'moon'"), ((3, "phone"), "wanted a Scene"), (("flat", "fone"), "did you mean"),
-    (("flat", 3), "unknown camera '3'"), (("flat", "phone", "1e-7"), "unknown tolerance of a preview '1e-7'")])
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (("moon", "phone"), "unknown scene 'moon'"),
+        ((3, "phone"), "wanted a Scene"),
+        (("flat", "fone"), "did you mean"),
+        (("flat", 3), "unknown camera '3'"),
+        (("flat", "phone", "1e-7"), "unknown tolerance of a preview '1e-7'"),
+    ],
+)
 def test_what_cannot_be_shown_is_said_at_once(asked, words):
     scene, camera, *tolerance = asked
     with pytest.raises(GpusimError, match=words):
@@ -208,18 +247,31 @@ def test_what_cannot_be_shown_is_said_at_once(asked, words):
 
 def test_what_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
-    with pytest.raises(GpusimError, match=r"^preview: ipywidgets is not installed; .* 'gpusim\[notebook\]'$"):
+    with pytest.raises(
+        GpusimError, match=r"^preview: ipywidgets is not installed; .* 'gpusim\[notebook\]'$"
+    ):
         gs.preview("flat", "phone")
 
 
-@pytest.mark.parametrize("imports", ["", "import gpusim.apps.preview.session", "from gpusim.apps.preview import state",
-                                     "gs.preview; import gpusim.apps.preview.state", "import gpusim.cli.main",
-                                     "from gpusim import preview", "from gpusim import *"])
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "",
+        "import gpusim.apps.preview.session",
+        "from gpusim.apps.preview import state",
+        "gs.preview; import gpusim.apps.preview.state",
+        "import gpusim.cli.main",
+        "from gpusim import preview",
+        "from gpusim import *",
+    ],
+)
 def test_a_function_and_a_package_have_one_name(imports):
-    code = (f"import gpusim as gs, sys; {imports}\ntry: gs.preview('moon', 'phone')\n"
-            "except gs.GpusimError as error: print(error)\n"
-            "print(gs.preview is sys.modules['gpusim.apps.preview'])\n"
-            "import gpusim.apps.preview.session as session; print(gs.preview.session is session)")
+    code = (
+        f"import gpusim as gs, sys; {imports}\ntry: gs.preview('moon', 'phone')\n"
+        "except gs.GpusimError as error: print(error)\n"
+        "print(gs.preview is sys.modules['gpusim.apps.preview'])\n"
+        "import gpusim.apps.preview.session as session; print(gs.preview.session is session)"
+    )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert said.stdout.splitlines()[0].startswith("unknown scene 'moon'"), said.stderr
     assert said.stdout.split()[-2:] == ["True", "True"]
@@ -227,9 +279,13 @@ def test_a_function_and_a_package_have_one_name(imports):
 
 @pytest.mark.parametrize("end", ["", "widget.close(); time.sleep(0.3)"])
 def test_a_program_with_a_widget_ends_in_silence(end):
-    code = ("import gpusim as gs, time; widget = gs.preview('flat', 'mono', device='numpy')\n"
-            f"while not widget.is_settled: time.sleep(0.01)\n{end}")
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    code = (
+        "import gpusim as gs, time; widget = gs.preview('flat', 'mono', device='numpy')\n"
+        f"while not widget.is_settled: time.sleep(0.01)\n{end}"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=100
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
@@ -238,25 +294,35 @@ def test_a_kernel_runs_it():
     """Changes come as a browser sends them, by messages, of which the kernel runs one after the other."""
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
-    make = ("import time, gpusim as gs\n"
-            "widget = gs.preview(gs.chart('colorchecker', size=(96, 64)), 'phone', device='opencl')\n"
-            "while not widget.is_settled: time.sleep(0.01)\n"
-            "first, seen = widget.image.value, []\n"
-            "widget.image.observe(lambda change: seen.append(change.new), 'value')\n"
-            "print(widget.controls['optics.f_number'].slider.model_id)\n"
-            "widget")
-    look = ("while not widget.is_settled: time.sleep(0.01)\n"
-            "print(widget.camera.optics.f_number, widget.image.value != first, widget.image.format, len(seen) < 50)")
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in (make, look)])
+    make = (
+        "import time, gpusim as gs\n"
+        "widget = gs.preview(gs.chart('colorchecker', size=(96, 64)), 'phone', device='opencl')\n"
+        "while not widget.is_settled: time.sleep(0.01)\n"
+        "first, seen = widget.image.value, []\n"
+        "widget.image.observe(lambda change: seen.append(change.new), 'value')\n"
+        "print(widget.controls['optics.f_number'].slider.model_id)\n"
+        "widget"
+    )
+    look = (
+        "while not widget.is_settled: time.sleep(0.01)\n"
+        "print(widget.camera.optics.f_number, widget.image.value != first, widget.image.format, len(seen) < 50)"
+    )
+    notebook = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell(text) for text in (make, look)]
+    )
     client = nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3")
     with client.setup_kernel():
         said, shown = client.execute_cell(notebook.cells[0], 0).outputs
         for k in range(100):
-            content = {"comm_id": said.text.strip(), "data": {"method": "update", "state": {"value": 2 + k / 20},
-                                                              "buffer_paths": []}}
+            content = {
+                "comm_id": said.text.strip(),
+                "data": {"method": "update", "state": {"value": 2 + k / 20}, "buffer_paths": []},
+            }
             client.kc.shell_channel.send(client.kc.session.msg("comm_msg", content))
         assert client.execute_cell(notebook.cells[1], 1).outputs[0].text == "6.95 True png True\n"
     assert "application/vnd.jupyter.widget-view+json" in shown.data
     # what has come to the browser
-    states = [state for state in client.widget_state.values() if state.get("_model_name") == "ImageModel"]
+    states = [
+        state for state in client.widget_state.values() if state.get("_model_name") == "ImageModel"
+    ]
     assert [state["format"] for state in states] == ["png"]

@@ -86,7 +86,10 @@ def test_settings_that_cannot_be_keep_the_picture_and_say_why(chromium, address)
     number(page, "optics.f_number", -3)
     marked(page, "error").filter(has_text="f_number").wait_for(timeout=10000)
     assert shown(page).std() > 10  # the last good picture
-    assert "f_number" in page.locator(".q-field__messages").filter(has_text="f_number").first.inner_text()
+    assert (
+        "f_number"
+        in page.locator(".q-field__messages").filter(has_text="f_number").first.inner_text()
+    )
     newer(page, number(page, "optics.f_number", 4))
     page.wait_for_function("""document.querySelector('[data-mark="error"]').innerText === ''""")
     page.close()
@@ -95,7 +98,11 @@ def test_settings_that_cannot_be_keep_the_picture_and_say_why(chromium, address)
 def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_path):
     """Bit for bit in raw: the frame that stands still, its camera and the command line beside it."""
     page = opened(chromium, address)
-    for name, value in (("optics.f_number", 2.8), ("sensor.exposure_time_ms", 30), ("optics.zernike_waves.10", 0.1)):
+    for name, value in (
+        ("optics.f_number", 2.8),
+        ("sensor.exposure_time_ms", 30),
+        ("optics.zernike_waves.10", 0.1),
+    ):
         newer(page, number(page, name, value))
     open_group(page, "Noise")
     newer(page, number(page, "noise.read_e", 7))
@@ -104,7 +111,11 @@ def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_pat
     newer(page, before)
     page.wait_for_function("gpusimPainted.at(-1)[3] === 1")  # without loss
     still, frame = shown(page), page.evaluate("gpusimPainted.at(-1)[1]")
-    for entry, name in (("save camera", "camera.toml"), ("save .npz", "shown.npz"), ("save .png", "shown.png")):
+    for entry, name in (
+        ("save camera", "camera.toml"),
+        ("save .npz", "shown.npz"),
+        ("save .png", "shown.png"),
+    ):
         marked(page, "save").click()
         with page.expect_download(timeout=30000) as download:
             marked(page, entry).click()
@@ -118,15 +129,35 @@ def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_pat
     assert command.splitlines()[0].startswith("gpusim simulate colorchecker --camera camera.toml")
     link = marked(page, "link").locator("code").inner_text().splitlines()[0]
     arguments = command.splitlines()[0].split()[2:-2]
-    subprocess.run([sys.executable, "-m", "gpusim", "simulate", *arguments, "--size", "320x200", "--device", "opencl",
-                    "--frames", str(frame + 1), "-o", "made.npz"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "gpusim",
+            "simulate",
+            *arguments,
+            "--size",
+            "320x200",
+            "--device",
+            "opencl",
+            "--frames",
+            str(frame + 1),
+            "-o",
+            "made.npz",
+        ],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+    )
     made = tmp_path / ("made.npz" if frame == 0 else f"made_{frame:04d}.npz")
     with np.load(made) as own, np.load(tmp_path / "shown.npz") as saved:
         assert {*own} == {*saved}
         for part in own:
             assert np.array_equal(own[part], saved[part]), part
     other = opened(chromium, address + link)
-    other.wait_for_function("gpusimPainted.length > 0 && gpusimPainted.at(-1)[3] === 1", timeout=20000)
+    other.wait_for_function(
+        "gpusimPainted.length > 0 && gpusimPainted.at(-1)[3] === 1", timeout=20000
+    )
     assert np.array_equal(shown(other), still)
     for one in (page, other):
         assert not one.errors
@@ -153,7 +184,11 @@ def test_numbers_of_the_light_are_in_sight(chromium, address):
     box = page.locator("canvas").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     marked(page, "pixel").filter(has_text="SNR").wait_for(timeout=10000)
-    assert " e-" in text(page, "pixel") and "predicted error" in text(page, "known") and "fps" in text(page, "known")
+    assert (
+        " e-" in text(page, "pixel")
+        and "predicted error" in text(page, "known")
+        and "fps" in text(page, "known")
+    )
     assert "left out" in text(page, "left out")
     assert page.locator("svg polyline").count() == 3
     page.close()
@@ -168,7 +203,9 @@ def pointed(page, down, right):
 def still(page):
     """The picture as it is without loss, when it stands still."""
     before = page.evaluate("gpusimPainted.length")
-    page.wait_for_function(f"gpusimPainted.length > {before} && gpusimPainted.at(-1)[3] === 1", timeout=20000)
+    page.wait_for_function(
+        f"gpusimPainted.length > {before} && gpusimPainted.at(-1)[3] === 1", timeout=20000
+    )
     page.wait_for_timeout(400)
     return shown(page)
 
@@ -183,16 +220,24 @@ def test_a_part_is_shown_without_loss_and_moved(chromium, address):
     page.keyboard.press("+")
     part = still(page)
     rows, cols = part.shape[:2]
-    width = page.evaluate("Math.round(document.querySelector('canvas').clientWidth * devicePixelRatio)")
+    width = page.evaluate(
+        "Math.round(document.querySelector('canvas').clientWidth * devicePixelRatio)"
+    )
     times = next(times for times in (1, 2, 4, 8, 16) if times * 320 > width)
     assert cols == round(width / times)
 
     def places(cut):
-        return [(y, x) for y in range(200 - rows + 1) for x in range(320 - cols + 1)
-                if np.array_equal(whole[y : y + rows, x : x + cols], cut)]
+        return [
+            (y, x)
+            for y in range(200 - rows + 1)
+            for x in range(320 - cols + 1)
+            if np.array_equal(whole[y : y + rows, x : x + cols], cut)
+        ]
 
     [(top, left)] = places(part)
-    assert abs(top - (200 - rows) / 2) <= 2 and abs(left - (320 - cols) / 2) <= 2  # around the pointer
+    assert (
+        abs(top - (200 - rows) / 2) <= 2 and abs(left - (320 - cols) / 2) <= 2
+    )  # around the pointer
     page.mouse.down()
     page.mouse.move(*pointed(page, 0.5 - 10.5 / rows, 0.5 - 6.5 / cols), steps=4)
     page.mouse.up()
@@ -204,16 +249,29 @@ def test_a_part_is_shown_without_loss_and_moved(chromium, address):
 
 
 def test_an_edge_is_measured_where_it_is_dragged_over(chromium, tmp_path):
-    with serving("slanted-edge", "--camera", "mono", "--size", "320x240", "--device", "opencl",
-                 folder=tmp_path) as (address, _):
+    with serving(
+        "slanted-edge",
+        "--camera",
+        "mono",
+        "--size",
+        "320x240",
+        "--device",
+        "opencl",
+        folder=tmp_path,
+    ) as (address, _):
         page = opened(chromium, address)
         marked(page, "measure").click()
         for corner, words in ((0.02, "sfr:"), (0.3, "MTF50")):
             page.mouse.move(*pointed(page, corner, corner))
             page.mouse.down()
-            page.mouse.move(*pointed(page, 0.15 if corner < 0.1 else 0.7, 0.15 if corner < 0.1 else 0.7), steps=4)
+            page.mouse.move(
+                *pointed(page, 0.15 if corner < 0.1 else 0.7, 0.15 if corner < 0.1 else 0.7),
+                steps=4,
+            )
             page.mouse.up()
-            page.wait_for_function(f"document.querySelector('[data-mark=edge]').innerText.includes('{words}')")
+            page.wait_for_function(
+                f"document.querySelector('[data-mark=edge]').innerText.includes('{words}')"
+            )
         assert page.locator("svg rect").count() == 1 and not page.errors
 
 
@@ -243,13 +301,20 @@ def test_the_error_is_mapped(chromium, address):
     dialog = marked(page, "error dialog")
     dialog.wait_for(timeout=60000)
     assert " rms, " in dialog.inner_text() and not page.errors
-    page.wait_for_function("document.querySelector('[data-mark=\"error dialog\"] img').naturalWidth === 320")
+    page.wait_for_function(
+        "document.querySelector('[data-mark=\"error dialog\"] img').naturalWidth === 320"
+    )
 
 
 def test_a_scene_that_moves_is_played_paused_and_stepped(chromium, tmp_path):
-    with serving(*SCENE, "--frames", "8", "--pan", "0,60", "--zoom", "1.3", folder=tmp_path) as (address, _):
+    with serving(*SCENE, "--frames", "8", "--pan", "0,60", "--zoom", "1.3", folder=tmp_path) as (
+        address,
+        _,
+    ):
         page = opened(chromium, address)
-        page.wait_for_function("new Set(gpusimPainted.map(one => one[1])).size === 8")  # all frames, again and again
+        page.wait_for_function(
+            "new Set(gpusimPainted.map(one => one[1])).size === 8"
+        )  # all frames, again and again
         before = version(page)
         marked(page, "live").click()
         newer(page, before)
@@ -260,7 +325,9 @@ def test_a_scene_that_moves_is_played_paused_and_stepped(chromium, tmp_path):
         assert page.evaluate("gpusimPainted.at(-1)[1]") == (at + 1) % 8
         page.keyboard.press(",")
         other = still(page)
-        assert page.evaluate("gpusimPainted.at(-1)[1]") == at and not np.array_equal(following, other)
+        assert page.evaluate("gpusimPainted.at(-1)[1]") == at and not np.array_equal(
+            following, other
+        )
         page.keyboard.press(".")
         assert np.array_equal(still(page), following)
         assert not page.errors
@@ -271,7 +338,9 @@ def test_clients_have_their_own_cameras(chromium, address):
     newer(one, number(one, "sensor.exposure_time_ms", 1))
     newer(other, number(other, "sensor.exposure_time_ms", 40))
     assert shown(one).mean() < 0.5 * shown(other).mean()
-    again = opened(chromium, one.url)  # the same address is the same client, as after a connection was lost
+    again = opened(
+        chromium, one.url
+    )  # the same address is the same client, as after a connection was lost
     assert abs(shown(again).mean() - shown(one).mean()) < 3
     one.context.set_offline(True)
     one.wait_for_timeout(500)
@@ -291,13 +360,25 @@ def test_a_phone_shows_the_page_without_scrolling_sideways(chromium, address):
 @pytest.mark.slow
 def test_the_pages_picture(chromium, tmp_path):
     """What the README shows; PREVIEW_PICTURE=bench/preview.png keeps it there."""
-    with serving("colorchecker", "--camera", "phone", "--size", "960x640", "--exposure", "30ms", "--device", "opencl",
-                 folder=tmp_path) as (address, _):
+    with serving(
+        "colorchecker",
+        "--camera",
+        "phone",
+        "--size",
+        "960x640",
+        "--exposure",
+        "30ms",
+        "--device",
+        "opencl",
+        folder=tmp_path,
+    ) as (address, _):
         page = opened(chromium, address)
         marked(page, "set B").click()
         newer(page, number(page, "sensor.exposure_time_ms", 12))
         page.mouse.move(*pointed(page, 0.4, 0.7))
-        page.wait_for_function("document.querySelector('[data-mark=pixel]').innerText.includes('SNR')")
+        page.wait_for_function(
+            "document.querySelector('[data-mark=pixel]').innerText.includes('SNR')"
+        )
         page.wait_for_timeout(2500)
         path = os.environ.get("PREVIEW_PICTURE", str(tmp_path / "page.png"))
         page.screenshot(path=path)
@@ -310,7 +391,12 @@ def test_the_pages_picture(chromium, tmp_path):
 
 def test_links_of_strangers_are_refused_in_a_line(chromium, address):
     page = chromium.new_page()
-    for link in ("{", json.dumps({"view": "moon"}), json.dumps({"changes": {"optics.secret": 1}}), "[" * 9000):
+    for link in (
+        "{",
+        json.dumps({"view": "moon"}),
+        json.dumps({"changes": {"optics.secret": 1}}),
+        "[" * 9000,
+    ):
         page.goto(f"{address}/?state={quote(link)}")
         page.get_by_text("link: not one of this preview's").wait_for(timeout=10000)
     page.close()

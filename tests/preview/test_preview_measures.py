@@ -53,11 +53,16 @@ def test_the_difference_of_a_checkers_patches():
     expected = []
     for y, x in colorchecker_patches((192, 128)):
         at = slice((y.start + y.stop) // 2, (y.start + y.stop) // 2 + 1), (x.start + x.stop) // 2
-        pair = [colour.XYZ_to_Lab(xyz[at][0], white)
-                for xyz in (other @ DISPLAY.xyz_from_rgb.T, true)]
+        pair = [
+            colour.XYZ_to_Lab(xyz[at][0], white) for xyz in (other @ DISPLAY.xyz_from_rgb.T, true)
+        ]
         expected.append(colour.delta_E(*pair, method="CIE 2000"))
-    assert checker.differences(other, 1.0, DISPLAY).mean() == pytest.approx(np.mean(expected), rel=1e-6)
-    assert checker.differences(2 * other, 2.0, DISPLAY).mean() == pytest.approx(np.mean(expected), rel=1e-6)
+    assert checker.differences(other, 1.0, DISPLAY).mean() == pytest.approx(
+        np.mean(expected), rel=1e-6
+    )
+    assert checker.differences(2 * other, 2.0, DISPLAY).mean() == pytest.approx(
+        np.mean(expected), rel=1e-6
+    )
     assert checker.differences(inside, 1.0, DISPLAY).mean() < 0.3 * np.mean(expected)
     assert checker_of(gs.chart("ramp", size=(192, 128))) is None and checker_of(scene) is not None
 
@@ -70,7 +75,10 @@ def test_a_map_of_errors():
     codes = error_map(mean, truth)
     rms = (200 / 24) ** 0.5
     part = min(10 / (SPAN * rms), 1)
-    assert codes[0, 0].tolist() == [int(128 * (1 - part) + 255 * part + 0.5), *[int(128 * (1 - part) + 0.5)] * 2]
+    assert codes[0, 0].tolist() == [
+        int(128 * (1 - part) + 255 * part + 0.5),
+        *[int(128 * (1 - part) + 0.5)] * 2,
+    ]
     assert codes[1, 1].tolist() == codes[0, 0].tolist()[::-1]
 
 
@@ -85,7 +93,11 @@ def test_the_error_of_a_producer_is_that_of_verify():
 def test_parts_of_a_frame():
     shape = 200, 320
     one = enlarged(None, 1, (100, 160), shape, 1000)
-    assert (one.times, one.cols, one.rows) == (4, 250, 156)  # 3.1 pixels of the screen along one of the frame: all
+    assert (one.times, one.cols, one.rows) == (
+        4,
+        250,
+        156,
+    )  # 3.1 pixels of the screen along one of the frame: all
     two = enlarged(one, 1, (100, 160), shape, 1000)
     assert two.times == 8 and abs(two.top + two.rows / 2 - 100) <= 1
     assert enlarged(two, -1, (100, 160), shape, 1000).times == 4
@@ -93,7 +105,9 @@ def test_parts_of_a_frame():
     assert enlarged(None, -1, (0, 0), shape, 1000) is None
     corner = enlarged(None, 1, (199, 319), shape, 1000)
     assert corner.top + corner.rows == 200 and corner.left + corner.cols == 320
-    assert corner.moved(10**6, -(10**6), shape) == Crop(200 - corner.rows, 0, corner.rows, corner.cols, 4)
+    assert corner.moved(10**6, -(10**6), shape) == Crop(
+        200 - corner.rows, 0, corner.rows, corner.cols, 4
+    )
     most = two
     for _ in range(9):
         most = enlarged(most, 1, (3, 3), shape, 1000)
@@ -108,33 +122,52 @@ def test_two_cameras_side_by_side():
     scene = gs.chart("colorchecker", size=(96, 64))
     producer = Producer(Still(scene, 1), open_device("opencl"))
     other = {"camera": "figure8", "changes": {}}
-    left, right = producer.picture(STATE, 3).codes, producer.picture(replace(STATE, **other), 3).codes
+    left, right = (
+        producer.picture(STATE, 3).codes,
+        producer.picture(replace(STATE, **other), 3).codes,
+    )
     both = producer.picture(replace(STATE, against=other, split=0.25), 3).codes
-    assert np.array_equal(both[:, :23], left[:, :23]) and np.array_equal(both[:, 25:], right[:, 25:])
+    assert np.array_equal(both[:, :23], left[:, :23]) and np.array_equal(
+        both[:, 25:], right[:, 25:]
+    )
     assert np.array_equal(producer.picture(STATE, 3).codes, left)
     link = replace(STATE, against=other).link()
     assert State.of_link(link, "phone").other == replace(STATE, **other)
     stranger = replace(STATE, against={"camera": "/etc/passwd.toml", "changes": {}}).link()
     assert State.of_link(stranger, "phone").other.camera == "phone"
-    for wrong in ('{"against": 3}', '{"against": {"camera": "phone", "changes": {"no": 1}}}', '{"split": 7}',
-                  '{"against": {"camera": "phone", "view": "raw", "changes": 4}}'):
+    for wrong in (
+        '{"against": 3}',
+        '{"against": {"camera": "phone", "changes": {"no": 1}}}',
+        '{"split": 7}',
+        '{"against": {"camera": "phone", "view": "raw", "changes": 4}}',
+    ):
         with pytest.raises(BadData, match="link"):
             State.of_link(wrong, "phone")
 
 
 def test_scenes_that_move_are_those_of_a_video():
     """Whichever frame is asked for after which other."""
-    scenes = Moving(Still(gs.chart("deadleaves", size=(96, 64)), 6), Motion((0.0, 40.0), 0.0, 1.4, 1.0, 1.0, 0), 1 / 30)
+    scenes = Moving(
+        Still(gs.chart("deadleaves", size=(96, 64)), 6),
+        Motion((0.0, 40.0), 0.0, 1.4, 1.0, 1.0, 0),
+        1 / 30,
+    )
     producer = Producer(scenes, open_device("opencl"), 1 / 30)
     assert producer.frames == 6
     for number in (0, 1, 2, 5, 1, 0):
         scene = next(scenes.between(number, number + 1))
-        assert np.array_equal(producer.picture(STATE, number).codes, gs.Simulator(
-            STATE.built(), device="opencl")(scene, frame=number).rgb)
-        assert np.array_equal(producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes)
+        assert np.array_equal(
+            producer.picture(STATE, number).codes,
+            gs.Simulator(STATE.built(), device="opencl")(scene, frame=number).rgb,
+        )
+        assert np.array_equal(
+            producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes
+        )
 
 
 def test_the_histogram_has_a_line_of_each_channel():
-    found = Producer(Still(gs.chart("ramp", size=(96, 64)), 1), open_device("opencl")).statistics(STATE, 0, (5, 7))
+    found = Producer(Still(gs.chart("ramp", size=(96, 64)), 1), open_device("opencl")).statistics(
+        STATE, 0, (5, 7)
+    )
     assert {*found["counts"]} == {*"RGB"} and histogram(found).count("<polyline") == 3
     assert found["pixel"]["row"] == 5 and sum(map(sum, found["counts"].values())) == 96 * 64

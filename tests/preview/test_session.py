@@ -64,6 +64,7 @@ class Client:
 
 def run(scenario):
     """A scenario of coroutines with a session and its client."""
+
     async def whole():
         session, client = Session(Fake(), STATE), Client()
         serving = asyncio.ensure_future(session.serve(client.send, client.acknowledged))
@@ -87,7 +88,9 @@ def test_a_picture_that_stands_still_comes_once_and_then_without_loss():
         image = np.asarray(Image.open(io.BytesIO(client.frames[1][3])))
         assert np.array_equal(image, session.shown.codes)
         await asyncio.sleep(0.5)
-        assert len(client.frames) == 2 and len(session.producer.made) == 1  # nothing is made that nobody waits for
+        assert (
+            len(client.frames) == 2 and len(session.producer.made) == 1
+        )  # nothing is made that nobody waits for
 
     run(scenario)
 
@@ -100,7 +103,9 @@ def test_what_stands_still_is_no_draft():
         assert session.shown.facts["draft"]
         await until(lambda: len(client.frames) == 4)
         assert not session.shown.facts["draft"] and client.frames[3][2] == module.PNG
-        session.set(replace(STATE, changes={"optics.f_number": 5.0}, is_live=True), "optics.f_number")
+        session.set(
+            replace(STATE, changes={"optics.f_number": 5.0}, is_live=True), "optics.f_number"
+        )
         await until(lambda: session.shown.facts["draft"])
         await until(lambda: not session.shown.facts["draft"])  # live noise has no end
 
@@ -120,6 +125,7 @@ def test_live_noise_has_a_new_number_each_time():
 
 def test_a_client_that_does_not_read_has_two_frames_in_flight():
     """One of live noise, and one of what was changed since."""
+
     async def scenario(session, client):
         session.set(replace(STATE, is_live=True))
         await asyncio.sleep(0.5)
@@ -149,20 +155,30 @@ def test_a_client_that_does_not_read_has_two_frames_in_flight():
 
 def test_the_newest_settings_win():
     """What is set while a picture is made is not made one after the other."""
+
     async def scenario(session, client):
         await until(lambda: client.frames)
         for k in range(200):
-            session.set(replace(STATE, changes={"sensor.analog_gain": 1 + k / 100}), "sensor.analog_gain")
+            session.set(
+                replace(STATE, changes={"sensor.analog_gain": 1 + k / 100}), "sensor.analog_gain"
+            )
         await until(lambda: client.frames[-1][1] == 200)
         assert len(session.producer.made) < 20
         assert session.producer.made[-1][0].changes["sensor.analog_gain"] == 1 + 199 / 100
-        assert session.history.undo() and session.state == STATE  # one slider's movements are one step
+        assert (
+            session.history.undo() and session.state == STATE
+        )  # one slider's movements are one step
 
     run(scenario)
 
 
-@pytest.mark.parametrize(("number", "words"), [(13, "optics.f_number = 13: unlucky"),
-                                               (14, "the device fails: the GPU has fallen off the bus")])
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (13, "optics.f_number = 13: unlucky"),
+        (14, "the device fails: the GPU has fallen off the bus"),
+    ],
+)
 def test_the_last_good_picture_stays(number, words):
     async def scenario(session, client):
         await until(lambda: len(client.frames) == 2)
@@ -186,12 +202,19 @@ def test_a_producer_makes_what_a_simulator_does():
     for _ in range(12):
         control = list(CONTROLS.values())[random.integers(len(CONTROLS))]
         table = camera_table("phone")[1]
-        value = (control.choices[random.integers(len(control.choices))] if control.choices else
-                 float(control.low + (control.high - control.low) * random.random() ** 3))
+        value = (
+            control.choices[random.integers(len(control.choices))]
+            if control.choices
+            else float(control.low + (control.high - control.low) * random.random() ** 3)
+        )
         if control.key == "object_distance_m":
             value = max(value, 0.2)
-        changed = replace(state, changes={**state.changes, control.name: value}, light=LIGHTS[random.integers(4)],
-                          luminance=float(random.integers(10, 1000)))
+        changed = replace(
+            state,
+            changes={**state.changes, control.name: value},
+            light=LIGHTS[random.integers(4)],
+            luminance=float(random.integers(10, 1000)),
+        )
         try:
             made = producer.picture(changed, 3)
         except GpusimError:
@@ -207,10 +230,17 @@ def test_a_producer_makes_what_a_simulator_does():
 
 def test_drafts_are_near_the_picture_and_leave_no_trace():
     scene = gs.chart("deadleaves", size=(320, 256))
-    producer, state = Producer(Still(scene, 1), open_device("opencl")), replace(STATE, tolerance="1e-3")
+    producer, state = (
+        Producer(Still(scene, 1), open_device("opencl")),
+        replace(STATE, tolerance="1e-3"),
+    )
     producer.picture(state, 0)
-    for name, value in (("optics.f_number", 2.2), ("optics.defocus_um", 3.0), ("optics.object_distance_m", 2.0),
-                        ("optics.zernike_waves.10", 0.02)):
+    for name, value in (
+        ("optics.f_number", 2.2),
+        ("optics.defocus_um", 3.0),
+        ("optics.object_distance_m", 2.0),
+        ("optics.zernike_waves.10", 0.02),
+    ):
         changed = replace(state, changes={"sensor.exposure_time_ms": 20.0, name: value})
         draft = producer.picture(changed, 3, drafts=True)
         assert draft.facts["draft"] and draft.facts["verdict"] is None
@@ -220,17 +250,24 @@ def test_drafts_are_near_the_picture_and_leave_no_trace():
 
 
 def test_saved_files_make_the_same_camera(tmp_path):
-    changes = {"optics.f_number": 2.8, "optics.zernike_waves.7": 0.2, "sensor.exposure_time_ms": "auto",
-               "optics.object_distance_m": float("inf"), "processor.shading": True}
+    changes = {
+        "optics.f_number": 2.8,
+        "optics.zernike_waves.7": 0.2,
+        "sensor.exposure_time_ms": "auto",
+        "optics.object_distance_m": float("inf"),
+        "processor.shading": True,
+    }
     state = State("phone", changes)
     (tmp_path / "camera.toml").write_text(state.toml())
     saved, own = open_camera(tmp_path / "camera.toml"), state.built()
     assert digest(saved) == digest(own) and saved.optics.wavefront.zernike[7] == 0.2
     # files that a camera names are found from anywhere
     (tmp_path / "qe.csv").write_text("wavelength_nm,Y\n400,0.5\n700,0.6\n")
-    (tmp_path / "own.toml").write_text('[optics]\nf_number = 2\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = 2\n'
-                                       'full_well_e = 5000\nbits = 10\n'
-                                       'qe = "qe.csv"\ncfa = ["Y"]\n[processor]\ncolor = "none"\n')
+    (tmp_path / "own.toml").write_text(
+        "[optics]\nf_number = 2\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = 2\n"
+        "full_well_e = 5000\nbits = 10\n"
+        'qe = "qe.csv"\ncfa = ["Y"]\n[processor]\ncolor = "none"\n'
+    )
     other = State(str(tmp_path / "own.toml"), {"optics.f_number": 5.6})
     (tmp_path / "far").mkdir()
     (tmp_path / "far" / "camera.toml").write_text(other.toml())
@@ -241,7 +278,15 @@ def test_a_link_has_all_settings():
     state = State("mono", {"noise.read_e": 3.5}, "A", 20.0, "1e-3", "noise", False, 7, 11)
     assert State.of_link(state.link(), "phone") == state
     assert State.of_link("{}", "phone") == State("phone")
-    for text in ("", "3", '{"view":"x"}', '{"seed":-1}', '{"seed":true,"x":1}', '{"changes":[1]}', "{" * 9000):
+    for text in (
+        "",
+        "3",
+        '{"view":"x"}',
+        '{"seed":-1}',
+        '{"seed":true,"x":1}',
+        '{"changes":[1]}',
+        "{" * 9000,
+    ):
         with pytest.raises(BadData, match=r"^link: not one of this preview's"):
             State.of_link(text, "phone")
     # nor does it read files
@@ -269,18 +314,29 @@ def test_every_control_is_of_a_camera_file():
             try:
                 camera_of(path, state.table())
             except GpusimError as error:
-                assert "unknown" not in str(error) and control.key.split("_")[0] in str(error), error
+                assert "unknown" not in str(error) and control.key.split("_")[0] in str(error), (
+                    error
+                )
         assert State("phone").value(control, table) is not None
     assert {*VIEWS} == {"rendered", "raw", "electrons", "noise"} and len(GROUPS) == 5
 
 
-@pytest.mark.parametrize(("heads", "is_own"), [
-    ({"host": "127.0.0.1:8080"}, True), ({"host": "localhost:9000"}, True), ({"host": "[::1]:80"}, True),
-    ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:8080"}, True),
-    ({"host": "evil.example:8080"}, False), ({}, False), ({"host": "127.0.0.1@evil.example"}, False),
-    ({"host": "127.0.0.1:8080", "origin": "http://evil.example"}, False), ({"host": "[::1"}, False),
-    ({"host": "127.0.0.1:8080", "origin": "null"}, False),
-    ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:9"}, False)])
+@pytest.mark.parametrize(
+    ("heads", "is_own"),
+    [
+        ({"host": "127.0.0.1:8080"}, True),
+        ({"host": "localhost:9000"}, True),
+        ({"host": "[::1]:80"}, True),
+        ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:8080"}, True),
+        ({"host": "evil.example:8080"}, False),
+        ({}, False),
+        ({"host": "127.0.0.1@evil.example"}, False),
+        ({"host": "127.0.0.1:8080", "origin": "http://evil.example"}, False),
+        ({"host": "[::1"}, False),
+        ({"host": "127.0.0.1:8080", "origin": "null"}, False),
+        ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:9"}, False),
+    ],
+)
 @pytest.mark.parametrize("kind", ["http", "websocket"])
 def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
     sent, entered = [], []
@@ -291,19 +347,28 @@ def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
     async def send(message):
         sent.append(message)
 
-    scope = {"type": kind, "headers": [(name.encode(), value.encode()) for name, value in heads.items()]}
+    scope = {
+        "type": kind,
+        "headers": [(name.encode(), value.encode()) for name, value in heads.items()],
+    }
     asyncio.run(Guard(inner)(scope, None, send))
     assert bool(entered) == is_own
     if not is_own:
         assert sent[0].get("status", sent[0].get("code")) in (403, 1008)
 
 
-@pytest.mark.parametrize(("asked", "words"), [
-    (["none.png"], "none.png"), (["moon"], "unknown scene 'moon'"),
-    (["flat", "--tolerance", "1e-7"], "unknown --tolerance of a preview '1e-7'"),
-    (["flat", "--port", "0"], "--port"), (["flat", "--f-number", "2", "--camera", "none"], "unknown camera 'none'"),
-    (["flat", "--host", "198.51.100.7"], "a free port of an address of this machine"),
-    (["flat", "--iso", "800"], "the gain of the page's slider")])
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["none.png"], "none.png"),
+        (["moon"], "unknown scene 'moon'"),
+        (["flat", "--tolerance", "1e-7"], "unknown --tolerance of a preview '1e-7'"),
+        (["flat", "--port", "0"], "--port"),
+        (["flat", "--f-number", "2", "--camera", "none"], "unknown camera 'none'"),
+        (["flat", "--host", "198.51.100.7"], "a free port of an address of this machine"),
+        (["flat", "--iso", "800"], "the gain of the page's slider"),
+    ],
+)
 def test_what_cannot_be_shown_is_said_in_a_line(asked, words, capsys):
     pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
     asked = asked if "--camera" in asked else [*asked, "--camera", "phone"]

@@ -18,8 +18,16 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    with serving("colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl",
-                 folder=tmp_path_factory.mktemp("preview")) as (found, _):
+    with serving(
+        "colorchecker",
+        "--camera",
+        "phone",
+        "--size",
+        "320x200",
+        "--device",
+        "opencl",
+        folder=tmp_path_factory.mktemp("preview"),
+    ) as (found, _):
         yield found
 
 
@@ -59,14 +67,19 @@ def test_other_names_of_this_address_get_no_picture(address):
     """As a page does whose name was bound to 127.0.0.1 after it was loaded."""
     port = int(address.rpartition(":")[2])
     with pytest.raises(InvalidStatus) as refused:
-        connect(f"ws://evil.example:{port}/picture/x", origin=f"http://evil.example:{port}",
-                sock=socket.create_connection(("127.0.0.1", port)))
+        connect(
+            f"ws://evil.example:{port}/picture/x",
+            origin=f"http://evil.example:{port}",
+            sock=socket.create_connection(("127.0.0.1", port)),
+        )
     assert refused.value.response.status_code == 403
 
 
 def test_an_unknown_token_gets_no_picture(address):
-    with pytest.raises((InvalidStatus, ConnectionClosed)), connect(
-            f"{address.replace('http', 'ws')}/picture/unknown", origin=address) as client:
+    with (
+        pytest.raises((InvalidStatus, ConnectionClosed)),
+        connect(f"{address.replace('http', 'ws')}/picture/unknown", origin=address) as client,
+    ):
         client.recv(timeout=10)
 
 
@@ -98,7 +111,9 @@ def test_garbage_ends_a_connection_and_nothing_else(address):
                         low, high = (0, 17) if random.random() < 0.999 else (17, 2**17)
                         size = int(random.integers(low, high))
                         data = random.bytes(size)
-                        client.send(data if random.random() < 0.5 else data.decode("latin1")[: size // 2])
+                        client.send(
+                            data if random.random() < 0.5 else data.decode("latin1")[: size // 2]
+                        )
                         sent += 1
                 except ConnectionClosed:
                     ended += 1

@@ -30,8 +30,14 @@ def error_of(light, spacings):
 
 def given(light):
     """Inputs of the stage: the light beyond nothing of its own."""
-    return (np.zeros(SHAPE, np.float32), light[None], ENERGIES[None, None], SIGMAS, np.zeros((1, 1), np.int32),
-            "reflect")
+    return (
+        np.zeros(SHAPE, np.float32),
+        light[None],
+        ENERGIES[None, None],
+        SIGMAS,
+        np.zeros((1, 1), np.int32),
+        "reflect",
+    )
 
 
 @cache
@@ -46,7 +52,9 @@ def test_a_wave_errs_as_its_frequency_says(halves, spacings):
     """A mirrored world has cosines of whole half waves as its own; their aliases add up in the mean square but where
     some of them are of one frequency, which may leave up to twice that, or nothing of one of a few.
     """
-    waves = [np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k, n in zip(halves, SHAPE, strict=True)]
+    waves = [
+        np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k, n in zip(halves, SHAPE, strict=True)
+    ]
     light = np.multiply.outer(*waves)
     found = np.sqrt(np.mean(error_of(light, spacings) ** 2) / np.mean(light**2))
     at = [np.array([k / 2 / n]) for k, n in zip(halves, SHAPE, strict=True)]
@@ -61,10 +69,18 @@ def pictures():
     """Light of several kinds, at least 0: noise, that of natural scenes' spectrum, ramps and edges."""
     random, (rows, cols) = np.random.default_rng(3), SHAPE
     noise = random.random(SHAPE)
-    natural = np.fft.irfft2(np.fft.rfft2(random.standard_normal(SHAPE)) / np.maximum(np.hypot(
-        np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)), 1 / rows), SHAPE)
-    return {"noise": noise, "natural": natural - natural.min(), "soft": gaussian_filter(noise, 3),
-            "ramp": np.tile(np.linspace(0.1, 1, cols), (rows, 1)), "edge": 1.0 * (np.indices(SHAPE).sum(axis=0) > 220)}
+    natural = np.fft.irfft2(
+        np.fft.rfft2(random.standard_normal(SHAPE))
+        / np.maximum(np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)), 1 / rows),
+        SHAPE,
+    )
+    return {
+        "noise": noise,
+        "natural": natural - natural.min(),
+        "soft": gaussian_filter(noise, 3),
+        "ramp": np.tile(np.linspace(0.1, 1, cols), (rows, 1)),
+        "edge": 1.0 * (np.indices(SHAPE).sum(axis=0) > 220),
+    }
 
 
 class Question:
@@ -83,7 +99,9 @@ def test_a_picture_errs_as_its_cosines_do(name, spacings):
     light = pictures()[name]
     power = dctn(light, norm="ortho") ** 2 / light.size
     at = [np.arange(n) / 2 / n for n in SHAPE]
-    expected = float(np.sqrt((power * misses(SHAPE, SIGMAS, ENERGIES[None], spacings, *at)[0]).sum()))
+    expected = float(
+        np.sqrt((power * misses(SHAPE, SIGMAS, ENERGIES[None], spacings, *at)[0]).sum())
+    )
     found = float(np.sqrt(np.mean(error_of(light, spacings) ** 2)))
     print(f"{name}, {spacings}: {found:.2e}, predicted {expected:.2e}")
     assert expected / 1.5 - FLOAT < found < 1.5 * expected + FLOAT

@@ -16,11 +16,23 @@ from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.learned import learned
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*scipy.ndimage.filters:DeprecationWarning")  # colour-demosaicing's
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.*scipy.ndimage.filters:DeprecationWarning"
+)  # colour-demosaicing's
 TWELVE_BITS = {"black_level": 0.0, "scale": 1 / 4096}
-OPTIONS = [{}, {"domain": "linear"}, {"noise": (2.0, 5.0)}, {"domain": "linear", "noise": (2.0, 5.0), "blur": 0.5}]
+OPTIONS = [
+    {},
+    {"domain": "linear"},
+    {"noise": (2.0, 5.0)},
+    {"domain": "linear", "noise": (2.0, 5.0), "blur": 0.5},
+]
 NAMES = ["root", "linear", "root, noise", "linear, noise, blur"]
-ENCODED = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / 255, "domain": "linear"}  # an 8-bit photograph
+ENCODED = {
+    "phase": "RGGB",
+    "black_level": 0.0,
+    "scale": 1 / 255,
+    "domain": "linear",
+}  # an 8-bit photograph
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
@@ -33,11 +45,18 @@ def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
     raw = noise(62, 74)
     straight = best(raw, phase="RGGB", **TWELVE_BITS, **options, device=device)
     tolerance = 1e-12 if device == "numpy" else 0
-    for turned, phase, back in ((raw[:, ::-1], "GRBG", np.s_[:, :, ::-1]), (raw[::-1], "GBRG", np.s_[:, ::-1]),
-                                (raw[::-1, ::-1], "BGGR", np.s_[:, ::-1, ::-1])):
-        picture = best(np.ascontiguousarray(turned), phase=phase, **TWELVE_BITS, **options, device=device)
+    for turned, phase, back in (
+        (raw[:, ::-1], "GRBG", np.s_[:, :, ::-1]),
+        (raw[::-1], "GBRG", np.s_[:, ::-1]),
+        (raw[::-1, ::-1], "BGGR", np.s_[:, ::-1, ::-1]),
+    ):
+        picture = best(
+            np.ascontiguousarray(turned), phase=phase, **TWELVE_BITS, **options, device=device
+        )
         np.testing.assert_allclose(picture[back], straight, rtol=0, atol=tolerance)
-    transposed = best(np.ascontiguousarray(raw.T), phase="RGGB", **TWELVE_BITS, **options, device=device)
+    transposed = best(
+        np.ascontiguousarray(raw.T), phase="RGGB", **TWELVE_BITS, **options, device=device
+    )
     np.testing.assert_allclose(transposed.transpose(0, 2, 1), straight, rtol=0, atol=tolerance)
 
 
@@ -48,15 +67,21 @@ def test_border_is_the_mirrored_mosaic(options, device):
     for rows, cols in ((2, 2), (2, 5), (3, 4), (17, 20), (33, 38)):
         raw = noise(rows, cols)
         alone = best(raw, phase="GRBG", **TWELVE_BITS, **options, device=device)
-        wide = best(np.pad(raw, 20, mode="reflect"), phase="GRBG", **TWELVE_BITS, **options, device=device)
-        np.testing.assert_allclose(alone, wide[:, 20:-20, 20:-20], rtol=0, atol=1e-12 if device == "numpy" else 0)
+        wide = best(
+            np.pad(raw, 20, mode="reflect"), phase="GRBG", **TWELVE_BITS, **options, device=device
+        )
+        np.testing.assert_allclose(
+            alone, wide[:, 20:-20, 20:-20], rtol=0, atol=1e-12 if device == "numpy" else 0
+        )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_red_and_blue_are_treated_alike(device):
     raw = noise(20, 21)
-    np.testing.assert_array_equal(best(raw, phase="RGGB", **TWELVE_BITS, device=device)[::-1],
-                                  best(raw, phase="BGGR", **TWELVE_BITS, device=device))
+    np.testing.assert_array_equal(
+        best(raw, phase="RGGB", **TWELVE_BITS, device=device)[::-1],
+        best(raw, phase="BGGR", **TWELVE_BITS, device=device),
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -65,15 +90,24 @@ def test_brightness_does_not_matter(device):
     raw = noise(20, 21)
     for four_times, once in (({}, {}), ({"noise": (8.0, 20.0)}, {"noise": (2.0, 5.0)})):
         np.testing.assert_array_equal(
-            best(4 * raw, phase="GRBG", black_level=0.0, scale=1 / 16384, **four_times, device=device),
-            best(raw, phase="GRBG", black_level=0.0, scale=1 / 4096, **once, device=device))
+            best(
+                4 * raw, phase="GRBG", black_level=0.0, scale=1 / 16384, **four_times, device=device
+            ),
+            best(raw, phase="GRBG", black_level=0.0, scale=1 / 4096, **once, device=device),
+        )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_flat_field_stays_flat_at_any_size(device):
     for shape in ((1, 1), (1, 6), (7, 1), (2, 2), (2, 5), (3, 5), (33, 38)):
         for phase in RED:
-            out = best(np.full(shape, 700, np.uint16), phase=phase, black_level=64.0, scale=1 / 959, device=device)
+            out = best(
+                np.full(shape, 700, np.uint16),
+                phase=phase,
+                black_level=64.0,
+                scale=1 / 959,
+                device=device,
+            )
             # Root, quotients, blends, square: below 16 roundings of 2^-24.
             np.testing.assert_allclose(out, 636 / 959, rtol=1e-6)
 
@@ -83,19 +117,26 @@ def test_measured_samples_are_kept(device):
     for phase, options in product(RED, ({}, {"domain": "linear"}, {"blur": 1.0})):
         raw = noise(33, 35)
         out = best(raw, phase=phase, **TWELVE_BITS, **options, device=device)
-        np.testing.assert_array_equal(4096 * mosaic(np.moveaxis(out, 0, 2), phase), raw)  # a power of two: exact
+        np.testing.assert_array_equal(
+            4096 * mosaic(np.moveaxis(out, 0, 2), phase), raw
+        )  # a power of two: exact
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_colored_planes_are_exact(device):
     """Three unrelated linear ramps: no bends, so the gains are 1, the differences linear and their means exact."""
     y, x = np.mgrid[:60, :64]
-    image = np.stack([300 + 7 * x + 3 * y, 900 - 5 * x + 2 * y, 400 + 4 * x + 9 * y], 2).astype(np.uint16)
+    image = np.stack([300 + 7 * x + 3 * y, 900 - 5 * x + 2 * y, 400 + 4 * x + 9 * y], 2).astype(
+        np.uint16
+    )
     for phase in RED:
         out = best(mosaic(image, phase), phase=phase, **TWELVE_BITS, domain="linear", device=device)
         # Away from the mirrored border, whose bend reaches 14 pixels in. 48 roundings of codes below 1.
-        np.testing.assert_allclose(out[:, 14:-14, 14:-14], np.moveaxis(image / 4096, 2, 0)[:, 14:-14, 14:-14],
-                                   atol=48 * 2.0**-24)
+        np.testing.assert_allclose(
+            out[:, 14:-14, 14:-14],
+            np.moveaxis(image / 4096, 2, 0)[:, 14:-14, 14:-14],
+            atol=48 * 2.0**-24,
+        )
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -131,8 +172,15 @@ def test_noise_of_a_flat_field_falls_and_its_mean_stays(electrons, domain):
     field = random.poisson(electrons, (128, 128)) + random.normal(0, 2, (128, 128))
     raw = np.round(50 + 4 * field).clip(0).astype(np.uint16)
     white = 10000  # electrons
-    result = white * best(raw, phase="RGGB", black_level=50.0, scale=0.25 / white, noise=(4.0, 8.0), domain=domain,
-                          device="opencl")
+    result = white * best(
+        raw,
+        phase="RGGB",
+        black_level=50.0,
+        scale=0.25 / white,
+        noise=(4.0, 8.0),
+        domain=domain,
+        device="opencl",
+    )
     variance = electrons + 4
     assert abs(result.mean() - field.mean()) < 0.1 + 8 * np.sqrt(variance / field.size)
     assert result.var() < variance / 2
@@ -152,8 +200,15 @@ def test_dark_greys_have_no_cast(electrons, read, balance):
     means = electrons / np.array([balance[0], 1.0, balance[1]])
     light = np.tile([[means[0], means[1]], [means[1], means[2]]], (size // 2, size // 2))
     raw = black + gain * (random.poisson(light) + read * random.standard_normal(light.shape))
-    planes = white * best(np.round(raw).astype(np.uint16), phase="RGGB", black_level=black, scale=1 / (gain * white),
-                          noise=(gain, gain * read), balance=balance, device="opencl").astype(float)
+    planes = white * best(
+        np.round(raw).astype(np.uint16),
+        phase="RGGB",
+        black_level=black,
+        scale=1 / (gain * white),
+        noise=(gain, gain * read),
+        balance=balance,
+        device="opencl",
+    ).astype(float)
     for plane, mean, share in zip(planes, means, (4, 2, 4), strict=True):
         assert abs(plane.mean() - mean) < 4 * np.sqrt((mean + read**2) * share) / size
 
@@ -168,11 +223,25 @@ def test_drawing_keeps_the_mean_of_measured_samples(mean, read):
     random = np.random.default_rng(9)
     field = random.poisson(mean, (1024, 1024)) + read * random.standard_normal((1024, 1024))
     raw = np.round(200 + 4 * field).astype(np.uint16)
-    out = 4000 * best(raw, phase="RGGB", black_level=200.0, scale=1 / 16000, noise=(4.0, 4.0 * read),
-                      device="opencl").astype(float)
+    out = 4000 * best(
+        raw,
+        phase="RGGB",
+        black_level=200.0,
+        scale=1 / 16000,
+        noise=(4.0, 4.0 * read),
+        device="opencl",
+    ).astype(float)
     exact = (raw - 200.0) / 4
-    for plane, site in ((0, np.s_[::2, ::2]), (1, np.s_[::2, 1::2]), (1, np.s_[1::2, ::2]), (2, np.s_[1::2, 1::2])):
-        assert abs(out[plane][site].mean() - exact[site].mean()) < 4 * 0.55 * np.sqrt(mean + read**2) / 512
+    for plane, site in (
+        (0, np.s_[::2, ::2]),
+        (1, np.s_[::2, 1::2]),
+        (1, np.s_[1::2, ::2]),
+        (2, np.s_[1::2, 1::2]),
+    ):
+        assert (
+            abs(out[plane][site].mean() - exact[site].mean())
+            < 4 * 0.55 * np.sqrt(mean + read**2) / 512
+        )
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
@@ -181,15 +250,21 @@ def test_gpu_form_is_the_cpu_form(options):
 
     GPUs may divide otherwise (native_divide): there the stage's cases compare them with the reference.
     """
-    device = next(device for device in map(open_device, DEVICES) if device.kind == "opencl" and not device.is_gpu)
+    device = next(
+        device
+        for device in map(open_device, DEVICES)
+        if device.kind == "opencl" and not device.is_gpu
+    )
     gpu = OpenCLDevice(device.cl_device, "opencl, GPU form")
     gpu.is_gpu = True
     cpu = OpenCLDevice(device.cl_device, "opencl, CPU form")
     cpu.is_gpu = False
     raw = noise(300, 131)  # several strips
     for phase in ("RGGB", "GBRG"):
-        np.testing.assert_array_equal(best(raw, phase=phase, **TWELVE_BITS, **options, device=gpu),
-                                      best(raw, phase=phase, **TWELVE_BITS, **options, device=cpu))
+        np.testing.assert_array_equal(
+            best(raw, phase=phase, **TWELVE_BITS, **options, device=gpu),
+            best(raw, phase=phase, **TWELVE_BITS, **options, device=cpu),
+        )
 
 
 def test_wrong_input_is_refused():
@@ -197,11 +272,22 @@ def test_wrong_input_is_refused():
     for name, value in (("phase", "RGBG"), ("domain", "log")):
         with pytest.raises(UnknownName):
             best(noise(4, 4), **{**options, name: value})
-    for bad in (np.ones((4, 4), np.float32), np.ones((3, 4, 4), np.uint16), np.ones((0, 4), np.uint16)):
+    for bad in (
+        np.ones((4, 4), np.float32),
+        np.ones((3, 4, 4), np.uint16),
+        np.ones((0, 4), np.uint16),
+    ):
         with pytest.raises(BadData):
             best(bad, **options)
-    for name, value in (("scale", 0.0), ("blur", -0.1), ("blur", np.nan), ("blur", np.inf), ("noise", (-1.0, 0.0)),
-                        ("noise", (1.0, np.nan)), ("noise", (np.inf, 1.0))):
+    for name, value in (
+        ("scale", 0.0),
+        ("blur", -0.1),
+        ("blur", np.nan),
+        ("blur", np.inf),
+        ("noise", (-1.0, 0.0)),
+        ("noise", (1.0, np.nan)),
+        ("noise", (np.inf, 1.0)),
+    ):
         with pytest.raises(OutOfRange):
             best(noise(4, 4), **{**options, name: value})
 
@@ -244,9 +330,14 @@ def captured(image, *, electrons=None, blur=0.0, seed=0, methods=(bilinear, best
     raw = np.clip(np.round(numbers), 0, 65535).astype(np.uint16)
     quality = []
     for method in methods:
-        options = known if method is best else {key: known[key] for key in ("noise",) if key in known and
-                                                method is learned}
-        rgb = method(raw, phase="RGGB", black_level=black, scale=1 / white, **options, device="opencl")
+        options = (
+            known
+            if method is best
+            else {key: known[key] for key in ("noise",) if key in known and method is learned}
+        )
+        rgb = method(
+            raw, phase="RGGB", black_level=black, scale=1 / white, **options, device="opencl"
+        )
         quality.append(cpsnr(codes(np.moveaxis(rgb.astype(np.float64), 0, 2)), codes(linear)))
     return quality
 
@@ -268,7 +359,9 @@ def test_never_below_bilinear(shared_data, folder):
 def test_quality_on_one_photograph(shared_data, folder):
     """Its first pictures are the hard ones: sharp, the adaptive stage is surpassed by .3 dB, blurred by .5 dB."""
     image = next(photographs(shared_data / folder))
-    sharp = cpsnr(255 * np.moveaxis(adaptive(mosaic(image), **ENCODED, device="opencl"), 0, 2), image)
+    sharp = cpsnr(
+        255 * np.moveaxis(adaptive(mosaic(image), **ENCODED, device="opencl"), 0, 2), image
+    )
     assert encoded_quality(image) > sharp + 0.3
     soft, ours = captured(image, blur=0.8, methods=(adaptive, best))
     assert ours > soft + 0.5
@@ -284,15 +377,22 @@ def test_read_noise_alone_keeps_the_root():
     image = np.full((160, 160, 3), 128.0)
     for _ in range(400):
         row, col = random.uniform(0, 160, 2)
-        image[np.hypot(y - row, x - col) < random.uniform(3, 15)] = 255 * random.uniform(0, 1, 3) ** 2
+        image[np.hypot(y - row, x - col) < random.uniform(3, 15)] = (
+            255 * random.uniform(0, 1, 3) ** 2
+        )
     linear = light(image)
     for read in (0.0, 1e-10, 1e-6, 1e-3, 1e-2, 0.03):
         samples = mosaic(linear) + read * random.standard_normal((160, 160))
         raw = np.clip(np.rint(4000 + 40000 * samples), 0, 65535).astype(np.uint16)
         options = {"phase": "RGGB", "black_level": 4000.0, "scale": 1 / 40000, "device": "opencl"}
-        quality = [cpsnr(codes(np.moveaxis(picture.astype(float), 0, 2)), codes(linear)) for picture in (
-            adaptive(raw, **options), best(raw, **options), *(best(raw, noise=(40000 * gain, 40000 * read), **options)
-                                                              for gain in (0.0, 1e-8)))]
+        quality = [
+            cpsnr(codes(np.moveaxis(picture.astype(float), 0, 2)), codes(linear))
+            for picture in (
+                adaptive(raw, **options),
+                best(raw, **options),
+                *(best(raw, noise=(40000 * gain, 40000 * read), **options) for gain in (0.0, 1e-8)),
+            )
+        ]
         assert min(quality[2:]) > quality[0], read
         if read < 1e-5:  # its assumed noise, .16 (read / 20)^.5 of a code's scale, is below a 255th
             np.testing.assert_allclose(quality[2:], quality[1], atol=0.01)
@@ -303,12 +403,18 @@ def test_read_noise_alone_keeps_the_root():
 def test_never_below_bilinear_at_any_noise_or_blur(shared_data, folder):
     gains = {}
     for electrons, blur in product((5, 20, 100, 1000, None), (0.0, 0.5, 0.8, 1.2, 2.0)):
-        results = np.array([captured(image[60:444, 60:444], electrons=electrons, blur=blur, seed=number)
-                            for number, image in enumerate(photographs(shared_data / folder))])
+        results = np.array(
+            [
+                captured(image[60:444, 60:444], electrons=electrons, blur=blur, seed=number)
+                for number, image in enumerate(photographs(shared_data / folder))
+            ]
+        )
         gains[electrons, blur] = (results[:, 1] - results[:, 0]).min()
         plain, ours = results.mean(0)
-        print(f"{folder} {electrons} e- blur {blur}: bilinear {plain:.2f}, best {ours:.2f} dB; "
-              f"least gain of a picture {gains[electrons, blur]:.2f}")
+        print(
+            f"{folder} {electrons} e- blur {blur}: bilinear {plain:.2f}, best {ours:.2f} dB; "
+            f"least gain of a picture {gains[electrons, blur]:.2f}"
+        )
     assert min(gains.values()) > 0
 
 
@@ -316,8 +422,13 @@ def test_never_below_bilinear_at_any_noise_or_blur(shared_data, folder):
 @pytest.mark.parametrize("folder", ["kodak", "mcm"])
 def test_blurred_it_surpasses_the_adaptive_stage(shared_data, folder):
     """Gaussian blur of 0.8 pixel on linear light, no noise: 0.5 dB over soft Hamilton-Adams in the same domain."""
-    soft, ours = np.mean([captured(image, blur=0.8, methods=(adaptive, best))
-                          for image in photographs(shared_data / folder)], axis=0)
+    soft, ours = np.mean(
+        [
+            captured(image, blur=0.8, methods=(adaptive, best))
+            for image in photographs(shared_data / folder)
+        ],
+        axis=0,
+    )
     print(f"{folder}, blur 0.8: adaptive {soft:.2f}, best {ours:.2f} dB")
     assert ours > soft + 0.5
 
@@ -328,9 +439,15 @@ def test_quality_against_menon(shared_data, folder, gain):
     """Constants were chosen on the first, third, fifth .. picture of each set: both halves must hold."""
     from colour_demosaicing import demosaicing_CFA_Bayer_Menon2007
 
-    results = np.array([[encoded_quality(image),
-                         cpsnr(demosaicing_CFA_Bayer_Menon2007(mosaic(image).astype(float)), image)]
-                        for image in photographs(shared_data / folder)])
+    results = np.array(
+        [
+            [
+                encoded_quality(image),
+                cpsnr(demosaicing_CFA_Bayer_Menon2007(mosaic(image).astype(float)), image),
+            ]
+            for image in photographs(shared_data / folder)
+        ]
+    )
     for name, half in (("chosen on", results[::2]), ("held out", results[1::2])):
         ours, menon = half.mean(0)
         print(f"{folder}, {name} ({len(half)}): best {ours:.2f}, Menon {menon:.2f} dB")

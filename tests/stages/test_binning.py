@@ -21,7 +21,14 @@ XTRANS = mosaic("GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG")
 RGBW = mosaic("RWGW", "WRWG", "GWBW", "WGWB")
 MONO = mosaic("R")
 STRIPES = mosaic("RGB")
-MOSAICS = {"bayer": BAYER, "quad": QUAD, "xtrans": XTRANS, "rgbw": RGBW, "mono": MONO, "stripes": STRIPES}
+MOSAICS = {
+    "bayer": BAYER,
+    "quad": QUAD,
+    "xtrans": XTRANS,
+    "rgbw": RGBW,
+    "mono": MONO,
+    "stripes": STRIPES,
+}
 
 
 def painted(cfa, rows, cols):
@@ -30,18 +37,29 @@ def painted(cfa, rows, cols):
 
 
 def test_cells_of_one_colour_become_pixels_of_the_coarse_mosaic():
-    for cfa, binning, coarse in ((QUAD, (2, 2), BAYER), (np.repeat(np.repeat(XTRANS, 3, 0), 2, 1), (3, 2), XTRANS),
-                                 (QUAD, (2, 1), mosaic("RRGG", "GGBB")), (MONO, (3, 5), MONO),
-                                 (np.zeros((2, 2), int), (3, 3), MONO), (STRIPES, (4, 1), STRIPES)):
+    for cfa, binning, coarse in (
+        (QUAD, (2, 2), BAYER),
+        (np.repeat(np.repeat(XTRANS, 3, 0), 2, 1), (3, 2), XTRANS),
+        (QUAD, (2, 1), mosaic("RRGG", "GGBB")),
+        (MONO, (3, 5), MONO),
+        (np.zeros((2, 2), int), (3, 3), MONO),
+        (STRIPES, (4, 1), STRIPES),
+    ):
         stride, new = binned(cfa, binning)
         assert stride == (1, 1)
         assert new.tolist() == coarse.tolist()
 
 
 def test_other_mosaics_stay_and_their_period_is_the_stride():
-    for cfa, binning, stride in ((BAYER, (2, 2), (2, 2)), (BAYER, (3, 3), (2, 2)), (XTRANS, (2, 2), (6, 6)),
-                                 (QUAD, (3, 3), (4, 4)), (RGBW, (2, 2), (4, 4)), (STRIPES, (2, 2), (1, 3)),
-                                 (np.tile(BAYER, (2, 4)), (2, 2), (2, 2))):
+    for cfa, binning, stride in (
+        (BAYER, (2, 2), (2, 2)),
+        (BAYER, (3, 3), (2, 2)),
+        (XTRANS, (2, 2), (6, 6)),
+        (QUAD, (3, 3), (4, 4)),
+        (RGBW, (2, 2), (4, 4)),
+        (STRIPES, (2, 2), (1, 3)),
+        (np.tile(BAYER, (2, 4)), (2, 2), (2, 2)),
+    ):
         found, new = binned(cfa, binning)
         assert found == stride
         assert new.tolist() == shortest_period(cfa).tolist()
@@ -57,7 +75,9 @@ def test_a_binned_pixel_holds_the_light_of_its_own_colour_alone(name, binning):
     colors = 7.0 ** painted(cfa, rows, cols)
     result = bin(colors.astype(np.float32), binning=binning, stride=stride, device="numpy")
     assert result.shape == (2 * stride[0], 2 * stride[1])
-    np.testing.assert_array_equal(result, binning[0] * binning[1] * 7.0 ** painted(new, *result.shape))
+    np.testing.assert_array_equal(
+        result, binning[0] * binning[1] * 7.0 ** painted(new, *result.shape)
+    )
 
 
 def brute(pixels, binning, stride):
@@ -67,7 +87,9 @@ def brute(pixels, binning, stride):
     out = np.zeros((rows, cols), int)
     for y, x in np.ndindex(rows, cols):
         for j, i in np.ndindex(by, bx):
-            out[y, x] += int(pixels[y // sy * sy * by + y % sy + sy * j, x // sx * sx * bx + x % sx + sx * i])
+            out[y, x] += int(
+                pixels[y // sy * sy * by + y % sy + sy * j, x // sx * sx * bx + x % sx + sx * i]
+            )
     return out
 
 
@@ -76,7 +98,13 @@ def brute(pixels, binning, stride):
 def test_odd_sizes_leave_the_rest_out(rows, cols, device):
     """Against a plain loop; charges are whole numbers below 2^24, so their sums are exact in any order."""
     random = np.random.default_rng(rows)
-    for binning, stride in (((2, 2), (2, 2)), ((3, 3), (2, 2)), ((2, 2), (1, 1)), ((2, 2), (6, 6)), ((5, 2), (3, 2))):
+    for binning, stride in (
+        ((2, 2), (2, 2)),
+        ((3, 3), (2, 2)),
+        ((2, 2), (1, 1)),
+        ((2, 2), (6, 6)),
+        ((5, 2), (3, 2)),
+    ):
         pixels = random.integers(0, 65536, (rows, cols), np.uint16)
         if rows < binning[0] * stride[0] or cols < binning[1] * stride[1]:
             continue  # less than a block: another test
@@ -99,13 +127,21 @@ def test_all_phases_by_mirror_images(device):
             mirrored = bin(np.flip(frame, axes), binning=binning, stride=stride, device=device)
             np.testing.assert_array_equal(np.flip(mirrored, axes), result)
     turned = bin(frame.T, binning=(2, 2), stride=(2, 2), device=device)
-    np.testing.assert_array_equal(turned.T, bin(frame, binning=(2, 2), stride=(2, 2), device=device))
+    np.testing.assert_array_equal(
+        turned.T, bin(frame, binning=(2, 2), stride=(2, 2), device=device)
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_charge_is_conserved(device):
     charges = np.random.default_rng(2).uniform(0, 1e4, (96, 120)).astype(np.float32)
-    for binning, stride in (((2, 2), (2, 2)), ((3, 3), (2, 2)), ((8, 2), (1, 1)), ((2, 2), (6, 6)), ((4, 3), (4, 2))):
+    for binning, stride in (
+        ((2, 2), (2, 2)),
+        ((3, 3), (2, 2)),
+        ((8, 2), (1, 1)),
+        ((2, 2), (6, 6)),
+        ((4, 3), (4, 2)),
+    ):
         result = bin(charges, binning=binning, stride=stride, device=device)
         assert result.size * binning[0] * binning[1] == charges.size
         # by - 1 and bx - 1 additions of positive numbers, each rounds by half an ulp
@@ -136,23 +172,35 @@ def test_means_round_to_nearest_halves_to_even(binning, device):
     n = binning[0] * binning[1]
     for low in (0, 1, 32767, 65533, 65534):
         blocks = low + (np.arange(n)[None] < np.arange(n + 1)[:, None])  # (n + 1, n)
-        frame = blocks.reshape(n + 1, *binning).transpose(1, 0, 2).reshape(binning[0], -1).astype(np.uint16)
-        wanted = [round(low + Fraction(m, n)) for m in range(n + 1)]  # Python's round: halves to even
+        frame = (
+            blocks.reshape(n + 1, *binning)
+            .transpose(1, 0, 2)
+            .reshape(binning[0], -1)
+            .astype(np.uint16)
+        )
+        wanted = [
+            round(low + Fraction(m, n)) for m in range(n + 1)
+        ]  # Python's round: halves to even
         assert bin(frame, binning=binning, average=True, device=device).tolist() == [wanted]
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_means_of_numbers_have_no_bias(device):
     numbers = np.random.default_rng(4).integers(0, 1024, (1024, 1024), np.uint16)
-    error = bin(numbers, binning=(2, 2), stride=(2, 2), average=True, device=device).mean() - numbers.mean()
+    error = (
+        bin(numbers, binning=(2, 2), stride=(2, 2), average=True, device=device).mean()
+        - numbers.mean()
+    )
     # quarters round by 0, -1/4, +-1/2, 1/4: variance 3/32 each; five sigma. Halves upward would be off by 1/8.
     assert abs(error) < 5 * np.sqrt(3 / 32 / (numbers.size / 4))
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_sums_of_numbers_stop_at_the_largest(device):
-    frame = np.array([[16383, 16384, 16384, 16384, 65535, 65535], [16384, 16384, 16384, 16384, 65535, 65535]],
-                     np.uint16)
+    frame = np.array(
+        [[16383, 16384, 16384, 16384, 65535, 65535], [16384, 16384, 16384, 16384, 65535, 65535]],
+        np.uint16,
+    )
     assert bin(frame, binning=(2, 2), device=device).tolist() == [[65535, 65535, 65535]]
     frame[0, 0] -= 1
     assert bin(frame, binning=(2, 2), device=device).tolist() == [[65534, 65535, 65535]]

@@ -46,7 +46,9 @@ def test_single_precision_errs_only_where_the_highlight_reaches(device):
     loud = convolve(plane[None], kernel[None], "edge", device=device)[0]
     far = np.ones(plane.shape, bool)
     far[30 - 7 : 30 + 8, 40 - 7 : 40 + 8] = False
-    assert np.array_equal(quiet[far], loud[far])  # other pixels' sums have the same terms in the same order
+    assert np.array_equal(
+        quiet[far], loud[far]
+    )  # other pixels' sums have the same terms in the same order
     expected = truth(plane, kernel, "edge")
     # 225 positive terms, random roundings of 6e-8 with 4 sigma: 4 sqrt(225) 6e-8
     assert np.abs(loud / expected - 1).max() <= 3.6e-6
@@ -66,14 +68,19 @@ def test_energy_and_flat_fields(device, precision):
     point[0, 20, 35] = 1
     result = convolve(point, kernel[None], "zero", precision, device=device)
     assert abs(result.sum(dtype=float) - 1) <= 1e-6  # as above: each pixel has one term
-    assert np.allclose(result[0, 13:28, 28:43], kernel, rtol=2e-7, atol=0)  # two roundings to float32; not mirrored
+    assert np.allclose(
+        result[0, 13:28, 28:43], kernel, rtol=2e-7, atol=0
+    )  # two roundings to float32; not mirrored
 
 
 @pytest.mark.parametrize("device", KINDS)
 def test_each_plane_its_own_kernel_of_unequal_sides(device):
     planes = random.random((3, 37, 50), np.float32)
     kernels = random.random((3, 9, 21)) / 189
-    for precision, tolerance in (("single", 4 * np.sqrt(189) * 6e-8), ("double", 1e-7)):  # as in the stage's cases
+    for precision, tolerance in (
+        ("single", 4 * np.sqrt(189) * 6e-8),
+        ("double", 1e-7),
+    ):  # as in the stage's cases
         result = convolve(planes, kernels, "reflect", precision, device=device)
         for out, plane, kernel in zip(result, planes, kernels, strict=True):
             expected = truth(plane, kernel, "reflect")
@@ -81,15 +88,18 @@ def test_each_plane_its_own_kernel_of_unequal_sides(device):
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("kernels, words", [
-    (np.ones((1, 0, 3)), ["(1, 0, 3)", "zero"]),
-    (np.ones((1, 4, 3)), ["4 x 3", "odd"]),
-    (np.ones((2, 3, 3)), ["2 kernels for 3 planes"]),
-    (np.ones((1, 23, 3)), ["23 x 3", "20 x 30"]),
-    (np.full((1, 3, 3), np.nan), ["nan", "(0, 0)"]),
-    (np.full((1, 3, 3), -np.inf), ["inf"]),
-    (np.ones((3, 3)), ["(3, 3)"]),
-])
+@pytest.mark.parametrize(
+    "kernels, words",
+    [
+        (np.ones((1, 0, 3)), ["(1, 0, 3)", "zero"]),
+        (np.ones((1, 4, 3)), ["4 x 3", "odd"]),
+        (np.ones((2, 3, 3)), ["2 kernels for 3 planes"]),
+        (np.ones((1, 23, 3)), ["23 x 3", "20 x 30"]),
+        (np.full((1, 3, 3), np.nan), ["nan", "(0, 0)"]),
+        (np.full((1, 3, 3), -np.inf), ["inf"]),
+        (np.ones((3, 3)), ["(3, 3)"]),
+    ],
+)
 def test_kernels_that_cannot_be_used_are_refused_with_the_figures(device, kernels, words):
     with pytest.raises(BadData) as caught:
         convolve(np.ones((3, 20, 30), np.float32), kernels, device=device)

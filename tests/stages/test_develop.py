@@ -32,11 +32,17 @@ def mosaic(rows, cols, seed=3):
 def electrons(rows, cols):
     """Below black, above the converter's range, and on its steps and halfway between them."""
     values = np.random.default_rng(4).uniform(-400, 5000, (rows, cols)).astype(np.float32)
-    return np.where(values < 1000, (np.round(values) / 2 - np.float32(CONVERTER[1])) / np.float32(CONVERTER[0]), values)
+    return np.where(
+        values < 1000,
+        (np.round(values) / 2 - np.float32(CONVERTER[1])) / np.float32(CONVERTER[0]),
+        values,
+    )
 
 
 def one_by_one(raw, phase, device, edges=SRGB, ceiling=CEILING):
-    shown = color(bilinear(raw, phase=phase, **NUMBERS, device=device), MATRIX, ceiling=ceiling, device=device)
+    shown = color(
+        bilinear(raw, phase=phase, **NUMBERS, device=device), MATRIX, ceiling=ceiling, device=device
+    )
     return encode(shown, edges, device=device)
 
 
@@ -47,8 +53,12 @@ def test_codes_are_those_of_the_separate_stages(device):
         for phase in RED:
             for ceiling in (None, CEILING):
                 raw = mosaic(rows, cols)
-                at_once = develop(raw, MATRIX, SRGB, phase=phase, **NUMBERS, ceiling=ceiling, device=device)
-                np.testing.assert_array_equal(at_once, one_by_one(raw, phase, device, ceiling=ceiling))
+                at_once = develop(
+                    raw, MATRIX, SRGB, phase=phase, **NUMBERS, ceiling=ceiling, device=device
+                )
+                np.testing.assert_array_equal(
+                    at_once, one_by_one(raw, phase, device, ceiling=ceiling)
+                )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -57,11 +67,27 @@ def test_electrons_are_digitised_as_the_sensor_does_it(device):
     for rows, cols in SIZES:
         light = electrons(rows, cols)
         # 1e30: a well that never saturates. The noise stage takes negative charge as none.
-        raw = noise(np.maximum(light, 0), full_well=1e30, gain=gain, black_level=offset, white_level=most,
-                    photon="none", device=device)
-        at_once = develop(np.maximum(light, 0), MATRIX, SRGB, phase="GBRG", **NUMBERS, converter=CONVERTER,
-                          device=device)
-        np.testing.assert_array_equal(at_once, develop(raw, MATRIX, SRGB, phase="GBRG", **NUMBERS, device=device))
+        raw = noise(
+            np.maximum(light, 0),
+            full_well=1e30,
+            gain=gain,
+            black_level=offset,
+            white_level=most,
+            photon="none",
+            device=device,
+        )
+        at_once = develop(
+            np.maximum(light, 0),
+            MATRIX,
+            SRGB,
+            phase="GBRG",
+            **NUMBERS,
+            converter=CONVERTER,
+            device=device,
+        )
+        np.testing.assert_array_equal(
+            at_once, develop(raw, MATRIX, SRGB, phase="GBRG", **NUMBERS, device=device)
+        )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -87,12 +113,19 @@ def test_only_values_on_a_boundary_differ_from_float64(device):
     values up to 1.001): 2.9e-6. Thresholds are 3e-4 apart and more, so 2 % of the values are within it at most.
     """
     raw = mosaic(120, 160)
-    exact = color(bilinear(raw, phase="GRBG", **NUMBERS, device="numpy"), MATRIX, ceiling=CEILING, device="numpy")
+    exact = color(
+        bilinear(raw, phase="GRBG", **NUMBERS, device="numpy"),
+        MATRIX,
+        ceiling=CEILING,
+        device="numpy",
+    )
     band = 6 * 2.0**-24 * np.abs(MATRIX).sum(1).max() * 1.001
     assert band < 2.9e-6
     values = np.moveaxis(exact, 0, -1)
     near = np.searchsorted(SRGB, values - band) != np.searchsorted(SRGB, values + band)
-    found = develop(raw, MATRIX, SRGB, phase="GRBG", **NUMBERS, ceiling=CEILING, device=device).astype(int)
+    found = develop(
+        raw, MATRIX, SRGB, phase="GRBG", **NUMBERS, ceiling=CEILING, device=device
+    ).astype(int)
     wanted = encode(exact, SRGB, device="numpy").astype(int)
     np.testing.assert_array_equal(found[~near], wanted[~near])
     assert np.abs(found - wanted).max() <= 1 and near.mean() < 0.02
@@ -102,11 +135,18 @@ def test_only_values_on_a_boundary_differ_from_float64(device):
 def test_mirrored_mosaic_gives_the_mirrored_picture(device):
     raw = mosaic(34, 38)
     straight = develop(raw, MATRIX, SRGB, phase="RGGB", **NUMBERS, device=device)
-    for turned, phase, back in ((raw[:, ::-1], "GRBG", np.s_[:, ::-1]), (raw[::-1], "GBRG", np.s_[::-1]),
-                                (raw[::-1, ::-1], "BGGR", np.s_[::-1, ::-1])):
-        picture = develop(np.ascontiguousarray(turned), MATRIX, SRGB, phase=phase, **NUMBERS, device=device)
+    for turned, phase, back in (
+        (raw[:, ::-1], "GRBG", np.s_[:, ::-1]),
+        (raw[::-1], "GBRG", np.s_[::-1]),
+        (raw[::-1, ::-1], "BGGR", np.s_[::-1, ::-1]),
+    ):
+        picture = develop(
+            np.ascontiguousarray(turned), MATRIX, SRGB, phase=phase, **NUMBERS, device=device
+        )
         np.testing.assert_array_equal(picture[back], straight)
-    transposed = develop(np.ascontiguousarray(raw.T), MATRIX, SRGB, phase="RGGB", **NUMBERS, device=device)
+    transposed = develop(
+        np.ascontiguousarray(raw.T), MATRIX, SRGB, phase="RGGB", **NUMBERS, device=device
+    )
     np.testing.assert_array_equal(transposed.transpose(1, 0, 2), straight)
 
 
@@ -120,7 +160,9 @@ def test_gpu_form_on_any_device(name, stage, monkeypatch):
     monkeypatch.setattr(device, "_kernels", {})
     function = public_function(stage.__name__.removeprefix("gpusim.kernels."))
     for case in stage.cases():
-        error = case.error(function(**case.inputs, device=device), function(**case.inputs, device="numpy"))
+        error = case.error(
+            function(**case.inputs, device=device), function(**case.inputs, device="numpy")
+        )
         assert error <= case.tolerance, case.name
 
 

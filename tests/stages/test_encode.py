@@ -30,8 +30,10 @@ CURVES = {
     "sRGB": (srgb, from_srgb),
     "gamma 2.2": (lambda linear: linear ** (1 / 2.2), lambda code: code**2.2),
     "gamma 1.8": (lambda linear: linear ** (1 / 1.8), lambda code: code**1.8),
-    "S-curve": (lambda linear: srgb(linear) ** 2 * (3 - 2 * srgb(linear)),
-                lambda code: from_srgb(0.5 - np.sin(np.arcsin(1 - 2 * code) / 3))),
+    "S-curve": (
+        lambda linear: srgb(linear) ** 2 * (3 - 2 * srgb(linear)),
+        lambda code: from_srgb(0.5 - np.sin(np.arcsin(1 - 2 * code) / 3)),
+    ),
     "steep": (lambda linear: np.clip((linear - 0.5) * 20, 0, 1), lambda code: 0.5 + code / 20),
 }
 SRGB = thresholds(DISPLAYS["srgb"].decode)
@@ -54,7 +56,9 @@ def by_formula(values, curve):
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_every_16_bit_value_has_the_code_of_the_formula(device, curve):
     values = (np.arange(65536) / 65535).astype(np.float32)
-    np.testing.assert_array_equal(codes(values, thresholds(CURVES[curve][1]), device), by_formula(values, curve))
+    np.testing.assert_array_equal(
+        codes(values, thresholds(CURVES[curve][1]), device), by_formula(values, curve)
+    )
 
 
 @pytest.mark.parametrize("curve", CURVES)
@@ -70,7 +74,9 @@ def test_codes_change_at_exactly_the_right_float32(device, curve):
     values = bits.ravel().view(np.float32)
     found = codes(values, edges, device)
     np.testing.assert_array_equal(found, by_formula(values, curve))
-    assert (np.diff(found.reshape(bits.shape).astype(int), axis=1).sum(1) == 1).all()  # each lies among its 129 values
+    assert (
+        np.diff(found.reshape(bits.shape).astype(int), axis=1).sum(1) == 1
+    ).all()  # each lies among its 129 values
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -91,7 +97,16 @@ def test_every_code_survives_decoding_and_encoding(device):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_what_no_display_can_show(device):
-    values = 15 * [np.nan, -np.inf, np.inf, -1, 2, -0.0, 1e-45, -np.nan]  # in vectors, and in what remains of them
+    values = 15 * [
+        np.nan,
+        -np.inf,
+        np.inf,
+        -1,
+        2,
+        -0.0,
+        1e-45,
+        -np.nan,
+    ]  # in vectors, and in what remains of them
     assert codes(values, SRGB, device).tolist() == 15 * [0, 0, 255, 0, 255, 0, 0, 0]
     whole = np.arange(1, 256, dtype=np.float32)  # the first threshold begins a bin
     assert codes(values, whole, device).tolist() == 15 * [0, 0, 255, 0, 2, 0, 0, 0]
@@ -114,7 +129,9 @@ def test_gpu_form_on_any_device(name, monkeypatch):
     monkeypatch.setattr(device, "_programs", {})  # their text depends on it
     monkeypatch.setattr(device, "_kernels", {})
     for case in cases():
-        np.testing.assert_array_equal(encode(**case.inputs, device=device), reference(**case.inputs), case.name)
+        np.testing.assert_array_equal(
+            encode(**case.inputs, device=device), reference(**case.inputs), case.name
+        )
 
 
 def test_displays_have_small_tables():
@@ -130,8 +147,14 @@ def test_what_is_no_curve_is_refused():
     falling[[7, 8]] = falling[[8, 7]]
     crowded = np.float32(0.5) + np.arange(255, dtype=np.float32) * np.float32(2.0**-24)
     crowded[0] = 1e-6
-    for edges, words in ((SRGB[:-1], "shape"), (np.append(SRGB[:-1], np.nan), "finite"), (SRGB - SRGB[0], "finite"),
-                         (np.append(SRGB[:-1], np.inf), "finite"), (falling, "code 8"), (crowded, "too steep")):
+    for edges, words in (
+        (SRGB[:-1], "shape"),
+        (np.append(SRGB[:-1], np.nan), "finite"),
+        (SRGB - SRGB[0], "finite"),
+        (np.append(SRGB[:-1], np.inf), "finite"),
+        (falling, "code 8"),
+        (crowded, "too steep"),
+    ):
         with pytest.raises(BadData, match=words):
             encode(rgb, edges, device="opencl")
     with pytest.raises(BadData, match="increases"):

@@ -32,12 +32,20 @@ def check(device, stage, number):
     module = import_module(f"gpusim.kernels.{stage}")
     case = list(module.cases())[number]
     function = public_function(stage)
-    assert case.error(function(**case.inputs, device=device), function(**case.inputs, device="numpy")) <= case.tolerance
+    assert (
+        case.error(function(**case.inputs, device=device), function(**case.inputs, device="numpy"))
+        <= case.tolerance
+    )
 
 
-@pytest.mark.parametrize("stage, number", [
-    ("optics.mosaic", 1), *(pytest.param("optics.mosaic", n, marks=pytest.mark.slow) for n in (0, 2, 3, 4, 5, 6, 7)),
-    *(pytest.param("optics.blur", n, marks=pytest.mark.slow) for n in range(8))])
+@pytest.mark.parametrize(
+    "stage, number",
+    [
+        ("optics.mosaic", 1),
+        *(pytest.param("optics.mosaic", n, marks=pytest.mark.slow) for n in (0, 2, 3, 4, 5, 6, 7)),
+        *(pytest.param("optics.blur", n, marks=pytest.mark.slow) for n in range(8)),
+    ],
+)
 def test_stages_in_local_memory(stage, number, device):
     check(device, stage, number)
 
@@ -67,9 +75,16 @@ def test_no_layout_takes_more_local_memory_than_there_is(local_bytes, cfa_shape)
         lines = mosaic._lines(local_bytes, (length, length), cfa_shape)
         if lines is None:
             continue
-        small, phases = (length // cfa_shape[0], length // cfa_shape[1]), cfa_shape[0] * cfa_shape[1]
-        for of, count in ((length, lines[0]), (length, lines[1]), (small[1], lines[2]),
-                          (small[0], lines[3] * phases // 2)):
+        small, phases = (
+            (length // cfa_shape[0], length // cfa_shape[1]),
+            cfa_shape[0] * cfa_shape[1],
+        )
+        for of, count in (
+            (length, lines[0]),
+            (length, lines[1]),
+            (small[1], lines[2]),
+            (small[0], lines[3] * phases // 2),
+        ):
             # every 16th place is left out where the length has many factors of two: where its last element is, by rule
             last = of - 1 + ((of - 1) // 16 if of % 128 == 0 else 0)
             assert 8 * count * (last + 1) <= fft.room(of, count) <= local_bytes, (length, of, count)
@@ -81,13 +96,38 @@ def test_passes_multiply_to_the_length():
         radices = fft._radices(length)
         assert np.prod(radices) == length
         assert set(radices) <= {*fft.RADICES, 1}
-    assert [len(fft._radices(length)) for length in (16, 240, 256, 2048, 1200, 4096, 1250)] == [1, 2, 2, 3, 3, 3, 4]
+    assert [len(fft._radices(length)) for length in (16, 240, 256, 2048, 1200, 4096, 1250)] == [
+        1,
+        2,
+        2,
+        3,
+        3,
+        3,
+        4,
+    ]
 
 
-@pytest.mark.parametrize("rows, cols", [
-    (6, 80), (15, 192),  # radices 6, 10 8; 15, 16 12
-    *(pytest.param(*size, marks=pytest.mark.slow) for size in (
-        (1, 2), (2, 6), (16, 9), (48, 45), (250, 64), (36, 1200), (2048, 5), (5, 3), (4, 12)))])
+@pytest.mark.parametrize(
+    "rows, cols",
+    [
+        (6, 80),
+        (15, 192),  # radices 6, 10 8; 15, 16 12
+        *(
+            pytest.param(*size, marks=pytest.mark.slow)
+            for size in (
+                (1, 2),
+                (2, 6),
+                (16, 9),
+                (48, 45),
+                (250, 64),
+                (36, 1200),
+                (2048, 5),
+                (5, 3),
+                (4, 12),
+            )
+        ),
+    ],
+)
 def test_transforms_equal_the_library_ones(rows, cols, device):
     """Every radix, as the first and as a later pass; the forward transform, and the way back."""
     planes = np.random.default_rng(rows).standard_normal((3, rows, cols), np.float32)
@@ -101,12 +141,16 @@ def test_transforms_equal_the_library_ones(rows, cols, device):
     assert np.abs(back - planes).max() <= 2 * 2.5e-6  # two transforms
 
 
-@pytest.mark.parametrize("border", ["reflect", *(pytest.param(b, marks=pytest.mark.slow) for b in ("zero", "edge"))])
+@pytest.mark.parametrize(
+    "border", ["reflect", *(pytest.param(b, marks=pytest.mark.slow) for b in ("zero", "edge"))]
+)
 def test_borders_are_filled_in_as_the_stage_extends(border, device):
     """The same spectra as of planes extended first, with borders wider than the frame."""
     assert set(BORDERS) == {"zero", "edge", "reflect"}
     planes = device.array(np.random.default_rng(1).random((3, 5, 7), np.float32))
-    extended = device.numpy(extend(device, planes, border, (17, 14), (40, 36), 1, 2)).astype(np.float64)
+    extended = device.numpy(extend(device, planes, border, (17, 14), (40, 36), 1, 2)).astype(
+        np.float64
+    )
     spectra = device.numpy(fft.forward_extended(device, planes, 1, 2, border, (40, 36)))[:, :, :19]
     expected = np.fft.rfft2(extended)
     # as above, of the largest value: at most 8 passes of 4 sums, 6e-8 each
@@ -141,8 +185,9 @@ class Compiler:
         module = native_kernel(started_warp(), stage, kernel, defines, ranks).module
         module.options["block_dim"] = group[0]
         folder = self.folder / f"{kernel}{len(self.compiled)}"
-        (self.compiled[key],) = started_warp().compile_aot_module(module, arch=self.arch, module_dir=folder,
-                                                                 use_ptx=self.use_ptx)
+        (self.compiled[key],) = started_warp().compile_aot_module(
+            module, arch=self.arch, module_dir=folder, use_ptx=self.use_ptx
+        )
 
 
 def launch_all(device, shape, period, cfa=None):
@@ -151,8 +196,18 @@ def launch_all(device, shape, period, cfa=None):
     tables = device.empty((1, 2, period[0] // 2 + 1, period[1] // 2 + 1))
     lines = mosaic._lines(device.local_bytes, period, pattern.shape)
     if lines:
-        mosaic._by_lines(device, planes, tables, np.ones((3, 2), np.float32), pattern, "edge", period, (1, 1), lines,
-                         device.empty(shape))
+        mosaic._by_lines(
+            device,
+            planes,
+            tables,
+            np.ones((3, 2), np.float32),
+            pattern,
+            "edge",
+            period,
+            (1, 1),
+            lines,
+            device.empty(shape),
+        )
     if fft.room(max(period)) <= device.local_bytes:
         fft.inverse(device, fft.forward_extended(device, planes, 0, 2, "edge", period), period[1])
 
@@ -162,26 +217,56 @@ def test_the_text_is_cuda_too(tmp_path):
     device = Compiler(tmp_path, use_ptx=True)
     launch_all(device, (5, 9), (8, 12))
     for (_, _, *defines), path in device.compiled.items():
-        assert f".maxnreg {dict(defines)['REGISTERS']}" in path.read_bytes().decode(errors="replace")
+        assert f".maxnreg {dict(defines)['REGISTERS']}" in path.read_bytes().decode(
+            errors="replace"
+        )
     assert {kernel for kernel, *_ in device.compiled} == {
-        "columns_forward", "fold", "columns_inverse", "rows_forward", "columns", "rows_inverse"}
+        "columns_forward",
+        "fold",
+        "columns_inverse",
+        "rows_forward",
+        "columns",
+        "rows_inverse",
+    }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length, mosaic_period", [
-    # lines that fill local memory to the last 3 KB, one, two or four of them: Warp's own share exceeds what is declared
-    *((length, 1 + (length % 4 == 0)) for length in fft.LENGTHS
-      if any(46 * 1024 < fft.room(length, lines) <= 48 * 1024 for lines in (1, 2, 4))),
-    (1200, 4), (2048, 2), (2304, 6), (4000, 8), (4096, 1), (3375, 3)])
+@pytest.mark.parametrize(
+    "length, mosaic_period",
+    [
+        # lines that fill local memory to the last 3 KB, one, two or four of them: Warp's share is more than is declared
+        *(
+            (length, 1 + (length % 4 == 0))
+            for length in fft.LENGTHS
+            if any(46 * 1024 < fft.room(length, lines) <= 48 * 1024 for lines in (1, 2, 4))
+        ),
+        (1200, 4),
+        (2048, 2),
+        (2304, 6),
+        (4000, 8),
+        (4096, 1),
+        (3375, 3),
+    ],
+)
 def test_every_layout_is_cuda_machine_code(length, mosaic_period, tmp_path):
     """What no GPU is needed to find out: the assembler refuses kernels that declare too much memory."""
-    launch_all(Compiler(tmp_path, use_ptx=False), (length // 2, length // 2), (length, length),
-               np.arange(mosaic_period**2).reshape(mosaic_period, mosaic_period) % 3)
+    launch_all(
+        Compiler(tmp_path, use_ptx=False),
+        (length // 2, length // 2),
+        (length, length),
+        np.arange(mosaic_period**2).reshape(mosaic_period, mosaic_period) % 3,
+    )
 
 
 SIZES = [(96, 96), (640, 480), (1920, 1080), (3840, 2160), (5000, 31)]
-CAMERAS = [("phone", None), ("phone", "x-trans"), ("phone", "quad-bayer"), ("machine-vision", None), ("figure8", None),
-           ("mono", None)]
+CAMERAS = [
+    ("phone", None),
+    ("phone", "x-trans"),
+    ("phone", "quad-bayer"),
+    ("machine-vision", None),
+    ("figure8", None),
+    ("mono", None),
+]
 TOLERANCES = [None, 1e-3, 1e-4, 1e-5]
 
 
@@ -189,8 +274,11 @@ def planned(device, camera, tolerance):
     name, cfa = camera
     camera = gs.open_camera(name)
     if cfa:
-        camera = replace(camera, sensor=replace(camera.sensor, cfa=MOSAICS[cfa]),
-                         processor=replace(camera.processor, demosaic="bilinear"))
+        camera = replace(
+            camera,
+            sensor=replace(camera.sensor, cfa=MOSAICS[cfa]),
+            processor=replace(camera.processor, demosaic="bilinear"),
+        )
     return gs.Simulator(camera, device=device, tolerance=tolerance)
 
 
@@ -206,7 +294,12 @@ def cuda(tmp_path_factory):
 def test_every_plan_is_cuda_machine_code(tolerance, camera, size, cuda):
     simulator = planned("warp:cpu", camera, tolerance)
     plan, pattern = simulator.plan(gs.chart("ramp", size=size)), simulator.camera.sensor.cfa_indices
-    launch_all(cuda, plan.scene.samples, plan.period, pattern if plan.folded else np.zeros((1, 1), np.int32))
+    launch_all(
+        cuda,
+        plan.scene.samples,
+        plan.period,
+        pattern if plan.folded else np.zeros((1, 1), np.int32),
+    )
 
 
 @pytest.mark.slow

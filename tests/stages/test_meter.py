@@ -39,18 +39,29 @@ def rates_of(kind, shape):
 
 def metered(rates, fractions=(), device="auto"):
     rates = np.asarray(rates, np.float32)
-    return meter(rates, np.full(rates.shape[0], 1 / rates.shape[0], np.float32),
-                 np.full(rates.shape[1], 1 / rates.shape[1], np.float32), fractions, device=device)
+    return meter(
+        rates,
+        np.full(rates.shape[0], 1 / rates.shape[0], np.float32),
+        np.full(rates.shape[1], 1 / rates.shape[1], np.float32),
+        fractions,
+        device=device,
+    )
 
 
 def pairs(values, fractions):
     """What numpy.percentile interpolates between, by its methods that do not."""
-    return np.array([[np.percentile(values, 100 * q, method=method) for method in ("lower", "higher")]
-                     for q in fractions])
+    return np.array(
+        [
+            [np.percentile(values, 100 * q, method=method) for method in ("lower", "higher")]
+            for q in fractions
+        ]
+    )
 
 
 @pytest.mark.parametrize("device", ALL)
-@pytest.mark.parametrize("shape", [(1, 1), (7, 1), (1, 9), (41, 77), (3, STRIP + 5), (300, 401)], ids=str)
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (7, 1), (1, 9), (41, 77), (3, STRIP + 5), (300, 401)], ids=str
+)
 @pytest.mark.parametrize("kind", ["light", "lamps", "equal", "near", "signs", "bits", "sorted"])
 def test_statistics_are_those_of_numpy(kind, shape, device):
     rates = rates_of(kind, shape).astype(np.float32)
@@ -61,8 +72,9 @@ def test_statistics_are_those_of_numpy(kind, shape, device):
     assert (found[0], found[5], found[4]) == (rates.max(), rates.min(), 0)
     size = np.abs(exact).mean()
     assert found[1] == pytest.approx(exact.mean(), abs=MEAN * size, rel=0)
-    assert found[2] == pytest.approx(np.abs(exact).max() * np.sqrt(np.mean((exact / np.abs(exact).max()) ** 2)),
-                                     rel=MEAN)
+    assert found[2] == pytest.approx(
+        np.abs(exact).max() * np.sqrt(np.mean((exact / np.abs(exact).max()) ** 2)), rel=MEAN
+    )
     assert found[3] == pytest.approx(exact.mean(), abs=2 * MEAN * size, rel=0)
     got = found[6:].reshape(-1, 2)
     lower, higher = pairs(exact, fractions).T
@@ -70,7 +82,9 @@ def test_statistics_are_those_of_numpy(kind, shape, device):
     whole = np.array(fractions) * (rates.size - 1) % 1 == 0  # there NumPy needs one alone
     np.testing.assert_array_equal(got[~whole, 1], higher[~whole])
     order = np.sort(rates.ravel())
-    after = np.minimum(np.floor(np.array(fractions) * (rates.size - 1)).astype(int) + 1, rates.size - 1)
+    after = np.minimum(
+        np.floor(np.array(fractions) * (rates.size - 1)).astype(int) + 1, rates.size - 1
+    )
     np.testing.assert_array_equal(got[:, 1], order[after])
 
 
@@ -101,7 +115,9 @@ def test_a_frame_of_more_pixels_than_the_smallest_chunks_hold(device):
 @pytest.mark.parametrize("kind", ["light", "equal", "bits"])
 def test_two_calls_give_equal_bits(kind, device):
     rates = rates_of(kind, (211, 515)).astype(np.float32)
-    first = metered(rates, (0.1, 0.5, 0.99), device).view(np.uint32 if device != "numpy" else np.uint64)
+    first = metered(rates, (0.1, 0.5, 0.99), device).view(
+        np.uint32 if device != "numpy" else np.uint64
+    )
     for _ in range(3):
         again = metered(rates, (0.1, 0.5, 0.99), device).view(first.dtype)
         np.testing.assert_array_equal(again, first)
@@ -115,7 +131,12 @@ def test_what_is_not_finite_is_left_out(device):
     left = rates[np.isfinite(rates)]
     found = metered(rates, (0.5,), device)
     index = int(np.floor(0.5 * (left.size - 1)))
-    assert found[[0, 4, 5, 6, 7]].tolist() == [left.max(), 53, 0, *np.sort(left)[[index, index + 1]]]
+    assert found[[0, 4, 5, 6, 7]].tolist() == [
+        left.max(),
+        53,
+        0,
+        *np.sort(left)[[index, index + 1]],
+    ]
     assert found[1] == pytest.approx(left.mean(dtype=np.float64), rel=MEAN)
     assert found[3] == pytest.approx(left.sum(dtype=np.float64) / rates.size, rel=2 * MEAN)
     assert metered(np.full((3, 5), np.inf), (0.3,), device).tolist() == [0, 0, 0, 0, 15, 0, 0, 0]
@@ -124,10 +145,15 @@ def test_what_is_not_finite_is_left_out(device):
 def test_refuses():
     ones = np.ones(4, np.float32)
     plane = np.ones((4, 4), np.float32)
-    for arguments, error in (((plane[0], ones, ones), BadData), ((plane[:0], ones, ones), BadData),
-                             ((plane, ones[:3], ones), BadData), ((plane, ones, plane), BadData),
-                             ((plane, ones, ones, (0.1,) * 5), BadData), ((plane, ones, ones, (1.01,)), OutOfRange),
-                             ((plane, ones, ones, (np.nan,)), OutOfRange)):
+    for arguments, error in (
+        ((plane[0], ones, ones), BadData),
+        ((plane[:0], ones, ones), BadData),
+        ((plane, ones[:3], ones), BadData),
+        ((plane, ones, plane), BadData),
+        ((plane, ones, ones, (0.1,) * 5), BadData),
+        ((plane, ones, ones, (1.01,)), OutOfRange),
+        ((plane, ones, ones, (np.nan,)), OutOfRange),
+    ):
         with pytest.raises(error):
             meter(*arguments, device="opencl")
 
@@ -138,10 +164,14 @@ def test_the_percentile_is_that_of_numpy(percentile):
     automatic = AutoExposure("percentile", 0.9, percentile)
     for size in (1, 2, 3, 33, 1000, 4321):
         rates = RANDOM.gamma(2.0, 300.0, (1, size)).astype(np.float32)
-        light = LightStatistics(metered(rates, automatic.fractions, "numpy").astype(np.float32), size)
+        light = LightStatistics(
+            metered(rates, automatic.fractions, "numpy").astype(np.float32), size
+        )
         wanted = float(np.percentile(rates, percentile))
         # a place that errs by 4321 2^-24 moves the result by as much of the pair's difference
-        assert automatic.signal_of(light) == pytest.approx(wanted, rel=0 if percentile * 32 % 1 == 0 else 1e-4)
+        assert automatic.signal_of(light) == pytest.approx(
+            wanted, rel=0 if percentile * 32 % 1 == 0 else 1e-4
+        )
 
 
 LIGHT: dict = {}  # that falls on a device's pixels, stacked or not, however they are metered
@@ -150,8 +180,13 @@ LIGHT: dict = {}  # that falls on a device's pixels, stacked or not, however the
 def exposed(automatic, stacked, device):
     """A simulator that meters by `automatic`, and the electrons a second of its pixels."""
     camera = gs.open_camera("phone")
-    sensor = replace(camera.sensor, exposure_time=None, auto_exposure=automatic, stacked=stacked,
-                     noise=replace(camera.sensor.noise, dark_current=7.7))
+    sensor = replace(
+        camera.sensor,
+        exposure_time=None,
+        auto_exposure=automatic,
+        stacked=stacked,
+        noise=replace(camera.sensor.noise, dark_current=7.7),
+    )
     processor = replace(camera.processor, demosaic="bilinear")
     simulator = gs.Simulator(replace(camera, sensor=sensor, processor=processor), device=device)
     if (stacked, device) not in LIGHT:
@@ -162,13 +197,24 @@ def exposed(automatic, stacked, device):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("stacked", [False, True])
-@pytest.mark.parametrize("automatic", [
-    AutoExposure(), AutoExposure("full"), AutoExposure("percentile", 0.7, 99.0), AutoExposure("percentile", 0.7, 37.0),
-    AutoExposure("mean", 0.2), AutoExposure("centre", 0.3)], ids=lambda made: f"{made.method}-{made.percentile:g}")
+@pytest.mark.parametrize(
+    "automatic",
+    [
+        AutoExposure(),
+        AutoExposure("full"),
+        AutoExposure("percentile", 0.7, 99.0),
+        AutoExposure("percentile", 0.7, 37.0),
+        AutoExposure("mean", 0.2),
+        AutoExposure("centre", 0.3),
+    ],
+    ids=lambda made: f"{made.method}-{made.percentile:g}",
+)
 def test_the_exposure_is_that_of_the_downloaded_frame(automatic, stacked, device):
     """The order statistics' bit for bit; means within what float32 sums lose."""
     simulator, rates = exposed(automatic, stacked, device)
-    frame = np.array(simulator.device.numpy(rates)) + np.float32(7.7 * simulator.camera.sensor.noise.warmth)
+    frame = np.array(simulator.device.numpy(rates)) + np.float32(
+        7.7 * simulator.camera.sensor.noise.warmth
+    )
     wanted = automatic.choose(frame, simulator.readout.output.saturation)
     found = metering.metered(simulator, rates)
     exact = not automatic.averages
@@ -190,8 +236,12 @@ def test_light_that_is_not_finite_is_refused(method, device):
 def test_statistics_of_more_light_are_those_of_the_sum():
     rates = RANDOM.gamma(2.0, 300.0, (37, 53))
     wide = AutoExposure("percentile", 0.5, 80.0)
-    of = [LightStatistics(meter(light, *wide.weights(light.shape), wide.fractions, device="numpy"), light.size)
-          for light in (rates, rates + 12.5)]
+    of = [
+        LightStatistics(
+            meter(light, *wide.weights(light.shape), wide.fractions, device="numpy"), light.size
+        )
+        for light in (rates, rates + 12.5)
+    ]
     # float64: a few roundings of 1.1e-16 on either side
     np.testing.assert_allclose(of[0].plus(12.5).values, of[1].values, rtol=1e-12)
 
@@ -199,4 +249,7 @@ def test_statistics_of_more_light_are_those_of_the_sum():
 def test_stages_on_a_device_stay_there():
     device = open_device("opencl")
     ones = device.array(np.ones(4, np.float32))
-    assert isinstance(meter(device.array(np.ones((4, 4), np.float32)), ones, ones, device=device), device.array_type)
+    assert isinstance(
+        meter(device.array(np.ones((4, 4), np.float32)), ones, ones, device=device),
+        device.array_type,
+    )

@@ -20,8 +20,17 @@ def airy_pattern(r, q):
 def pixel_energy(x, y, q, aperture):
     """Energy that falls into the pixel aperture centred at (x, y), by adaptive quadrature."""
     half = aperture / 2
-    return dblquad(lambda v, u: airy_pattern(np.hypot(u, v), q), x - half, x + half, y - half, y + half,
-                   epsabs=1e-10)[0] / aperture**2
+    return (
+        dblquad(
+            lambda v, u: airy_pattern(np.hypot(u, v), q),
+            x - half,
+            x + half,
+            y - half,
+            y + half,
+            epsabs=1e-10,
+        )[0]
+        / aperture**2
+    )
 
 
 @pytest.mark.parametrize("q", [0.3, 0.71, 1.1, 3.14])
@@ -32,14 +41,21 @@ def test_otf_is_the_transform_of_the_airy_pattern(q):
 
     for s in (0.1, 0.35, 0.6, 0.9):
         # int_0^inf J1(x)^2 / x J0(2 s x) dx x 2 = O(s), the normalised pattern in x = pi r / q
-        total = 2 * quad(lambda x, s=s: j1(x) ** 2 / x * j0(2 * s * x), 0, 400, limit=2000, epsabs=1e-11)[0]
+        total = (
+            2
+            * quad(lambda x, s=s: j1(x) ** 2 / x * j0(2 * s * x), 0, 400, limit=2000, epsabs=1e-11)[
+                0
+            ]
+        )
         # |J1^2 / x J0| < (2 / pi x)^1.5 / x beyond 400: the tail is below 2 int x^-2.5 0.51 = 8.5e-5
         assert abs(total - otf(s)) < 1e-4
 
 
 def test_otf_closed_form_values():
     """O(0) = 1, O(1) = 0, O(1/2) = 2/pi (pi/3 - sqrt(3)/4) from the area of two overlapping circles."""
-    np.testing.assert_allclose(otf(np.array([0, 0.5, 1, 2])), [1, 2 / 3 - np.sqrt(3) / (2 * np.pi), 0, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        otf(np.array([0, 0.5, 1, 2])), [1, 2 / 3 - np.sqrt(3) / (2 * np.pi), 0, 0], atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -56,7 +72,10 @@ def test_image_of_a_point_is_the_airy_pattern_integrated_over_pixels(q, fill, de
     point[0, 7, 7] = 1
     image = blur(point, tables[None], np.ones((1, 1)), "zero", period, device=device)[0]
     q = float(np.float32(q))
-    truth = {(dy, dx): pixel_energy(dx, dy, q, np.sqrt(fill)) for dy, dx in ((0, 0), (0, 1), (1, 1), (2, 0), (3, 2))}
+    truth = {
+        (dy, dx): pixel_energy(dx, dy, q, np.sqrt(fill))
+        for dy, dx in ((0, 0), (0, 1), (1, 1), (2, 0), (3, 2))
+    }
     for (dy, dx), energy in truth.items():
         assert abs(image[7 + dy, 7 + dx] - energy) < 1e-5 * truth[0, 0]
     np.testing.assert_allclose(image, image.T, atol=1e-6 * truth[0, 0])
@@ -68,8 +87,14 @@ def test_flat_field_stays_flat(border, device):
     """T(0) = 1 and the surroundings go on: a flat field is unchanged to the rounding of two float32 transforms."""
     period = (80, 90)
     tables = airy(np.array([0.7, 2.0], np.float32), 1.0, *period, device=device)
-    image = blur(np.full((2, 17, 31), 3.0, np.float32), tables[None], np.array([[1.0, 2.0]]), border, period,
-                 device=device)
+    image = blur(
+        np.full((2, 17, 31), 3.0, np.float32),
+        tables[None],
+        np.array([[1.0, 2.0]]),
+        border,
+        period,
+        device=device,
+    )
     np.testing.assert_allclose(image, 9.0, rtol=1e-6)
 
 

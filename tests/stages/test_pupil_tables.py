@@ -26,15 +26,22 @@ def image_of_a_point(outline, waves, q, size, period, device):
 def test_tables_of_the_clear_circle_equal_the_airy_stage(device):
     """Two different interpolations of one function, each to 1e-6 (see their cases)."""
     q = np.array([0.4, 0.99, 3.0], np.float32)
-    np.testing.assert_allclose(pupil(CLEAR, np.zeros((3, 3, 3)), q, 0.9, 20, 33, device=device),
-                               airy(q, 0.9, 20, 33, device=device), atol=2e-6)
+    np.testing.assert_allclose(
+        pupil(CLEAR, np.zeros((3, 3, 3)), q, 0.9, 20, 33, device=device),
+        airy(q, 0.9, 20, 33, device=device),
+        atol=2e-6,
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("outline", [CLEAR, Pupil(0, 0.4), Pupil(6, 0, 0.2), Pupil(5, 0.2, 0.1)])
 def test_energy_is_kept(outline, device):
     """T(0) = 1: O(0) = 1 is a node and at integer frequencies sinc is 0 to float32 rounding."""
-    for waves in (FLAT, defocus(1.3), *((COMA.polynomial(1.0, 0.3)[None],) if outline == CLEAR else ())):
+    for waves in (
+        FLAT,
+        defocus(1.3),
+        *((COMA.polynomial(1.0, 0.3)[None],) if outline == CLEAR else ()),
+    ):
         tables = pupil(outline, waves, np.array([0.6], np.float32), 1.0, 4, 5, device=device)
         assert abs(tables[0, 0, 0] - 1) < 2e-6
         assert tables.shape[1] == 3 or abs(tables[0, 0, 1]) < 1e-6
@@ -56,7 +63,11 @@ def test_tables_of_a_frame_against_the_integral(waves):
         for a in (-1, 0, 1):
             for b in (-1, 0, 1):
                 y, x = i / period[0] + a, j / period[1] + b
-                total += np.sinc(y) * np.sinc(x) * transfer(CLEAR, waves, [x * float(q[0])], [y * float(q[0])])[0, 0]
+                total += (
+                    np.sinc(y)
+                    * np.sinc(x)
+                    * transfer(CLEAR, waves, [x * float(q[0])], [y * float(q[0])])[0, 0]
+                )
         assert abs(tables[i, j] - (total if complex_ else total.real)) < 3e-5
 
 
@@ -68,14 +79,27 @@ def test_coma_in_four_quadrants(device):
     The other terms are even. Only the period's share of the slow tail is missing; 0.02 pixels are asked for.
     """
     azimuth, q, size, period = 0.6, 1.1, 63, (256, 256)
-    images = [image_of_a_point(CLEAR, COMA.polynomial(1.0, angle)[None], q, size, period, device)
-              for angle in (azimuth, np.pi - azimuth, np.pi + azimuth, -azimuth)]
+    images = [
+        image_of_a_point(CLEAR, COMA.polynomial(1.0, angle)[None], q, size, period, device)
+        for angle in (azimuth, np.pi - azimuth, np.pi + azimuth, -azimuth)
+    ]
     peak = images[0].max()
-    for image, mirrored in zip(images[1:], (images[0][:, ::-1], images[0][::-1, ::-1], images[0][::-1]), strict=True):
+    for image, mirrored in zip(
+        images[1:], (images[0][:, ::-1], images[0][::-1, ::-1], images[0][::-1]), strict=True
+    ):
         assert np.abs(image - mirrored).max() < 1e-5 * peak
     # the centroid of the whole period, from the slope of the transfer function at 0, its phase at one frequency step
-    tables = np.float64(pupil(CLEAR, COMA.polynomial(1.0, azimuth)[None], np.array([q], np.float32), 1.0, 4096, 64,
-                              device=device)).view(complex)[0]
+    tables = np.float64(
+        pupil(
+            CLEAR,
+            COMA.polynomial(1.0, azimuth)[None],
+            np.array([q], np.float32),
+            1.0,
+            4096,
+            64,
+            device=device,
+        )
+    ).view(complex)[0]
     centroid_y = -np.angle(tables[1, 0]) * 4096 / (2 * np.pi)
     assert abs(centroid_y + 2 * q * 0.7 * np.sin(azimuth)) < 0.02
 
@@ -93,9 +117,11 @@ def test_moved_point_on_coarse_pixels(device, move):
     image = image_of_a_point(CLEAR, slope, q, 65, (144, 144), device)
     truth = {}
     for y, x in ((0, 0), (0, 1), (1, 0), (1, -1), (-1, 0)):
+
         def energy(v, u):
             r = np.pi * np.hypot(u, v) / q
             return np.pi / (4 * q * q) * ((2 * j1(r) / r) ** 2 if r > 1e-9 else 1.0)
+
         low_y, low_x = y - 0.5 - move[0], x - 0.5 - move[1]
         truth[y, x] = dblquad(energy, low_x, low_x + 1, low_y, low_y + 1, epsabs=1e-6)[0]
     for (y, x), value in truth.items():
@@ -108,8 +134,10 @@ def test_moved_point_on_coarse_pixels(device, move):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("outline", "waves"), [(CLEAR, defocus(1.5)), (CLEAR, COMA.polynomial(1.0, 0.6)[None]),
-                                                (Pupil(6, 0, 0.3), FLAT)])
+@pytest.mark.parametrize(
+    ("outline", "waves"),
+    [(CLEAR, defocus(1.5)), (CLEAR, COMA.polynomial(1.0, 0.6)[None]), (Pupil(6, 0, 0.3), FLAT)],
+)
 def test_no_ringing(outline, waves, device):
     """An irradiance is not negative.
 
@@ -124,7 +152,10 @@ def test_no_ringing(outline, waves, device):
 def test_low_pass_plate_makes_two_images(device):
     """Two half images 2 pixels apart: the image without the plate, added to itself, to the rounding of float32."""
     q, period = np.array([1.1], np.float32), (128, 128)
-    tables = [pupil(CLEAR, FLAT, q, 1.0, *period, spots=spots, device=device)[0] for spots in ((0, 0), (0, 2.0))]
+    tables = [
+        pupil(CLEAR, FLAT, q, 1.0, *period, spots=spots, device=device)[0]
+        for spots in ((0, 0), (0, 2.0))
+    ]
     fold = np.ix_(np.minimum(np.arange(128), 128 - np.arange(128)), np.arange(65))
     single, double = (np.fft.irfft2(np.float64(table)[fold], period) for table in tables)
     expected = (np.roll(single, 1, axis=1) + np.roll(single, -1, axis=1)) / 2

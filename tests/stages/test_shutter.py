@@ -11,9 +11,17 @@ from gpusim.optics.shutter import shutter_weights
 FLOAT32 = 2.0**-24  # half an ulp, relative
 
 
-@pytest.mark.parametrize("times", [np.linspace(0, 0.05, 2), np.linspace(-0.01, 0.06, 23),
-                                   np.sort(np.random.default_rng(0).uniform(0, 0.05, 40)).tolist()])
-@pytest.mark.parametrize(("exposure_time", "row_time"), [(0.01, 3e-4), (2e-5, 3e-4), (0.02, 0.0), (0.013, 1e-6)])
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.linspace(0, 0.05, 2),
+        np.linspace(-0.01, 0.06, 23),
+        np.sort(np.random.default_rng(0).uniform(0, 0.05, 40)).tolist(),
+    ],
+)
+@pytest.mark.parametrize(
+    ("exposure_time", "row_time"), [(0.01, 3e-4), (2e-5, 3e-4), (0.02, 0.0), (0.013, 1e-6)]
+)
 def test_weights_integrate_the_interpolated_rate(times, exposure_time, row_time):
     """Against the integral of numpy.interp, by Simpson's rule between all kinks, where it is exact."""
     rows, start, random = 30, 0.004, np.random.default_rng(1)
@@ -22,14 +30,25 @@ def test_weights_integrate_the_interpolated_rate(times, exposure_time, row_time)
     weights = shutter_weights(times, rows, exposure_time, row_time, start)
     for y in range(rows):
         low = start + y * row_time
-        kinks = np.unique([low, *times[(times > low) & (times < low + exposure_time)], low + exposure_time])
+        kinks = np.unique(
+            [low, *times[(times > low) & (times < low + exposure_time)], low + exposure_time]
+        )
         a, b = kinks[:-1], kinks[1:]
-        value = (np.interp(a, times, rates[:, y]) + 4 * np.interp((a + b) / 2, times, rates[:, y])
-                 + np.interp(b, times, rates[:, y])) * (b - a) / 6
+        value = (
+            (
+                np.interp(a, times, rates[:, y])
+                + 4 * np.interp((a + b) / 2, times, rates[:, y])
+                + np.interp(b, times, rates[:, y])
+            )
+            * (b - a)
+            / 6
+        )
         # float64: times of 0.05 round by 7e-18, which over the shortest exposure, 2e-5, is 3.5e-13
         assert weights[y] @ rates[:, y] == pytest.approx(value.sum(), rel=1e-11)
     assert (weights >= 0).all()
-    np.testing.assert_allclose(weights.sum(axis=1), exposure_time, rtol=1e-15 * len(times))  # one rounding a term
+    np.testing.assert_allclose(
+        weights.sum(axis=1), exposure_time, rtol=1e-15 * len(times)
+    )  # one rounding a term
 
 
 def test_times_far_from_zero_do_not_lose_the_exposure():
@@ -38,7 +57,9 @@ def test_times_far_from_zero_do_not_lose_the_exposure():
     weights = shutter_weights(times, 100, 1e-3, 3.9e-4, 86400)
     np.testing.assert_allclose(weights.sum(axis=1), 1e-3, rtol=1e-14)
     # a shift of 2 x 7e-12 s in a step of 2e-3 s changes the share of an instant by 7e-9 of the exposure
-    np.testing.assert_allclose(weights, shutter_weights(times - 86400, 100, 1e-3, 3.9e-4), atol=1e-3 * 2e-8)
+    np.testing.assert_allclose(
+        weights, shutter_weights(times - 86400, 100, 1e-3, 3.9e-4), atol=1e-3 * 2e-8
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -50,9 +71,13 @@ def test_rates_linear_in_time_are_exact(device):
     slope = np.random.default_rng(4).uniform(-1e4, 1e5, (rows, cols))
     rates = (level + times[:, None, None] * slope).astype(np.float32)
     middle = start + row_time * np.arange(rows)[:, None] + exposure_time / 2
-    mean = shutter(rates, shutter_weights(times, rows, exposure_time, row_time, start), device=device)
+    mean = shutter(
+        rates, shutter_weights(times, rows, exposure_time, row_time, start), device=device
+    )
     # rates below 5000 e-/s round, then the weights, then at most 13 products and sums: 15 half ulps of the largest
-    np.testing.assert_allclose(mean, exposure_time * (level + slope * middle), atol=15 * FLOAT32 * 5e3 * exposure_time)
+    np.testing.assert_allclose(
+        mean, exposure_time * (level + slope * middle), atol=15 * FLOAT32 * 5e3 * exposure_time
+    )
 
 
 def edge(position, cols):
@@ -63,15 +88,24 @@ def edge(position, cols):
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("row_time", [0.0, 2e-4])
 def test_a_moving_edge_is_skewed_by_speed_times_row_time(device, row_time):
-    rows, cols, speed, exposure_time = 60, 120, 4000.0, 4e-3  # [pixel/s]; the edge runs 16 pixels in an exposure
+    rows, cols, speed, exposure_time = (
+        60,
+        120,
+        4000.0,
+        4e-3,
+    )  # [pixel/s]; the edge runs 16 pixels in an exposure
     times = np.linspace(0, 0.02, 27)
-    rates = np.broadcast_to(edge(20 + speed * times, cols)[:, None], (len(times), rows, cols)).astype(np.float32)
+    rates = np.broadcast_to(
+        edge(20 + speed * times, cols)[:, None], (len(times), rows, cols)
+    ).astype(np.float32)
     mean = shutter(rates, shutter_weights(times, rows, exposure_time, row_time), device=device)
     # the light of a row is the edge's mean position: linear in time, so exact but for float32 on 120 pixels of at most
     # 14 roundings each: 1e-4 pixel
     position = np.float64(mean).sum(axis=1) / exposure_time
     assert np.abs(np.diff(position) - speed * row_time).max() < 1e-3
-    np.testing.assert_allclose(position, 20 + speed * (row_time * np.arange(rows) + exposure_time / 2), atol=1e-3)
+    np.testing.assert_allclose(
+        position, 20 + speed * (row_time * np.arange(rows) + exposure_time / 2), atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -83,7 +117,10 @@ def test_a_lamp_of_100_hz_makes_bands(device, exposure_time):
     times = np.linspace(0, end, int(np.ceil(end / 1e-4)) + 1)
     rates = (1 + depth * np.cos(2 * np.pi * frequency * times)).astype(np.float32)
     rates = np.ascontiguousarray(np.broadcast_to(rates[:, None, None], (len(times), rows, 1)))
-    mean = shutter(rates, shutter_weights(times, rows, exposure_time, row_time), device=device)[:, 0] / exposure_time
+    mean = (
+        shutter(rates, shutter_weights(times, rows, exposure_time, row_time), device=device)[:, 0]
+        / exposure_time
+    )
     middle = row_time * np.arange(rows) + exposure_time / 2
     wave = np.exp(-2j * np.pi * frequency * middle)
     amplitude = 2 * (np.float64(mean) @ wave).real / rows / depth
@@ -107,7 +144,9 @@ def test_a_still_scene_needs_one_instant(device):
     rates = np.random.default_rng(6).uniform(1, 1000, (1, 20, 31)).astype(np.float32)
     weights = shutter_weights([123.0], 20, 0.01, 1e-3)
     # the weight and the product round
-    np.testing.assert_allclose(shutter(rates, weights, device=device), 0.01 * rates[0].astype(float), rtol=2 * FLOAT32)
+    np.testing.assert_allclose(
+        shutter(rates, weights, device=device), 0.01 * rates[0].astype(float), rtol=2 * FLOAT32
+    )
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -118,7 +157,9 @@ def test_instants_that_do_not_matter_to_a_row_are_not_read(device):
     used = spans(weights)
     # 2.5 steps of 1 ms touch at most 4 instants, less the last where a row closes on the one before
     assert (used[:, 1] - used[:, 0]).max() <= 4
-    assert (used[:, 0] == np.arange(rows)).mean() > 0.8  # but where rounding makes a row open just before its instant
+    assert (
+        used[:, 0] == np.arange(rows)
+    ).mean() > 0.8  # but where rounding makes a row open just before its instant
     rates = np.full((61, rows, 5), np.nan, np.float32)
     for y, (first, end) in enumerate(used):
         rates[first:end, y] = 3
@@ -126,8 +167,16 @@ def test_instants_that_do_not_matter_to_a_row_are_not_read(device):
     np.testing.assert_allclose(shutter(rates, weights, device=device), 3 * 2.5e-3, rtol=6 * FLOAT32)
 
 
-@pytest.mark.parametrize(("times", "start"), [([0, 0.01], 0.0), ([0.001, 0.05], 0.0), ([0, 0.05], -1e-6),
-                                              ([0, 0.0199], 0.0), ([0.0, 0.02], 1e-6)])
+@pytest.mark.parametrize(
+    ("times", "start"),
+    [
+        ([0, 0.01], 0.0),
+        ([0.001, 0.05], 0.0),
+        ([0, 0.05], -1e-6),
+        ([0, 0.0199], 0.0),
+        ([0.0, 0.02], 1e-6),
+    ],
+)
 def test_an_exposure_that_is_not_covered_is_refused(times, start):
     with pytest.raises(OutOfRange) as error:
         shutter_weights(times, 11, 0.01, 1e-3, start)
@@ -150,10 +199,19 @@ def test_instants_that_do_not_rise_are_refused(times):
         shutter_weights(times, 1, 0.1, 0)
 
 
-@pytest.mark.parametrize(("changed", "key"), [({"rows": 0}, "rows"), ({"exposure_time": 0.0}, "exposure_time"),
-                                              ({"exposure_time": np.inf}, "exposure_time"),
-                                              ({"row_time": -1e-9}, "row_time"), ({"row_time": np.nan}, "row_time"),
-                                              ({"start": np.nan}, "start")])
+@pytest.mark.parametrize(
+    ("changed", "key"),
+    [
+        ({"rows": 0}, "rows"),
+        ({"exposure_time": 0.0}, "exposure_time"),
+        ({"exposure_time": np.inf}, "exposure_time"),
+        ({"row_time": -1e-9}, "row_time"),
+        ({"row_time": np.nan}, "row_time"),
+        ({"start": np.nan}, "start"),
+    ],
+)
 def test_numbers_out_of_range_are_refused(changed, key):
     with pytest.raises(OutOfRange, match=key):
-        shutter_weights(**{"times": [0, 1], "rows": 3, "exposure_time": 0.1, "row_time": 0.0, **changed})
+        shutter_weights(
+            **{"times": [0, 1], "rows": 3, "exposure_time": 0.1, "row_time": 0.0, **changed}
+        )

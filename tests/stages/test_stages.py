@@ -17,7 +17,9 @@ from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.stage import ROOT, public_function, stage_module, stage_names
 
 QUICK = best()["name"]
-ON_DEVICES = [pytest.param(name, marks=pytest.mark.quick) if name == QUICK else name for name in DEVICES]
+ON_DEVICES = [
+    pytest.param(name, marks=pytest.mark.quick) if name == QUICK else name for name in DEVICES
+]
 
 
 def test_every_device_works():
@@ -45,8 +47,13 @@ def test_stage_is_complete(stage):
         assert Path(f"{path}{suffix}").exists()
     assert list(stage_module(stage).cases())
     patterns = {".cl": r"__kernel void (\w+)\(", "_warp.py": r"@wp\.kernel[^\n]*\n\s*def (\w+)\("}
-    names = [set(re.findall(pattern, Path(f"{path}{suffix}").read_text())) for suffix, pattern in patterns.items()]
-    launched = set(re.findall(r"device\.launch\(\s*\"[\w.]+\",\s*\"(\w+)\"", Path(f"{path}.py").read_text()))
+    names = [
+        set(re.findall(pattern, Path(f"{path}{suffix}").read_text()))
+        for suffix, pattern in patterns.items()
+    ]
+    launched = set(
+        re.findall(r"device\.launch\(\s*\"[\w.]+\",\s*\"(\w+)\"", Path(f"{path}.py").read_text())
+    )
     assert names[0] & names[1] or not launched
     assert launched <= names[0] & names[1]
 
@@ -56,7 +63,11 @@ def test_signature_is_that_of_a_call(stage):
     """The device last and by keyword alone, the rest as the reference has it; every case's inputs fit."""
     signature = inspect.signature(public_function(stage))
     *others, device = signature.parameters.values()
-    assert (device.name, device.kind, device.default) == ("device", inspect.Parameter.KEYWORD_ONLY, "auto")
+    assert (device.name, device.kind, device.default) == (
+        "device",
+        inspect.Parameter.KEYWORD_ONLY,
+        "auto",
+    )
     reference = getattr(import_module(f"gpusim.kernels.{stage}_ref"), stage.rpartition(".")[2])
     assert str(signature.replace(parameters=others)) == str(inspect.signature(reference))
     for case in stage_module(stage).cases():
@@ -64,13 +75,25 @@ def test_signature_is_that_of_a_call(stage):
 
 
 @pytest.mark.parametrize("device", ["numpy", QUICK])
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda raw, device: linear(raw, 0, 1, device=device), "too many positional arguments"),
-    (lambda raw, device: linear(raw, black_level=0, device=device), "missing a required argument: 'scale'"),
-    (lambda raw, device: linear(raw, black_level=0, scale=1, white=2, device=device), "unexpected keyword.*'white'"),
-], ids=["positional", "missing", "unknown"])
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda raw, device: linear(raw, 0, 1, device=device), "too many positional arguments"),
+        (
+            lambda raw, device: linear(raw, black_level=0, device=device),
+            "missing a required argument: 'scale'",
+        ),
+        (
+            lambda raw, device: linear(raw, black_level=0, scale=1, white=2, device=device),
+            "unexpected keyword.*'white'",
+        ),
+    ],
+    ids=["positional", "missing", "unknown"],
+)
 def test_a_wrong_call_names_the_stage(call, words, device):
-    with pytest.raises(TypeError, match=rf"^processor\.linear: .*{words}.*; wanted linear\(raw, \*, ") as caught:
+    with pytest.raises(
+        TypeError, match=rf"^processor\.linear: .*{words}.*; wanted linear\(raw, \*, "
+    ) as caught:
         call(np.ones((2, 2), np.uint16), device)
     assert "\n" not in str(caught.value)
 

@@ -33,23 +33,55 @@ def test_a_devices_own_arrays_stay_there(name):
     ids = np.arange(20, dtype=np.uint16).reshape(4, 5) + 65500
     found = take(device.array(ids, np.uint16), device.array(ROWS, np.int32), COLS, device=device)
     assert isinstance(found, device.array_type)
-    np.testing.assert_array_equal(device.numpy(found), [[[65501, 65501, 65502], [65516, 65516, 65517]],
-                                                        [[65515, 65519, 65519], [65500, 65504, 65504]]])
+    np.testing.assert_array_equal(
+        device.numpy(found),
+        [
+            [[65501, 65501, 65502], [65516, 65516, 65517]],
+            [[65515, 65519, 65519], [65500, 65504, 65504]],
+        ],
+    )
     assert device.numpy(found).dtype == np.uint16
 
 
 @pytest.mark.parametrize("name", ALL)
-@pytest.mark.parametrize(("shape", "dtype", "rows", "cols", "words"), [
-    ((4,), np.float32, ROWS, COLS, r"content of shape \(4,\); wanted"),
-    ((3, 0, 5), np.float32, ROWS, COLS, r"content of shape \(3, 0, 5\); wanted"),
-    ((3, 4, 5), np.uint8, ROWS, COLS, "content of type uint8; wanted float32, float16 or uint16"),
-    ((3, 4, 5), np.float32, ROWS[0], COLS, r"rows of shape \(2,\) and columns of shape \(2, 3\); wanted"),
-    ((3, 4, 5), np.float32, ROWS, COLS[0], r"rows of shape \(2, 2\) and columns of shape \(3,\); wanted"),
-    ((3, 4, 5), np.float32, ROWS[0], None, r"rows of shape \(2,\)"),
-    ((3, 4, 5), np.float32, None, COLS[None], r"columns of shape \(1, 2, 3\)"),
-    ((3, 4, 5), np.float32, ROWS[:1], COLS, r"rows of shape \(1, 2\) and columns of shape \(2, 3\); wanted"),
-    ((3, 4, 5), np.float32, np.zeros((0, 2), np.int32), COLS, r"rows of shape \(0, 2\)"),
-])
+@pytest.mark.parametrize(
+    ("shape", "dtype", "rows", "cols", "words"),
+    [
+        ((4,), np.float32, ROWS, COLS, r"content of shape \(4,\); wanted"),
+        ((3, 0, 5), np.float32, ROWS, COLS, r"content of shape \(3, 0, 5\); wanted"),
+        (
+            (3, 4, 5),
+            np.uint8,
+            ROWS,
+            COLS,
+            "content of type uint8; wanted float32, float16 or uint16",
+        ),
+        (
+            (3, 4, 5),
+            np.float32,
+            ROWS[0],
+            COLS,
+            r"rows of shape \(2,\) and columns of shape \(2, 3\); wanted",
+        ),
+        (
+            (3, 4, 5),
+            np.float32,
+            ROWS,
+            COLS[0],
+            r"rows of shape \(2, 2\) and columns of shape \(3,\); wanted",
+        ),
+        ((3, 4, 5), np.float32, ROWS[0], None, r"rows of shape \(2,\)"),
+        ((3, 4, 5), np.float32, None, COLS[None], r"columns of shape \(1, 2, 3\)"),
+        (
+            (3, 4, 5),
+            np.float32,
+            ROWS[:1],
+            COLS,
+            r"rows of shape \(1, 2\) and columns of shape \(2, 3\); wanted",
+        ),
+        ((3, 4, 5), np.float32, np.zeros((0, 2), np.int32), COLS, r"rows of shape \(0, 2\)"),
+    ],
+)
 def test_wrong_shapes_are_refused(name, shape, dtype, rows, cols, words):
     with pytest.raises(BadData, match=f"^take: .*{words}") as caught:
         take(np.zeros(shape, dtype), rows, cols, device=name)

@@ -49,9 +49,16 @@ def test_made_again_is_made_anew(device):
     tables = [RANDOM.random((3, 5), np.float32) for _ in range(2)]
     mono = np.zeros((1, 1), np.int32)
     for content, table, seconds, cfa, twice in (
-            (first, 0, 0.1, BAYER, False), (first, 0, 0.1, BAYER, False), (first, 0, 0.3, BAYER, False),
-            (first, 1, 0.3, BAYER, False), (small, 1, 0.3, BAYER, False), (first, 1, 0.3, mono, False),
-            (first, 1, 0.3, mono, True), (first, 0, 0.1, BAYER, False), (cube(device), 0, 0.1, BAYER, False)):
+        (first, 0, 0.1, BAYER, False),
+        (first, 0, 0.1, BAYER, False),
+        (first, 0, 0.3, BAYER, False),
+        (first, 1, 0.3, BAYER, False),
+        (small, 1, 0.3, BAYER, False),
+        (first, 1, 0.3, mono, False),
+        (first, 1, 0.3, mono, True),
+        (first, 0, 0.1, BAYER, False),
+        (cube(device), 0, 0.1, BAYER, False),
+    ):
         made = content, tables[table], seconds, cfa, twice
         with noted(tape):
             found = values_after(device, lambda made=made: chain(device, *made))
@@ -65,7 +72,9 @@ def test_tapes_that_share_an_array_keep_it_apart(device):
 
     def found(tape, array):
         with noted(tape):
-            return values_after(device, lambda: collect(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device))
+            return values_after(
+                device, lambda: collect(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device)
+            )
 
     first, _ = (found(tape, shared) for tape in tapes)
     second = found(tapes[0], other)
@@ -94,25 +103,43 @@ def test_replayed_it_takes_the_contents_that_are_there(device):
     overwrite(device, content, source)
     np.testing.assert_array_equal(values(device, result), before)
     tape.replay()
-    np.testing.assert_array_equal(values(device, result), values(device, chain(device, source, table, 0.2)))
+    np.testing.assert_array_equal(
+        values(device, result), values(device, chain(device, source, table, 0.2))
+    )
     assert (values(device, result) != before).any()
 
 
 def test_copies_read_what_takes_an_arrays_place(device):
     """A kernel and a copy that read the same array: given another, both read that; made again, each its own."""
-    tape, table, first, second = Tape(), RANDOM.random((3, 5), np.float32), cube(device), cube(device)
+    tape, table, first, second = (
+        Tape(),
+        RANDOM.random((3, 5), np.float32),
+        cube(device),
+        cube(device),
+    )
 
     def made(content):
         with noted(tape):
-            return device.stack([device.part(integrate(content, device.array(table), device=device), 1),
-                                 device.part(content, 2)])
+            return device.stack(
+                [
+                    device.part(integrate(content, device.array(table), device=device), 1),
+                    device.part(content, 2),
+                ]
+            )
 
     for _ in range(2):
         found = made(first)
     assert tape.replaced([(first, second)])
     tape.replay()
-    expected = values(device, device.stack([device.part(integrate(second, device.array(table), device=device), 1),
-                                            device.part(second, 2)]))
+    expected = values(
+        device,
+        device.stack(
+            [
+                device.part(integrate(second, device.array(table), device=device), 1),
+                device.part(second, 2),
+            ]
+        ),
+    )
     np.testing.assert_array_equal(values(device, found), expected)
     again = values(device, made(first))
     np.testing.assert_array_equal(again[1], values(device, first)[2])
@@ -121,13 +148,20 @@ def test_copies_read_what_takes_an_arrays_place(device):
 
 def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device):
     """Kernels of its other form would go on reading what it was: the far field's of planes that tiles read, too."""
-    tape, table, first, second = Tape(), RANDOM.random((3, 5), np.float32), cube(device), cube(device)
+    tape, table, first, second = (
+        Tape(),
+        RANDOM.random((3, 5), np.float32),
+        cube(device),
+        cube(device),
+    )
     planes, rows, cols = first.shape
 
     def made(content):
         with noted(tape):
             own = integrate(content, device.array(table), device=device)
-            turned = integrate(device.reshape(content, (planes, cols, rows)), device.array(table), device=device)
+            turned = integrate(
+                device.reshape(content, (planes, cols, rows)), device.array(table), device=device
+            )
             return device.stack([device.reshape(own, turned.shape), turned])
 
     for _ in range(2):
@@ -135,7 +169,9 @@ def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device)
     assert tape.is_replayable and not tape.replaced([(first, second)])
     tape.replay()
     again = made(first)
-    np.testing.assert_array_equal(values(device, again)[0].ravel(), values(device, again)[1].ravel())
+    np.testing.assert_array_equal(
+        values(device, again)[0].ravel(), values(device, again)[1].ravel()
+    )
 
 
 def overwrite(device, target, source):
@@ -189,24 +225,39 @@ def test_another_frame_is_drawn_by_the_launches_of_one(device):
     expected = device.array(100 * RANDOM.random((34, 46), np.float32))
     traps = device.array(RANDOM.random((34, 46), np.float32))
     for lines in (0.0, 0.7):
-        sensor = {"row_noise": lines, "full_well": 1e4, "white_level": 1023, "telegraph_switching": 0.3,
-                  "device": device}
+        sensor = {
+            "row_noise": lines,
+            "full_well": 1e4,
+            "white_level": 1023,
+            "telegraph_switching": 0.3,
+            "device": device,
+        }
         numbers = {"dark_electrons": 1.0, "read_noise": 2.0, "gain": 0.5, "black_level": 64.0}
         tape = Tape()
         with noted(tape):
             raw = noise(expected, traps, traps, seed=1, frame=0, **numbers, **sensor)
-        for seed, frame, other in ((1, 1, {}), (2**64 - 3, 2**32 - 1, {"dark_electrons": 30.0}), (1, 1, {"gain": 2.5}),
-                                   (1, 1, {"read_noise": 7.0, "dark_electrons": 0.0, "black_level": 3.0})):
+        for seed, frame, other in (
+            (1, 1, {}),
+            (2**64 - 3, 2**32 - 1, {"dark_electrons": 30.0}),
+            (1, 1, {"gain": 2.5}),
+            (1, 1, {"read_noise": 7.0, "dark_electrons": 0.0, "black_level": 3.0}),
+        ):
             redraw(tape, seed, frame, **(numbers | other))
             tape.replay()
-            fresh = noise(expected, traps, traps, seed=seed, frame=frame, **(numbers | other), **sensor)
+            fresh = noise(
+                expected, traps, traps, seed=seed, frame=frame, **(numbers | other), **sensor
+            )
             np.testing.assert_array_equal(values(device, raw), values(device, fresh))
         with pytest.raises(OutOfRange, match="frame"):
             redraw(tape, 1, 2**32)
 
 
 def test_another_time_is_set_in_the_launches_of_one(device):
-    rates, dark, tapes = cube(device, (3, 34, 46)), device.array(RANDOM.random((34, 46), np.float32)), (Tape(), Tape())
+    rates, dark, tapes = (
+        cube(device, (3, 34, 46)),
+        device.array(RANDOM.random((34, 46), np.float32)),
+        (Tape(), Tape()),
+    )
     with noted(tapes[0]):
         mean = collect(rates, BAYER, 0.1, 1e-3, device=device)
     with noted(tapes[1]):
@@ -217,8 +268,10 @@ def test_another_time_is_set_in_the_launches_of_one(device):
         tape.replay()
     fresh = collect(rates, BAYER, 0.7, 1e-3, device=device)
     np.testing.assert_array_equal(values(device, mean), values(device, fresh))
-    np.testing.assert_array_equal(values(device, expected),
-                                  values(device, chip(fresh, None, dark, dark_time=2.5, device=device)))
+    np.testing.assert_array_equal(
+        values(device, expected),
+        values(device, chip(fresh, None, dark, dark_time=2.5, device=device)),
+    )
 
 
 def test_results_on_a_tape_of_ones_own_are_kept(device):
@@ -229,8 +282,9 @@ def test_results_on_a_tape_of_ones_own_are_kept(device):
         with noted(own.tape):
             results.append(chain(device, content, table, 0.1 * number))
     for number, result in enumerate(results, 1):
-        np.testing.assert_array_equal(values(device, result),
-                                      values(device, chain(device, content, table, 0.1 * number)))
+        np.testing.assert_array_equal(
+            values(device, result), values(device, chain(device, content, table, 0.1 * number))
+        )
 
 
 def test_a_computation_that_fails_leaves_no_trace(device):
@@ -241,7 +295,9 @@ def test_a_computation_that_fails_leaves_no_trace(device):
         chain(device, content, table, 1 / 0)
     with noted(tape):
         result = chain(device, content, table, 0.4)
-    np.testing.assert_array_equal(values(device, result), values(device, chain(device, content, table, 0.4)))
+    np.testing.assert_array_equal(
+        values(device, result), values(device, chain(device, content, table, 0.4))
+    )
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -258,5 +314,7 @@ def test_an_array_is_not_taken_for_one_that_is_gone(device):
     for name in range(20):
         made = kept(f"second {name}", 1, lambda: device.empty((2, 3)))
         before = kept.one(made)
-        assert kept(f"second {name}", 2, lambda: device.empty((2, 3))) is made  # written again, as by tapes
+        assert (
+            kept(f"second {name}", 2, lambda: device.empty((2, 3))) is made
+        )  # written again, as by tapes
         assert kept.one(made).version > before.version

@@ -18,15 +18,18 @@ def test_thumbnails_are_the_same_bits_everywhere(device):
     kept = np.where(below, np.concatenate([picture, np.ones_like(picture[:1])]), np.float32(0))
     for i in range(4):
         for j in range(3):
-            block = kept[:, i * 70 // 4:(i + 1) * 70 // 4, j * 1030 // 3:(j + 1) * 1030 // 3]
+            block = kept[:, i * 70 // 4 : (i + 1) * 70 // 4, j * 1030 // 3 : (j + 1) * 1030 // 3]
             sums = np.add.accumulate(np.add.accumulate(block, 1)[:, -1], 1)[:, -1]
             np.testing.assert_array_equal(found[:, i, j], sums[:3] / sums[3])
 
 
 def test_wrong_thumbnails_are_refused():
     picture = np.ones((3, 8, 8), np.float32)
-    for error, arguments, options in ((BadData, (picture[0], 1.0), {}), (BadData, (picture, [1.0, 1.0]), {}),
-                                      (OutOfRange, (picture, 1.0), {"rows": 0}),
-                                      (OutOfRange, (picture, 1.0), {"cols": 2.5})):
+    for error, arguments, options in (
+        (BadData, (picture[0], 1.0), {}),
+        (BadData, (picture, [1.0, 1.0]), {}),
+        (OutOfRange, (picture, 1.0), {"rows": 0}),
+        (OutOfRange, (picture, 1.0), {"cols": 2.5}),
+    ):
         with pytest.raises(error):
             thumbnail(*arguments, **options)

@@ -19,10 +19,21 @@ class NormalEquations:
     def __init__(self, layout: Layout, constant: bool = False):
         """constant: whether filters may add a number (`FilterTable.offsets`)."""
         self.layout, self.constant = layout, constant
-        self.sums: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # of each noise level that has frames
+        self.sums: dict[
+            int, tuple[np.ndarray, np.ndarray, np.ndarray]
+        ] = {}  # of each noise level that has frames
         self._sizes = layout.shape[-1] + constant, layout.shape[-2]
 
-    def add(self, raw, wanted, code: Code, number: int = 0, phase=None, border: int = 0, weight: float = 1.0):
+    def add(
+        self,
+        raw,
+        wanted,
+        code: Code,
+        number: int = 0,
+        phase=None,
+        border: int = 0,
+        weight: float = 1.0,
+    ):
         """Count one frame.
 
         raw: mosaic, shape (rows, cols) [DN], whole numbers or not. wanted: planes, 1 = white, shape (outputs, rows,
@@ -33,10 +44,14 @@ class NormalEquations:
         layout = self.layout
         raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
         if wanted.shape != (len(layout.outputs), *raw.shape):
-            raise BadData(f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}")
+            raise BadData(
+                f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}"
+            )
         shift = (0, 0) if phase is None else layout.shift(phase)
         codes = code.measured(raw)
-        classes, levels = classify(codes, code, layout, layout.floor[number], layout.strengths[number])
+        classes, levels = classify(
+            codes, code, layout, layout.floor[number], layout.strengths[number]
+        )
         inside = np.s_[border : raw.shape[0] - border, border : raw.shape[1] - border]
         s = grouped(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
         if self.constant:
@@ -52,7 +67,9 @@ class NormalEquations:
             for k in np.flatnonzero(np.diff(edges)):
                 some = order[edges[k] : edges[k + 1]]
                 if not np.isscalar(hat):
-                    some = some[hat[some] > 0]  # each sample counts for the two levels next to its own
+                    some = some[
+                        hat[some] > 0
+                    ]  # each sample counts for the two levels next to its own
                 left, right = s[:, some], t[:, some]
                 share = np.full(len(some), weight) * (hat if np.isscalar(hat) else hat[some])
                 scaled = left * share
@@ -64,8 +81,10 @@ class NormalEquations:
     def _sums(self, number):
         terms, outputs = self._sizes
         if number not in self.sums:
-            a, b, c = (np.zeros((*self.layout.shape[1:4], *rest))
-                       for rest in ((terms, terms), (terms, outputs), (outputs,)))
+            a, b, c = (
+                np.zeros((*self.layout.shape[1:4], *rest))
+                for rest in ((terms, terms), (terms, outputs), (outputs,))
+            )
             self.sums[number] = a, b, c
         return self.sums[number]
 
@@ -75,7 +94,9 @@ class NormalEquations:
             for mine, sums in zip(self._sums(number), theirs, strict=True):
                 mine += sums
 
-    def solve(self, ridge: float = 1e-5, preserve: bool = False, exchanges=(), provenance: str = "") -> FilterTable:
+    def solve(
+        self, ridge: float = 1e-5, preserve: bool = False, exchanges=(), provenance: str = ""
+    ) -> FilterTable:
         """The table that fits the frames counted so far.
 
         ridge: lambda in units of the mean variance of a term in a class (of an average class of that position).
@@ -87,22 +108,39 @@ class NormalEquations:
         """
         layout = self.layout
         if preserve and not set(layout.outputs) <= set(layout.channels):
-            raise BadData(f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}")
+            raise BadData(
+                f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}"
+            )
         maps = symmetries(layout, exchanges)
         constraints = flat_sums(layout, self.constant)
         if preserve and not constraints.any(axis=2).all():
-            raise BadData("taps: some position has no sample of some channel among them, and flat fields shall be kept")
-        filters = np.zeros((*layout.shape[:2], layout.positions, layout.classes, *self._sizes[::-1]))
+            raise BadData(
+                "taps: some position has no sample of some channel among them, and flat fields shall be kept"
+            )
+        filters = np.zeros(
+            (*layout.shape[:2], layout.positions, layout.classes, *self._sizes[::-1])
+        )
         for number in range(len(layout.noise)):
             if number not in self.sums:
-                raise BadData(f"noise level {number} ({layout.noise[number]:g} of white): no training frame")
-            a, b, c = (shared(part, maps, axes, self.constant)
-                       for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True))
+                raise BadData(
+                    f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
+                )
+            a, b, c = (
+                shared(part, maps, axes, self.constant)
+                for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
+            )
             filters[number] = self._solved(a, b, c, ridge, preserve, constraints, number)
-        filters = np.rint(filters * 2.0**40) / 2.0**40  # so that sums over mirror images are exact, and equal
+        filters = (
+            np.rint(filters * 2.0**40) / 2.0**40
+        )  # so that sums over mirror images are exact, and equal
         filters = np.stack([shared(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
-        return FilterTable(layout, filters[..., :groups], filters[..., groups] if self.constant else None, provenance)
+        return FilterTable(
+            layout,
+            filters[..., :groups],
+            filters[..., groups] if self.constant else None,
+            provenance,
+        )
 
     def _solved(self, a, b, c, ridge, preserve, constraints, number):
         layout = self.layout
@@ -116,9 +154,11 @@ class NormalEquations:
             total = a[:, p].sum(axis=(0, 1))
             values = np.linalg.eigvalsh(total)
             if not values[0] > 1e-13 * values[-1]:
-                raise BadData(f"{place}: the training frames are singular, of {terms} terms "
-                              f"{(values > 1e-13 * values[-1]).sum()} vary independently; add frames with more detail "
-                              "or noise")
+                raise BadData(
+                    f"{place}: the training frames are singular, of {terms} terms "
+                    f"{(values > 1e-13 * values[-1]).sum()} vary independently; add frames with more detail "
+                    "or noise"
+                )
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
             everywhere = solved(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
@@ -126,7 +166,9 @@ class NormalEquations:
                 level = solved(a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit)
                 for k in range(layout.classes):
                     out[at, p, k] = solved(a[at, p, k], b[at, p, k], unit, level, limit).T
-            for o in [o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None]:
+            for o in [
+                o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None
+            ]:
                 square = c[:, p, :, o].sum()
                 left = square - 2 * b[:, p, :, own, o].sum() + a[:, p, :, own, own].sum()
                 if abs(left) <= 1e-9 * square:
@@ -195,10 +237,21 @@ def symmetries(layout: Layout, exchanges=()):
                     continue
                 for shift in np.ndindex(rows, cols):
                     places = np.indices((rows, cols)).reshape(2, -1)
-                    y, x = (places[::-1] if transpose else places) * sign[:, None] + np.array(shift)[:, None]
+                    y, x = (places[::-1] if transpose else places) * sign[:, None] + np.array(
+                        shift
+                    )[:, None]
                     y, x = y % rows, x % cols
-                    if [swap.get(letter, letter) for letter in letters.ravel()] == letters[y, x].tolist():
-                        found.append((y * cols + x, classes, groups, [layout.outputs.index(name) for name in outputs]))
+                    if [swap.get(letter, letter) for letter in letters.ravel()] == letters[
+                        y, x
+                    ].tolist():
+                        found.append(
+                            (
+                                y * cols + x,
+                                classes,
+                                groups,
+                                [layout.outputs.index(name) for name in outputs],
+                            )
+                        )
     return found
 
 

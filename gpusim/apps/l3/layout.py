@@ -13,7 +13,9 @@ OWN_COLOR = (2, 0, -4, 0, 2)
 SHARES = (5, 7, 10, 16)  # eighths of contrast / detail, with these two
 
 
-def layout(mosaic, outputs, domain="root", noise=(0.0,), levels=(0.0,), radius=None, box=None) -> Layout:
+def layout(
+    mosaic, outputs, domain="root", noise=(0.0,), levels=(0.0,), radius=None, box=None
+) -> Layout:
     """Return the layout for a mosaic.
 
     mosaic: one period, a text per row. outputs, domain, noise, levels: as in `Layout`. radius: taps are the samples
@@ -29,20 +31,41 @@ def layout(mosaic, outputs, domain="root", noise=(0.0,), levels=(0.0,), radius=N
     radius = radius or (4 if longest <= 4 else 5)
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= radius]
-    groups = np.unique(abs(taps), axis=0, return_inverse=True)[1] if longest <= 2 else np.arange(len(taps))
+    groups = (
+        np.unique(abs(taps), axis=0, return_inverse=True)[1]
+        if longest <= 2
+        else np.arange(len(taps))
+    )
     pairs = rows == cols == 2
-    contrast = [np.array(HAMILTON_ADAMS if pairs else difference(period)) for period in (rows, cols)]
+    contrast = [
+        np.array(HAMILTON_ADAMS if pairs else difference(period)) for period in (rows, cols)
+    ]
     largest = int(np.sqrt(LARGEST_SUM / np.abs(contrast[0]).sum()) - 1) // 2
     box = min(max(2, longest // 2), largest) if box is None else box
     sums = np.abs(contrast[0]).sum() / 2
-    gain = np.sqrt(np.square(contrast[0]).sum()) / sums / (np.sqrt(12) / 4)  # of noise, in units of Hamilton & Adams'
+    gain = (
+        np.sqrt(np.square(contrast[0]).sum()) / sums / (np.sqrt(12) / 4)
+    )  # of noise, in units of Hamilton & Adams'
     sigma = np.asarray(noise, float)
     floor = np.hypot(0.5 / 255, gain * sigma)
     strengths = np.hypot(CLEAN, np.multiply.outer(gain * sigma, NOISY))
     detail = (np.array(OWN_COLOR), np.array(OWN_COLOR)) if pairs else None
-    return Layout(tuple(mosaic), tuple(outputs), domain, taps, groups.ravel(), (contrast[0], contrast[1]), box,
-                  np.array(RATIOS), sigma, floor, strengths, np.array(levels), detail,
-                  np.array(SHARES if pairs else ()))
+    return Layout(
+        tuple(mosaic),
+        tuple(outputs),
+        domain,
+        taps,
+        groups.ravel(),
+        (contrast[0], contrast[1]),
+        box,
+        np.array(RATIOS),
+        sigma,
+        floor,
+        strengths,
+        np.array(levels),
+        detail,
+        np.array(SHARES if pairs else ()),
+    )
 
 
 def difference(period):

@@ -21,7 +21,15 @@ from gpusim.io.camera.learned import write_table
 from gpusim.io.scene.photo import read_samples
 
 MOSAIC = ("RG", "GB")
-SIGMAS = (0.0, 0.004, 0.009, 0.018, 0.035, 0.07, 0.14)  # of the code, relative to white: 15,600 to 12 electrons
+SIGMAS = (
+    0.0,
+    0.004,
+    0.009,
+    0.018,
+    0.035,
+    0.07,
+    0.14,
+)  # of the code, relative to white: 15,600 to 12 electrons
 READ = 2.0  # [e-]
 BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
 NOISY_BLURS = (0.0, 0.8, 2.0)
@@ -46,7 +54,9 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
                     raw = sampled(255 * wanted)
                 elif blur in NOISY_BLURS:
                     code, wanted = counted(sigma), soft
-                    raw = random.poisson(sampled(wanted) / code.scale) + random.normal(0, READ, wanted.shape[1:])
+                    raw = random.poisson(sampled(wanted) / code.scale) + random.normal(
+                        0, READ, wanted.shape[1:]
+                    )
                 else:
                     continue
                 found.add(raw, wanted, code, number, border=BORDER, weight=BLURRED if blur else 1.0)
@@ -67,17 +77,29 @@ def _rgb(file):
     """Three channels of a photograph, 0 .. 255."""
     samples = read_samples(file)
     if samples.shape[-1] != 3 or samples.dtype != np.uint8:
-        raise BadFile(file, f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB")
+        raise BadFile(
+            file,
+            f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB",
+        )
     return samples
 
 
 def provenance(names) -> str:
     """What a table of these photographs is made from, as JSON."""
-    return json.dumps({
-        "program": f"gpusim {__version__}, gpusim.apps.l3.photographs", "date": f"{datetime.date.today()}",
-        "photographs": list(names), "seeds": [1, 2], "noise of code / white": SIGMAS, "read noise [e-]": READ,
-        "blur [pixel]": BLURS, "blur with noise [pixel]": NOISY_BLURS, "weight of blurred frames": BLURRED,
-        "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)"})
+    return json.dumps(
+        {
+            "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",
+            "date": f"{datetime.date.today()}",
+            "photographs": list(names),
+            "seeds": [1, 2],
+            "noise of code / white": SIGMAS,
+            "read noise [e-]": READ,
+            "blur [pixel]": BLURS,
+            "blur with noise [pixel]": NOISY_BLURS,
+            "weight of blurred frames": BLURRED,
+            "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)",
+        }
+    )
 
 
 def table(found: NormalEquations, text: str) -> FilterTable:
@@ -106,7 +128,9 @@ def decoded(code):
 
 def encoded(light):
     """Encode linear light as sRGB, both 0 .. 1."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+    return np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055
+    )
 
 
 def blurred(planes, sigma):
@@ -117,6 +141,8 @@ def blurred(planes, sigma):
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     for axis in (1, 2):
         pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(planes, pad, mode="reflect"), len(taps), axis)
+        windows = np.lib.stride_tricks.sliding_window_view(
+            np.pad(planes, pad, mode="reflect"), len(taps), axis
+        )
         planes = windows @ (taps / taps.sum())
     return planes

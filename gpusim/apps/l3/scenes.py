@@ -27,14 +27,26 @@ def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE)
     """
     if count < 1 or size < 32:
         raise OutOfRange("training scenes", f"{count} of {size} pixels", "at least 1 of 32 pixels")
-    return [_scene(number, light, np.random.default_rng((seed, number)), size) for number in range(count)]
+    return [
+        _scene(number, light, np.random.default_rng((seed, number)), size)
+        for number in range(count)
+    ]
 
 
 def _scene(number, light, random, size):
     surfaces = SURFACES[number % len(SURFACES)]
-    base = chart("deadleaves", size=(size, size), light=light, samples_per_pixel=FINENESS, surfaces=surfaces,
-                 smallest=SMALLEST[number % len(SMALLEST)], seed=int(random.integers(2**31)))
-    spectra = np.vstack([reflectances(surfaces).at(WAVELENGTHS, outside=None), np.ones((1, len(WAVELENGTHS)))])
+    base = chart(
+        "deadleaves",
+        size=(size, size),
+        light=light,
+        samples_per_pixel=FINENESS,
+        surfaces=surfaces,
+        smallest=SMALLEST[number % len(SMALLEST)],
+        seed=int(random.integers(2**31)),
+    )
+    spectra = np.vstack(
+        [reflectances(surfaces).at(WAVELENGTHS, outside=None), np.ones((1, len(WAVELENGTHS)))]
+    )
     ids, shading = base.content.ids.astype(np.uint16), base.content.shading.astype(np.float64)
     grey = len(spectra) - 1
     _strokes(ids, shading, random, grey)
@@ -48,18 +60,24 @@ def _strokes(ids, shading, random, grey):
     """Lines of 0.5 to 3 pixels' width anywhere; in one quadrant dark ones on light grey."""
     n = len(ids)
     y, x = np.mgrid[:n, :n]
-    page = np.s_[(half := n // 2 * random.integers(2)) : half + n // 2, (side := n // 2 * random.integers(2)) :
-                 side + n // 2]
+    page = np.s_[
+        (half := n // 2 * random.integers(2)) : half + n // 2,
+        (side := n // 2 * random.integers(2)) : side + n // 2,
+    ]
     ids[page], shading[page] = grey, random.uniform(0.5, 0.95)
     on_page = np.zeros(ids.shape, bool)
     on_page[page] = True
     for _ in range(n // 3):
         # half of them upright or level, as most strokes of print are
-        angle = random.integers(4) * np.pi / 2 if random.random() < 0.5 else random.uniform(0, np.pi)
+        angle = (
+            random.integers(4) * np.pi / 2 if random.random() < 0.5 else random.uniform(0, np.pi)
+        )
         cy, cx = random.uniform(0, n, 2)
         along = (x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)
         across = (y - cy) * np.cos(angle) - (x - cx) * np.sin(angle)
-        line = (abs(along) < random.uniform(2, 15) * FINENESS) & (abs(across) < random.uniform(0.25, 1.5) * FINENESS)
+        line = (abs(along) < random.uniform(2, 15) * FINENESS) & (
+            abs(across) < random.uniform(0.25, 1.5) * FINENESS
+        )
         if on_page[int(cy), int(cx)]:
             line &= on_page
             shading[line] = random.uniform(0.02, 0.15)
@@ -99,5 +117,10 @@ def _shade(shape, random):
         return values / values.std()
 
     # in patches, most of it faint: filters take what all scenes have for detail, and leave such noise as it is
-    texture = 0.15 * random.random() ** 3 * (field(0.6 * FINENESS) + field(2 * FINENESS)) * (field(shape[0] / 16) > 0.5)
+    texture = (
+        0.15
+        * random.random() ** 3
+        * (field(0.6 * FINENESS) + field(2 * FINENESS))
+        * (field(shape[0] / 16) > 0.5)
+    )
     return np.exp2(np.clip(field(shape[0] / 5) - 0.7, -2, 1)) * np.exp(texture)

@@ -34,7 +34,9 @@ STEPS = 8  # strengths of light for every scene
 WINDOW = 192  # [pixel] of larger scenes, at another place for each strength
 SMALLEST = 32  # [pixel] scene along a side
 TIME = 0.01  # [s] of cameras that expose automatically; it matters for dark current alone
-DARKEST = 10.0  # white over the noise of a dark pixel where light is weakest; and electrons at least
+DARKEST = (
+    10.0  # white over the noise of a dark pixel where light is weakest; and electrons at least
+)
 # Code levels, relative to white, above which channels saturate one after the other; below them filters change slowly.
 BRIGHT_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 LEVEL_STEP = 3.2  # between dark levels
@@ -46,8 +48,18 @@ CLEAN = np.array((0.3, 0.91, 2.33, 5.16, 10.8, 22.1)) / 255
 NOISY = np.array((0.8, 0.95, 1.23, 1.6, 2.5, 4.5))
 
 
-def train(camera: Camera, scenes=(), *, light: str = "D65", luminances=None, generated: int = GENERATED,
-          outputs: str = "channels", seed: int = 0, device="auto", progress=iter) -> FilterTable:
+def train(
+    camera: Camera,
+    scenes=(),
+    *,
+    light: str = "D65",
+    luminances=None,
+    generated: int = GENERATED,
+    outputs: str = "channels",
+    seed: int = 0,
+    device="auto",
+    progress=iter,
+) -> FilterTable:
     """Learn filters for the camera's mosaic, noise and blur at once from simulated frames.
 
     scenes: more to train on, each in its own light. light: in which the camera sees the generated scenes, and for which
@@ -67,26 +79,54 @@ def train(camera: Camera, scenes=(), *, light: str = "D65", luminances=None, gen
     if outputs not in OUTPUTS:
         raise UnknownName("outputs", outputs, OUTPUTS)
     sound = training_camera(camera)
-    scenes = [*training_scenes(generated, light=light, seed=seed), *scenes] if generated else list(scenes)
+    scenes = (
+        [*training_scenes(generated, light=light, seed=seed), *scenes]
+        if generated
+        else list(scenes)
+    )
     _check_scenes(scenes)
-    letters, matrix = colorimetric_channels(sound, light) if outputs == "channels" else (XYZ, np.eye(3))
+    letters, matrix = (
+        colorimetric_channels(sound, light) if outputs == "channels" else (XYZ, np.eye(3))
+    )
     code = frame_code(sound)
     lowest, highest, strengths = _strengths(sound, light, luminances, len(scenes), seed)
     chosen = training_layout(sound.sensor.cfa, letters, code, lowest)
     equations = NormalEquations(chosen, constant=True)
     reach = int(abs(chosen.taps).max())
-    for pair in progress(simulated_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)):
+    for pair in progress(
+        simulated_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)
+    ):
         equations.add(pair.raw, pair.wanted, code, border=reach)
     optics, sensor = camera.optics, camera.sensor
-    made = ([f"{generated} generated"] if generated else []) + [scene.name for scene in scenes[generated:]]
-    return equations.solve(RIDGE, provenance=json.dumps({
-        "program": f"gpusim {__version__}", "date": f"{datetime.date.today()}", "camera": camera.name,
-        "f_number": optics.f_number, "pixel_pitch_um": round(sensor.pixel_pitch * 1e6, 6),
-        "exposure_time_ms": None if sensor.exposure_time is None else round(sensor.exposure_time * 1e3, 6),
-        "saturation_e": round(sensor.saturation, 1), "read_noise_e": round(sensor.read_sigma, 3), "light": light,
-        "target": camera.processor.target, "outputs": "".join(letters),
-        "white_over_saturation": [float(f"{strength:.3g}") for strength in (lowest, highest)],
-        "scenes": made, "seed": seed, "frames": strengths.size}))
+    made = ([f"{generated} generated"] if generated else []) + [
+        scene.name for scene in scenes[generated:]
+    ]
+    return equations.solve(
+        RIDGE,
+        provenance=json.dumps(
+            {
+                "program": f"gpusim {__version__}",
+                "date": f"{datetime.date.today()}",
+                "camera": camera.name,
+                "f_number": optics.f_number,
+                "pixel_pitch_um": round(sensor.pixel_pitch * 1e6, 6),
+                "exposure_time_ms": None
+                if sensor.exposure_time is None
+                else round(sensor.exposure_time * 1e3, 6),
+                "saturation_e": round(sensor.saturation, 1),
+                "read_noise_e": round(sensor.read_sigma, 3),
+                "light": light,
+                "target": camera.processor.target,
+                "outputs": "".join(letters),
+                "white_over_saturation": [
+                    float(f"{strength:.3g}") for strength in (lowest, highest)
+                ],
+                "scenes": made,
+                "seed": seed,
+                "frames": strengths.size,
+            }
+        ),
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,8 +142,9 @@ class Pair:
     white: float
 
 
-def simulated_pairs(camera: Camera, scenes, strengths, letters, matrix, *, seed: int = 0,
-                    device="auto") -> Iterator[Pair]:
+def simulated_pairs(
+    camera: Camera, scenes, strengths, letters, matrix, *, seed: int = 0, device="auto"
+) -> Iterator[Pair]:
     """Every scene at every strength of light, each with noise of its own.
 
     camera: see `training_camera`. strengths: (scenes, steps), of the light, as electrons that white gives the channel
@@ -125,9 +166,16 @@ def simulated_pairs(camera: Camera, scenes, strengths, letters, matrix, *, seed:
         for step, strength in enumerate(strengths[number]):
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
-            raw = simulator.readout.draw_electrons(electrons[part] * brighter, time, seed=seed,
-                                                   frame=number * steps + step)
-            white = brighter * best * time * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+            raw = simulator.readout.draw_electrons(
+                electrons[part] * brighter, time, seed=seed, frame=number * steps + step
+            )
+            white = (
+                brighter
+                * best
+                * time
+                * sensor.gain_dn_per_electron
+                / (sensor.white_level - sensor.dark_level)
+            )
             yield Pair(raw, wanted[:, *part] * white, white)
 
 
@@ -138,8 +186,10 @@ def wanted_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     allows. Raises BadData where the scene's reflectances are not known apart from its light.
     """
     if not scene.light_is_known:
-        raise BadData(f"{scene.name}: radiance in an unknown light, which cannot be lit anew; wanted reflectances and "
-                      "their light, as charts and photographs have them")
+        raise BadData(
+            f"{scene.name}: radiance in an unknown light, which cannot be lit anew; wanted reflectances and "
+            "their light, as charts and photographs have them"
+        )
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
     return pixel_sums(scene, weights / weights.sum(axis=1)[1])
 
@@ -153,14 +203,25 @@ def training_camera(camera: Camera) -> Camera:
     optics, sensor = camera.optics, camera.sensor
     if sensor.stacked or len(sensor.channels) < 3:
         kind = "stacked pixels" if sensor.stacked else f"{len(sensor.channels)} channel(s)"
-        raise OutOfRange("camera to train filters for", f"{camera.name}, {kind}",
-                         "a mosaic of 3 channels or more: others have nothing to demosaic")
+        raise OutOfRange(
+            "camera to train filters for",
+            f"{camera.name}, {kind}",
+            "a mosaic of 3 channels or more: others have nothing to demosaic",
+        )
     if sensor.binning != (1, 1):
-        raise OutOfRange("sensor.binning", sensor.binning, "(1, 1): train for a camera of pixels as large as the "
-                         "binned ones")
+        raise OutOfRange(
+            "sensor.binning",
+            sensor.binning,
+            "(1, 1): train for a camera of pixels as large as the binned ones",
+        )
     optics = dataclasses.replace(optics, distortion=None, relative_illumination="none")
-    sensor = dataclasses.replace(sensor, offset=(0.0, 0.0), microlens=None, vignetting=None,
-                                 noise=dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0))
+    sensor = dataclasses.replace(
+        sensor,
+        offset=(0.0, 0.0),
+        microlens=None,
+        vignetting=None,
+        noise=dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0),
+    )
     processor = dataclasses.replace(camera.processor, demosaic="bilinear", table=None)
     return dataclasses.replace(camera, optics=optics, sensor=sensor, processor=processor)
 
@@ -169,7 +230,12 @@ def frame_code(camera: Camera) -> Code:
     """How the camera's digital numbers are coded for its filters, as when they are used."""
     sensor = camera.sensor
     noise = Developer(camera, open_device("numpy")).noise
-    return Code("root", sensor.dark_level, 1 / (sensor.white_level - sensor.dark_level), noise if noise[0] else (0, 0))
+    return Code(
+        "root",
+        sensor.dark_level,
+        1 / (sensor.white_level - sensor.dark_level),
+        noise if noise[0] else (0, 0),
+    )
 
 
 def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], np.ndarray]:
@@ -181,8 +247,14 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
     method = "white-preserving" if processor.color == "none" else processor.color
-    transform = color_matrix(efficiency(camera, letters), light, processor.training, method=method,
-                             target_light=processor.target, channels=letters)
+    transform = color_matrix(
+        efficiency(camera, letters),
+        light,
+        processor.training,
+        method=method,
+        target_light=processor.target,
+        channels=letters,
+    )
     return letters, np.linalg.inv(transform.xyz)
 
 
@@ -196,13 +268,25 @@ def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
     dark = 0.03 * lowest
     steps = max(1, ceil(log(BRIGHT_LEVELS[0] / dark) / log(LEVEL_STEP)))
     levels = np.append(np.geomspace(dark, BRIGHT_LEVELS[0], steps + 1)[:-1], BRIGHT_LEVELS)
-    made = layout(mosaic, outputs, code.domain, (code.sigma,), code.encode(levels / code.scale) / code.white,
-                  radius=6 if positions <= 4 else 4)
+    made = layout(
+        mosaic,
+        outputs,
+        code.domain,
+        (code.sigma,),
+        code.encode(levels / code.scale) / code.white,
+        radius=6 if positions <= 4 else 4,
+    )
     ratios = np.array((12, 24) if positions <= 16 else (16,))
     weights = made.contrast[0] / (abs(made.contrast[0]).sum() / 2)
     strengths = np.hypot(CLEAN, NOISY * np.linalg.norm(weights) / np.sqrt(0.75) * code.sigma)[None]
-    return dataclasses.replace(made, ratios=ratios, detail=None, shares=np.zeros(0, np.int32), strengths=strengths,
-                               floor=np.array([0.5 / 255]))
+    return dataclasses.replace(
+        made,
+        ratios=ratios,
+        detail=None,
+        shares=np.zeros(0, np.int32),
+        strengths=strengths,
+        floor=np.array([0.5 / 255]),
+    )
 
 
 def _strengths(camera, light, luminances, scenes, seed):
@@ -220,8 +304,11 @@ def _strengths(camera, light, luminances, scenes, seed):
         if values.ndim != 1 or not (np.isfinite(values) & (values > 0)).all():
             raise OutOfRange("luminances", luminances, "positive numbers [cd m-2]")
         if time is None:
-            raise OutOfRange("luminances of a camera that exposes automatically", luminances, "none, or a camera file "
-                             "with exposure_time_ms")
+            raise OutOfRange(
+                "luminances of a camera that exposes automatically",
+                luminances,
+                "none, or a camera file with exposure_time_ms",
+            )
         each = rates.max() * time * values / sensor.saturation
         lowest, highest = each.min(), each.max()
         if len(each) != 2:
@@ -233,7 +320,10 @@ def _strengths(camera, light, luminances, scenes, seed):
 
 def _window(shape, period, random):
     """A part of a frame that is no larger than WINDOW and begins as the mosaic does."""
-    starts = [step * random.integers(max(n - WINDOW, 0) // step + 1) for n, step in zip(shape, period, strict=True)]
+    starts = [
+        step * random.integers(max(n - WINDOW, 0) // step + 1)
+        for n, step in zip(shape, period, strict=True)
+    ]
     return tuple(slice(start, start + WINDOW) for start in starts)
 
 
@@ -242,7 +332,10 @@ def _check_scenes(scenes):
         raise BadData("training: no scenes; wanted some, or generated ones")
     for scene in scenes:
         if min(scene.shape) < SMALLEST:
-            raise OutOfRange(f"size of training scene {scene.name}", f"{scene.shape[1]}x{scene.shape[0]} pixels",
-                             f"at least {SMALLEST}x{SMALLEST}")
+            raise OutOfRange(
+                f"size of training scene {scene.name}",
+                f"{scene.shape[1]}x{scene.shape[0]} pixels",
+                f"at least {SMALLEST}x{SMALLEST}",
+            )
         if not scene.light_is_known:
             wanted_colors(scene)  # says why not

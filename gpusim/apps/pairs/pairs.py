@@ -28,11 +28,25 @@ class Pairs:
     `Simulator`; without it each has its own, whose name is told.
     """
 
-    def __init__(self, simulator: Simulator, photographs: list[Path], opened: Callable[[Path, dict], Scene],
-                 variety: Variety, each: int = 1, seed: int = 0, pictures: bool = False,
-                 plan: Plan | None = None):
+    def __init__(
+        self,
+        simulator: Simulator,
+        photographs: list[Path],
+        opened: Callable[[Path, dict], Scene],
+        variety: Variety,
+        each: int = 1,
+        seed: int = 0,
+        pictures: bool = False,
+        plan: Plan | None = None,
+    ):
         self._simulator, self._photographs, self._opened = simulator, photographs, opened
-        self._variety, self._each, self._seed, self._pictures, self._plan = variety, each, seed, pictures, plan
+        self._variety, self._each, self._seed, self._pictures, self._plan = (
+            variety,
+            each,
+            seed,
+            pictures,
+            plan,
+        )
 
     def __len__(self):
         return self._each * len(self._photographs)
@@ -68,13 +82,25 @@ class Pairs:
         light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.layered(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
-            pair["rgb"] = np.array(simulator.device.numpy(program.codes(seed=self._seed, frame=number)))
-        told = {"photograph": self._photographs[number // self._each].name, "camera": simulator.camera.name,
-                "seed": self._seed, "frame": number, **values, "exposure_time_s": exposure.exposure_time,
-                "gain": exposure.gain, "black_level": float(sensor.dark_level),
-                "white_level": float(sensor.white_level), "gain_dn_per_e": float(sensor.gain_dn_per_electron),
-                "read_noise_e": float(sensor.read_sigma), "cfa": list(sensor.cfa),
-                "plan": exposure.plan.name, "predicted_rms": account.total.rms}
+            pair["rgb"] = np.array(
+                simulator.device.numpy(program.codes(seed=self._seed, frame=number))
+            )
+        told = {
+            "photograph": self._photographs[number // self._each].name,
+            "camera": simulator.camera.name,
+            "seed": self._seed,
+            "frame": number,
+            **values,
+            "exposure_time_s": exposure.exposure_time,
+            "gain": exposure.gain,
+            "black_level": float(sensor.dark_level),
+            "white_level": float(sensor.white_level),
+            "gain_dn_per_e": float(sensor.gain_dn_per_electron),
+            "read_noise_e": float(sensor.read_sigma),
+            "cfa": list(sensor.cfa),
+            "plan": exposure.plan.name,
+            "predicted_rms": account.total.rms,
+        }
         if simulator.tolerance is not None:
             told["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return pair | {"told": told}
@@ -82,4 +108,6 @@ class Pairs:
 
 def gain_of(camera: Camera, speed: float | None) -> float:
     """Analog gain beside the sensor's for a speed, 1 for None. Raises OutOfRange below the base speed."""
-    return 1.0 if speed is None else gain_for_speed(camera.sensor, speed) / camera.sensor.analog_gain
+    return (
+        1.0 if speed is None else gain_for_speed(camera.sensor, speed) / camera.sensor.analog_gain
+    )

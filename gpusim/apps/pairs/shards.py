@@ -15,7 +15,10 @@ from gpusim.io.atomic import atomic_path
 
 def write_shard(path: Path, samples: Iterable[tuple[str, dict[str, bytes]]]):
     """Write samples, each a key and bytes by suffix, to a tar file. Raises BadFile."""
-    with atomic_path(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as file:
+    with (
+        atomic_path(path) as temporary,
+        tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as file,
+    ):
         for key, parts in samples:
             for suffix, data in parts.items():
                 member = tarfile.TarInfo(f"{key}.{suffix}")

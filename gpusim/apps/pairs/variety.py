@@ -25,8 +25,10 @@ class Variety:
         for part in text.split(","):
             name, equals, value = part.partition("=")
             if not equals or name not in NAMES or name in found:
-                raise argparse.ArgumentTypeError(f"{part!r}: wanted NAME=LOW..HIGH, each once, NAME one of "
-                                                 f"{', '.join(NUMBERS)}, or light=D65|A")
+                raise argparse.ArgumentTypeError(
+                    f"{part!r}: wanted NAME=LOW..HIGH, each once, NAME one of "
+                    f"{', '.join(NUMBERS)}, or light=D65|A"
+                )
             found[name] = _numbers(name, value) if name in NUMBERS else tuple(value.split("|"))
             if not all(found[name]):
                 raise argparse.ArgumentTypeError(f"{part!r}: wanted names such as light=D65|A")

@@ -25,7 +25,9 @@ class _Function(ModuleType):
             import ipywidgets  # noqa: F401
             import simplejpeg  # noqa: F401
         except ImportError as error:
-            raise Missing(f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'") from None
+            raise Missing(
+                f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'"
+            ) from None
         from gpusim.apps.preview.notebook import opened
 
         return opened(scene, camera, device, tolerance)

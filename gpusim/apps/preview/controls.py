@@ -9,13 +9,28 @@ from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_
 PLACES = 1000  # of a slider
 BEYOND, BEYOND_LOG = 2, 10  # a number that is typed may be as many times as large as a slider's end
 OWN = "the scene's"  # light
-LIGHTS = ("D65", "D50", "A", "FL2", "FL11", "LED-B1", "LED-B5", "LED-RGB1", "daylight-10000K", "blackbody-2000K")
+LIGHTS = (
+    "D65",
+    "D50",
+    "A",
+    "FL2",
+    "FL11",
+    "LED-B1",
+    "LED-B5",
+    "LED-RGB1",
+    "daylight-10000K",
+    "blackbody-2000K",
+)
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
 FILES = "the camera's"  # tone curve
 # of sRGB values: a little contrast, dark parts lifted, bright parts held back
-TONES = {FILES: None, "none": [], "contrast": [[0, 0], [0.25, 0.2], [0.75, 0.82], [1, 1]],
-         "shadows": [[0, 0], [0.1, 0.17], [0.3, 0.4], [1, 1]],
-         "highlights": [[0, 0], [0.5, 0.5], [0.8, 0.72], [1, 0.9], [2, 1]]}
+TONES = {
+    FILES: None,
+    "none": [],
+    "contrast": [[0, 0], [0.25, 0.2], [0.75, 0.82], [1, 1]],
+    "shadows": [[0, 0], [0.1, 0.17], [0.3, 0.4], [1, 1]],
+    "highlights": [[0, 0], [0.5, 0.5], [0.8, 0.72], [1, 0.9], [2, 1]],
+}
 VIEWS = ("rendered", "raw", "electrons", "noise")
 
 
@@ -55,17 +70,26 @@ class Control:
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
-                raise BadData(f"{self.label} = {shown(value)}: wanted one of {', '.join(map(str, self.choices))}")
+                raise BadData(
+                    f"{self.label} = {shown(value)}: wanted one of {', '.join(map(str, self.choices))}"
+                )
             return
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
         if type(value) not in (int, float):
-            raise BadData(f"{self.label} = {shown(value)}: wanted a number"
-                          + (f", or {self.off}" if self.off is not None else ""))
-        low, high = ((self.low / BEYOND_LOG, self.high * BEYOND_LOG) if self.is_log else
-                     (min(self.low, 0) * BEYOND, self.high * BEYOND))
+            raise BadData(
+                f"{self.label} = {shown(value)}: wanted a number"
+                + (f", or {self.off}" if self.off is not None else "")
+            )
+        low, high = (
+            (self.low / BEYOND_LOG, self.high * BEYOND_LOG)
+            if self.is_log
+            else (min(self.low, 0) * BEYOND, self.high * BEYOND)
+        )
         if not low <= value <= high:
-            raise OutOfRange(self.label, f"{shown(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}")
+            raise OutOfRange(
+                self.label, f"{shown(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}"
+            )
 
 
 def _noise(key, label, high, unit, low):
@@ -76,30 +100,62 @@ def _noise(key, label, high, unit, low):
 ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
 GROUPS: dict[str, tuple[Control, ...]] = {
     "Exposure": (
-        Control("sensor", "exposure_time_ms", "exposure", 0.01, 1000.0, "ms", is_log=True, off="auto", default="auto"),
+        Control(
+            "sensor",
+            "exposure_time_ms",
+            "exposure",
+            0.01,
+            1000.0,
+            "ms",
+            is_log=True,
+            off="auto",
+            default="auto",
+        ),
         Control("sensor", "analog_gain", "gain", 1.0, 32.0, is_log=True, default=1.0),
     ),
     "Lens": (
         Control("optics", "f_number", "f-number", 0.7, 32.0, is_log=True),
-        Control("optics", "object_distance_m", "focus", 0.1, 1000.0, "m", is_log=True, off=float("inf"),
-                default=float("inf")),
+        Control(
+            "optics",
+            "object_distance_m",
+            "focus",
+            0.1,
+            1000.0,
+            "m",
+            is_log=True,
+            off=float("inf"),
+            default=float("inf"),
+        ),
         Control("optics", "defocus_um", "defocus", -50.0, 50.0, "um", default=0.0),
-        *(Control("optics", "zernike_waves", label, -0.5, 0.5, "waves", item=item, default=(0.0,) * 11)
-          for label, item in ZERNIKE.items()),
+        *(
+            Control(
+                "optics", "zernike_waves", label, -0.5, 0.5, "waves", item=item, default=(0.0,) * 11
+            )
+            for label, item in ZERNIKE.items()
+        ),
     ),
     "Sensor": (
         Control("sensor", "pixel_pitch_um", "pixel pitch", 0.5, 12.0, "um", is_log=True),
         Control("sensor", "fill_factor", "fill factor", 0.05, 1.0, default=1.0),
-        Control("sensor", "full_well_e", "full well", 100.0, 1e5, "e-", is_log=True, default=10000.0),
+        Control(
+            "sensor", "full_well_e", "full well", 100.0, 1e5, "e-", is_log=True, default=10000.0
+        ),
         Control("sensor", "bits", "bits", choices=(8, 10, 12, 14, 16), default=10),
     ),
     "Noise": (
-        Control("noise", "photon", "photon noise", choices=("fast", "exact", "none"), default="fast"),
-        _noise("read_e", "read", 50.0, "e-", 0.1), _noise("dark_current_e_per_s", "dark current", 1e4, "e-/s", 0.01),
-        _noise("dsnu_e", "DSNU", 50.0, "e-", 0.01), _noise("prnu", "PRNU", 0.2, "", 1e-4),
-        _noise("row_e", "row", 20.0, "e-", 0.01), _noise("column_e", "column", 20.0, "e-", 0.01),
-        _noise("row_prnu", "row PRNU", 0.1, "", 1e-4), _noise("column_prnu", "column PRNU", 0.1, "", 1e-4),
-        _noise("adc_dn", "converter", 16.0, "DN", 0.01), _noise("hot_pixels", "hot pixels", 0.1, "", 1e-6),
+        Control(
+            "noise", "photon", "photon noise", choices=("fast", "exact", "none"), default="fast"
+        ),
+        _noise("read_e", "read", 50.0, "e-", 0.1),
+        _noise("dark_current_e_per_s", "dark current", 1e4, "e-/s", 0.01),
+        _noise("dsnu_e", "DSNU", 50.0, "e-", 0.01),
+        _noise("prnu", "PRNU", 0.2, "", 1e-4),
+        _noise("row_e", "row", 20.0, "e-", 0.01),
+        _noise("column_e", "column", 20.0, "e-", 0.01),
+        _noise("row_prnu", "row PRNU", 0.1, "", 1e-4),
+        _noise("column_prnu", "column PRNU", 0.1, "", 1e-4),
+        _noise("adc_dn", "converter", 16.0, "DN", 0.01),
+        _noise("hot_pixels", "hot pixels", 0.1, "", 1e-6),
         _noise("dead_pixels", "dead pixels", 0.1, "", 1e-6),
         Control("noise", "temperature_c", "temperature", -20.0, 100.0, "deg C", default=25.0),
     ),
@@ -107,8 +163,13 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         Control("processor", "defects", "defects", choices=DEFECTS, default="none"),
         Control("processor", "denoise", "denoising", 0.0, 4.0, default=0.0),
         Control("processor", "demosaic", "demosaicking", choices=DEMOSAICS, default="bilinear"),
-        Control("processor", "white_balance", "white balance",
-                choices=tuple(name for name in WHITE_BALANCES if name != "preset"), default="illuminant"),
+        Control(
+            "processor",
+            "white_balance",
+            "white balance",
+            choices=tuple(name for name in WHITE_BALANCES if name != "preset"),
+            default="illuminant",
+        ),
         Control("processor", "color", "colour", choices=COLORS, default="white-preserving"),
         Control("processor", "tone", "tone curve", choices=tuple(TONES), named=TONES, default=()),
         Control("processor", "shading", "shading correction", choices=(False, True), default=False),

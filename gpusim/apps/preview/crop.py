@@ -22,12 +22,18 @@ class Crop:
 
     def moved(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
         """The same, so many pixels farther, inside a frame of this shape."""
-        top, left = (min(max(place, 0), n - own) for place, n, own in zip(
-            (self.top + down, self.left + right), shape, (self.rows, self.cols), strict=True))
+        top, left = (
+            min(max(place, 0), n - own)
+            for place, n, own in zip(
+                (self.top + down, self.left + right), shape, (self.rows, self.cols), strict=True
+            )
+        )
         return replace(self, top=top, left=left)
 
 
-def enlarged(crop: Crop | None, step: int, at: tuple[int, int], shape: tuple[int, int], width: int) -> Crop | None:
+def enlarged(
+    crop: Crop | None, step: int, at: tuple[int, int], shape: tuple[int, int], width: int
+) -> Crop | None:
     """The next larger (step 1) or smaller (-1) picture around a pixel; None: all of the frame.
 
     at: row and column that stay where they are. shape: of the frame. width: of the picture on the screen [pixel].

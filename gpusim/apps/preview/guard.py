@@ -21,7 +21,13 @@ class Guard:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})
                 return
-            await send({"type": "http.response.start", "status": 403, "headers": [(b"content-type", b"text/plain")]})
+            await send(
+                {
+                    "type": "http.response.start",
+                    "status": 403,
+                    "headers": [(b"content-type", b"text/plain")],
+                }
+            )
             await send({"type": "http.response.body", "body": b"wrong Host or Origin"})
             return
         await self._inner(scope, receive, send)
@@ -36,4 +42,6 @@ class Guard:
             known = urlsplit(f"//{named[0]}").hostname in self._hosts
         except ValueError:
             return False
-        return known and all(origin in (f"http://{named[0]}", f"https://{named[0]}") for origin in origins)
+        return known and all(
+            origin in (f"http://{named[0]}", f"https://{named[0]}") for origin in origins
+        )

@@ -6,10 +6,12 @@ from gpusim.domain.account import SHOWN
 def of_exposure(facts: dict) -> str:
     """Exposure, gain and predicted error of a Picture's facts, in a line."""
     verdict = "" if facts["verdict"] is None else f" ({SHOWN[facts['verdict']]})"
-    return (f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  "
-            + ("draft: its error is not predicted" if facts["draft"] else
-               f"predicted error {facts['error']:.2g} rms{verdict}"
-               + "".join(f"; not known: {cause}" for cause in facts["unknown"])))
+    return f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  " + (
+        "draft: its error is not predicted"
+        if facts["draft"]
+        else f"predicted error {facts['error']:.2g} rms{verdict}"
+        + "".join(f"; not known: {cause}" for cause in facts["unknown"])
+    )
 
 
 def of_plan(facts: dict) -> str:

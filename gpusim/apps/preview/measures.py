@@ -24,16 +24,28 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
     """
     sensor = program.exposure.camera.sensor
     full = float(sensor.saturation)
-    counts = {letter: np.histogram(np.minimum(values, full), BINS, (0, full))[0].tolist()
-              for letter, values in _some(sensor, mean)}
+    counts = {
+        letter: np.histogram(np.minimum(values, full), BINS, (0, full))[0].tolist()
+        for letter, values in _some(sensor, mean)
+    }
     found: dict = {"counts": counts, "full well": full, "black level": float(sensor.dark_level)}
     if at is not None and mean.ndim == 2:
         y, x = (min(max(place, 0), n - 1) for place, n in zip(at, mean.shape, strict=True))
-        electrons, noise = float(mean[y, x]), RawNoise.of(sensor, program.simulator.readout.averaged)
+        electrons, noise = (
+            float(mean[y, x]),
+            RawNoise.of(sensor, program.simulator.readout.averaged),
+        )
         sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
-        numbers = min(electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level)
-        found["pixel"] = {"row": y, "col": x, "electrons": electrons, "dn": float(numbers),
-                          "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9))}
+        numbers = min(
+            electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
+        )
+        found["pixel"] = {
+            "row": y,
+            "col": x,
+            "electrons": electrons,
+            "dn": float(numbers),
+            "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9)),
+        }
     return found
 
 
@@ -50,8 +62,12 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
     except GpusimError as error:
         return {"why": str(error)}
     seen = found.frequencies <= 1
-    return {"frequencies": found.frequencies[seen].tolist(), "response": found.response[seen].tolist(),
-            "mtf50": half, "angle": float(np.degrees(found.angle))}
+    return {
+        "frequencies": found.frequencies[seen].tolist(),
+        "response": found.response[seen].tolist(),
+        "mtf50": half,
+        "angle": float(np.degrees(found.angle)),
+    }
 
 
 def error_map(mean, truth) -> np.ndarray:
@@ -60,7 +76,9 @@ def error_map(mean, truth) -> np.ndarray:
     wrong = wrong if wrong.ndim == 2 else wrong.mean(axis=0)
     part = np.clip(wrong / max(SPAN * np.sqrt(np.mean(wrong**2)), 1e-300), -1, 1)
     grey = 128 * (1 - np.abs(part))
-    codes = np.stack([grey + 255 * np.maximum(part, 0), grey, grey + 255 * np.maximum(-part, 0)], axis=-1)
+    codes = np.stack(
+        [grey + 255 * np.maximum(part, 0), grey, grey + 255 * np.maximum(-part, 0)], axis=-1
+    )
     return (np.clip(codes, 0, 255) + 0.5).astype(np.uint8)
 
 
@@ -72,9 +90,18 @@ def _some(sensor: Sensor, values):
     cfa = sensor.cfa_indices
     high, wide = cfa.shape
     step = max(1, round((values.size / SOME) ** 0.5))
-    return [(letter, np.concatenate([values[y :: high * step, x :: wide * step].ravel()
-                                     for y, x in np.argwhere(cfa == index)]))
-            for index, letter in enumerate(sensor.channels)]
+    return [
+        (
+            letter,
+            np.concatenate(
+                [
+                    values[y :: high * step, x :: wide * step].ravel()
+                    for y, x in np.argwhere(cfa == index)
+                ]
+            ),
+        )
+        for index, letter in enumerate(sensor.channels)
+    ]
 
 
 def on_host(device: Device, array) -> np.ndarray:

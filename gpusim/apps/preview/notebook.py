@@ -11,9 +11,29 @@ from os import PathLike
 from threading import Thread
 
 import ipywidgets
-from ipywidgets import HTML, Accordion, BoundedIntText, Button, Checkbox, Dropdown, HBox, Label, Layout, VBox
+from ipywidgets import (
+    HTML,
+    Accordion,
+    BoundedIntText,
+    Button,
+    Checkbox,
+    Dropdown,
+    HBox,
+    Label,
+    Layout,
+    VBox,
+)
 
-from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
+from gpusim.apps.preview.controls import (
+    CONTROLS,
+    GROUPS,
+    LIGHTS,
+    OWN,
+    PLACES,
+    TOLERANCES,
+    VIEWS,
+    Control,
+)
 from gpusim.apps.preview.curves import histogram
 from gpusim.apps.preview.labels import of_exposure, of_plan
 from gpusim.apps.preview.overrides import Given, table_of
@@ -41,7 +61,10 @@ def opened(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Pre
     scene = checked_scene(open_scene(scene) if isinstance(scene, str | PathLike) else scene)
     state: State
     if isinstance(camera, Camera):
-        state, table = Given(camera.name, tolerance=tolerance, is_live=False, given=camera), table_of(camera)
+        state, table = (
+            Given(camera.name, tolerance=tolerance, is_live=False, given=camera),
+            table_of(camera),
+        )
     else:
         state = State(str(camera), tolerance=tolerance, is_live=False)
         table = camera_table(state.camera)[1]
@@ -99,24 +122,36 @@ class Preview(HBox):
     # its parts
 
     def _left(self):
-        view = self.controls["view"] = ipywidgets.ToggleButtons(options=VIEWS, style={"button_width": "auto"})
+        view = self.controls["view"] = ipywidgets.ToggleButtons(
+            options=VIEWS, style={"button_width": "auto"}
+        )
         view.observe(lambda change: self._turn("view", change.new), "value")
         steps = []
         for name, step in (("undo", self._history.undo), ("redo", self._history.redo)):
             steps.append(Button(icon=name, tooltip=name, layout=Layout(width="3em")))
             steps[-1].on_click(partial(self._step, step))
         self._undo, self._redo = steps
-        return VBox([self.image, HBox([view, *steps]), self._error, self._known, self._histogram],
-                    layout=Layout(flex="1 1 480px"))
+        return VBox(
+            [self.image, HBox([view, *steps]), self._error, self._known, self._histogram],
+            layout=Layout(flex="1 1 480px"),
+        )
 
     def _right(self):
-        groups = [VBox([self._made(control) for control in controls]) for controls in GROUPS.values()]
+        groups = [
+            VBox([self._made(control) for control in controls]) for controls in GROUPS.values()
+        ]
         light = self._choice("light", "light", (OWN, *LIGHTS))
-        luminance = self.controls["luminance"] = Number(LUMINANCE, True, partial(self._turn, "luminance"))
-        accordion = Accordion([*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0)
+        luminance = self.controls["luminance"] = Number(
+            LUMINANCE, True, partial(self._turn, "luminance")
+        )
+        accordion = Accordion(
+            [*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0
+        )
         numbers = [self._whole("seed", "noise seed"), self._whole("frame", "noise frame")]
-        return VBox([self._choice("tolerance", "tolerance", TOLERANCES), *numbers, accordion],
-                    layout=Layout(flex="0 1 420px"))
+        return VBox(
+            [self._choice("tolerance", "tolerance", TOLERANCES), *numbers, accordion],
+            layout=Layout(flex="0 1 420px"),
+        )
 
     def _made(self, control):
         if control.choices:
@@ -126,10 +161,15 @@ class Preview(HBox):
         return number
 
     def _choice(self, name, label, choices):
-        return self._field(name, Dropdown(options=choices, description=label, style={"description_width": "9em"}))
+        return self._field(
+            name, Dropdown(options=choices, description=label, style={"description_width": "9em"})
+        )
 
     def _whole(self, name, label):
-        return self._field(name, BoundedIntText(max=2**32 - 1, description=label, style={"description_width": "9em"}))
+        return self._field(
+            name,
+            BoundedIntText(max=2**32 - 1, description=label, style={"description_width": "9em"}),
+        )
 
     def _field(self, name, field):
         self.controls[name] = field
@@ -143,7 +183,9 @@ class Preview(HBox):
             return
         if name == "light" and value == OWN:
             value = None
-        changes = {"changes": {**self.state.changes, name: value}} if name in CONTROLS else {name: value}
+        changes = (
+            {"changes": {**self.state.changes, name: value}} if name in CONTROLS else {name: value}
+        )
         self._history.set(replace(self.state, **changes), name if is_slid else "")
         self._go()
 
@@ -162,12 +204,18 @@ class Preview(HBox):
         self._setting = True
         try:
             for name, field in self.controls.items():
-                value = state.value(CONTROLS[name], self._table) if name in CONTROLS else getattr(state, name)
+                value = (
+                    state.value(CONTROLS[name], self._table)
+                    if name in CONTROLS
+                    else getattr(state, name)
+                )
                 if isinstance(field, Number):
                     field.show(value)
                     continue
                 value = OWN if name == "light" and value is None else value
-                if isinstance(field, Dropdown) and value not in field.options:  # one that the page does not offer
+                if (
+                    isinstance(field, Dropdown) and value not in field.options
+                ):  # one that the page does not offer
                     field.options = (*field.options, value)
                 field.value = value
         finally:
@@ -178,13 +226,21 @@ class Preview(HBox):
     async def _show(self, version, kind, data):
         """Show an answer to a version of the settings: a picture's bytes, or why there is none."""
         session = self._session
-        self._error.value = f'<span style="color:#d33">{escape(session.error)}</span>' if session.error else ""
+        self._error.value = (
+            f'<span style="color:#d33">{escape(session.error)}</span>' if session.error else ""
+        )
         if data:
             with self.image.hold_sync():
-                self.image.format, self.image.value = "png" if kind == PNG else "jpeg", data[HEAD.size :]
+                self.image.format, self.image.value = (
+                    "png" if kind == PNG else "jpeg",
+                    data[HEAD.size :],
+                )
             shown = session.shown
-            lines = [f"frame {shown.number}  made in {shown.ms:.0f} ms", of_exposure(shown.facts),
-                     of_plan(shown.facts)]
+            lines = [
+                f"frame {shown.number}  made in {shown.ms:.0f} ms",
+                of_exposure(shown.facts),
+                of_plan(shown.facts),
+            ]
             self._known.value = f'<pre style="white-space:pre-wrap;line-height:1.4">{escape(chr(10).join(lines))}</pre>'
             if kind == PNG or time.monotonic() - self._counted > COUNTED_EACH:
                 await self._count()
@@ -193,8 +249,9 @@ class Preview(HBox):
 
     async def _count(self):
         try:
-            found = await self._session.computed(self._producer.statistics, self._session.state,
-                                                 self._session.shown.number)
+            found = await self._session.computed(
+                self._producer.statistics, self._session.state, self._session.shown.number
+            )
         except Exception:
             return  # the next picture says it, also of a device that fails
         self._histogram.value = histogram(found)
@@ -212,18 +269,36 @@ class Number(HBox):
         self._control, ends = control, (control.low, control.high)
         low, high = map(log10, ends) if control.is_log else ends
         kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
-        middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2  # until there is a value
-        self.slider = kind(middle, min=low, max=high, step=(high - low) / PLACES, readout=False,
-                           layout=Layout(flex="1 1 6em", min_width="6em"))
+        middle = (
+            10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
+        )  # until there is a value
+        self.slider = kind(
+            middle,
+            min=low,
+            max=high,
+            step=(high - low) / PLACES,
+            readout=False,
+            layout=Layout(flex="1 1 6em", min_width="6em"),
+        )
         self.number = ipywidgets.FloatText(middle, layout=Layout(width="6.5em"))
         self.switch = Checkbox(indent=False, layout=Layout(width="1.5em")) if is_switched else None
         unit = f" [{control.unit}]" if control.unit else ""
         self.slider.observe(lambda change: turned(float(f"{change.new:.4g}"), True), "value")
-        self.number.observe(lambda change: turned(change.new) if isfinite(change.new) else None, "value")
+        self.number.observe(
+            lambda change: turned(change.new) if isfinite(change.new) else None, "value"
+        )
         if self.switch:
-            self.switch.observe(lambda change: turned(self.number.value if change.new else control.off), "value")
-        super().__init__([*([self.switch] if self.switch else []),
-                          Label(control.label + unit, layout=Layout(width="10.5em")), self.slider, self.number])
+            self.switch.observe(
+                lambda change: turned(self.number.value if change.new else control.off), "value"
+            )
+        super().__init__(
+            [
+                *([self.switch] if self.switch else []),
+                Label(control.label + unit, layout=Layout(width="10.5em")),
+                self.slider,
+                self.number,
+            ]
+        )
 
     def show(self, value):
         """Put a value into it; one that is no number, or off, has it greyed out."""

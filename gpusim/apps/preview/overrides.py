@@ -17,29 +17,43 @@ class Given(State):
 
     def table(self) -> dict:
         """Raises BadData: there is no file."""
-        raise BadData(f"camera {self.camera!r} is an object without a file; wanted a camera's name or a camera file")
+        raise BadData(
+            f"camera {self.camera!r} is an object without a file; wanted a camera's name or a camera file"
+        )
 
     def built(self) -> Camera:
         """The camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
         table = self.changed({"optics": {"zernike_waves": _lists(camera.optics.wavefront.zernike)}})
-        optics, sensor, noise, processor = (section_fields(camera.name, table, section)
-                                            for section in ("optics", "sensor", "noise", "processor"))
+        optics, sensor, noise, processor = (
+            section_fields(camera.name, table, section)
+            for section in ("optics", "sensor", "noise", "processor")
+        )
         optics["wavefront"] = replace(camera.optics.wavefront, zernike=optics.pop("zernike"))
         sensor["noise"] = replace(camera.sensor.noise, **noise)
-        return replace(camera, optics=replace(camera.optics, **optics), sensor=replace(camera.sensor, **sensor),
-                       processor=replace(camera.processor, **processor))
+        return replace(
+            camera,
+            optics=replace(camera.optics, **optics),
+            sensor=replace(camera.sensor, **sensor),
+            processor=replace(camera.processor, **processor),
+        )
 
 
 def table_of(camera: Camera) -> dict:
     """What a camera file would have for the controls, to 12 digits: to be shown, not to be built of."""
-    parts = {"optics": camera.optics, "sensor": camera.sensor, "noise": camera.sensor.noise,
-             "processor": camera.processor}
+    parts = {
+        "optics": camera.optics,
+        "sensor": camera.sensor,
+        "noise": camera.sensor.noise,
+        "processor": camera.processor,
+    }
     table: dict = {section: {} for section in parts}
     for control in CONTROLS.values():
         field, read = SECTIONS[control.section][control.key]
-        value = getattr(camera.optics.wavefront if field == "zernike" else parts[control.section], field)
+        value = getattr(
+            camera.optics.wavefront if field == "zernike" else parts[control.section], field
+        )
         if value is None:
             value = control.off
         elif isinstance(value, float):

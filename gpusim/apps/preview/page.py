@@ -11,7 +11,16 @@ from typing import Any
 
 from nicegui import app, run, ui
 
-from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
+from gpusim.apps.preview.controls import (
+    CONTROLS,
+    GROUPS,
+    LIGHTS,
+    OWN,
+    PLACES,
+    TOLERANCES,
+    VIEWS,
+    Control,
+)
 from gpusim.apps.preview.crop import enlarged
 from gpusim.apps.preview.curves import histogram, response
 from gpusim.apps.preview.labels import of_exposure, of_plan
@@ -79,8 +88,16 @@ class Sessions:
 class Page:
     """One client's page. title: of the scene; shape: rows and columns of its frames."""
 
-    def __init__(self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str):
-        self.session, self._token, self._title, self._shape, self._scene = session, token, title, shape, scene
+    def __init__(
+        self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
+    ):
+        self.session, self._token, self._title, self._shape, self._scene = (
+            session,
+            token,
+            title,
+            shape,
+            scene,
+        )
         self._fields: dict[str, Any] = {}
         self._setting = False  # while the page follows the settings, and not they it
         self._at: tuple[int, int] | None = None
@@ -89,8 +106,12 @@ class Page:
         self._refused = ""  # one beside which a reason stands
         self._table: dict = {}
         self._width = shape[1]  # of the picture on the screen [pixel]
-        self._held: tuple | None = None  # where the button went down: row and column of the canvas, and the crop then
-        self._edge: tuple[slice, slice] | None = None  # the part of the picture whose edge is measured
+        self._held: tuple | None = (
+            None  # where the button went down: row and column of the canvas, and the crop then
+        )
+        self._edge: tuple[slice, slice] | None = (
+            None  # the part of the picture whose edge is measured
+        )
 
     def build(self):
         """Make the page's elements."""
@@ -106,7 +127,11 @@ class Page:
             with ui.column().classes("w-full max-w-[420px] gap-1"):
                 self._build_top()
                 for name, controls in GROUPS.items():
-                    with ui.expansion(name, value=name in OPEN).classes("w-full").props(mark(f"group {name}")):
+                    with (
+                        ui.expansion(name, value=name in OPEN)
+                        .classes("w-full")
+                        .props(mark(f"group {name}"))
+                    ):
                         for control in controls:
                             self._build_control(control)
                 self._build_scene()
@@ -118,51 +143,105 @@ class Page:
     def _build_picture(self):
         rows, cols = self._shape
         with ui.element("div").classes("relative w-full"):
-            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on("size", self._on_size)
-            with ui.element("div").classes("absolute inset-0"):  # of its own: the image is placed relative to itself
-                self._fields["overlay"] = ui.interactive_image(
-                    size=(cols, rows), events=["mousedown", "mousemove", "mouseup"], on_mouse=self._on_mouse).on(
-                    "wheel.prevent", lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1), ["deltaY"],
-                    throttle=0.1).props(mark("overlay"))
+            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on(
+                "size", self._on_size
+            )
+            with ui.element("div").classes(
+                "absolute inset-0"
+            ):  # of its own: the image is placed relative to itself
+                self._fields["overlay"] = (
+                    ui.interactive_image(
+                        size=(cols, rows),
+                        events=["mousedown", "mousemove", "mouseup"],
+                        on_mouse=self._on_mouse,
+                    )
+                    .on(
+                        "wheel.prevent",
+                        lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1),
+                        ["deltaY"],
+                        throttle=0.1,
+                    )
+                    .props(mark("overlay"))
+                )
         with ui.row().classes("w-full items-center gap-2"):
-            self._fields["view"] = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value)).props(
-                "dense no-caps").props(mark("view"))
-            self._fields["live"] = ui.switch("play" if self._is_moving else "live noise", on_change=lambda event: (
-                self._live(event.value))).props(mark("live"))
+            self._fields["view"] = (
+                ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
+                .props("dense no-caps")
+                .props(mark("view"))
+            )
+            self._fields["live"] = ui.switch(
+                "play" if self._is_moving else "live noise",
+                on_change=lambda event: self._live(event.value),
+            ).props(mark("live"))
             self._button("undo", "undo (Ctrl+Z)", self._undo)
             self._button("redo", "redo (Ctrl+Y)", self._redo)
             self._button("zoom_out", "smaller (-)", lambda: self._zoom(-1))
             self._button("zoom_in", "larger, without loss (+); drag to move", lambda: self._zoom(1))
-            self._fields["measure"] = ui.switch("edge").props(mark("measure")).tooltip(
-                "drag over a slanted edge: its frequency response (ISO 12233)")
-            ui.button("error map", on_click=self._error_map).props("flat dense no-caps").props(mark("error map"))
+            self._fields["measure"] = (
+                ui.switch("edge")
+                .props(mark("measure"))
+                .tooltip("drag over a slanted edge: its frequency response (ISO 12233)")
+            )
+            ui.button("error map", on_click=self._error_map).props("flat dense no-caps").props(
+                mark("error map")
+            )
         with ui.row().classes("w-full items-center gap-2"):
             if self._is_moving:
                 self._button("skip_previous", "frame before (,)", lambda: self._step(-1))
                 self._button("skip_next", "next frame (.)", lambda: self._step(1))
-                self._fields["frame"] = ui.slider(min=0, max=self.session.producer.frames - 1, on_change=lambda event: (
-                    self._scrub(event.value))).classes("grow max-w-[300px]").props('aria-label="frame"').props(
-                    mark("frame"))
-            ui.button("set B", on_click=self._set_other).props("flat dense no-caps").props(mark("set B")).tooltip(
-                "keep this camera as B, and compare others with it")
-            self._fields["swap"] = ui.button("swap A and B", on_click=self._swap).props("flat dense no-caps").props(
-                mark("swap"))
-            self._fields["drop"] = ui.button("no B", on_click=lambda: self._set(against=None)).props(
-                "flat dense no-caps").props(mark("no B"))
-            self._fields["split"] = ui.slider(min=0, max=PLACES, on_change=lambda event: self._set(
-                "split", split=event.value / PLACES)).classes("w-40").props('aria-label="A | B"').props(mark("split"))
+                self._fields["frame"] = (
+                    ui.slider(
+                        min=0,
+                        max=self.session.producer.frames - 1,
+                        on_change=lambda event: self._scrub(event.value),
+                    )
+                    .classes("grow max-w-[300px]")
+                    .props('aria-label="frame"')
+                    .props(mark("frame"))
+                )
+            ui.button("set B", on_click=self._set_other).props("flat dense no-caps").props(
+                mark("set B")
+            ).tooltip("keep this camera as B, and compare others with it")
+            self._fields["swap"] = (
+                ui.button("swap A and B", on_click=self._swap)
+                .props("flat dense no-caps")
+                .props(mark("swap"))
+            )
+            self._fields["drop"] = (
+                ui.button("no B", on_click=lambda: self._set(against=None))
+                .props("flat dense no-caps")
+                .props(mark("no B"))
+            )
+            self._fields["split"] = (
+                ui.slider(
+                    min=0,
+                    max=PLACES,
+                    on_change=lambda event: self._set("split", split=event.value / PLACES),
+                )
+                .classes("w-40")
+                .props('aria-label="A | B"')
+                .props(mark("split"))
+            )
 
     def _button(self, icon, words, does):
-        ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"').tooltip(words).props(mark(icon))
+        ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"').tooltip(
+            words
+        ).props(mark(icon))
 
     @property
     def _is_moving(self):
         return self.session.producer.period > 0
 
     def _build_known(self):
-        for name, classes in (("error", "text-red-400"), ("busy", "text-amber-400"), ("known", QUIET),
-                              ("left out", "text-xs text-neutral-400")):
-            self._fields[name] = ui.label().classes(f"{classes} whitespace-pre-wrap").props(mark(name))
+        for name, classes in (
+            ("error", "text-red-400"),
+            ("busy", "text-amber-400"),
+            ("known", QUIET),
+            ("left out", "text-xs text-neutral-400"),
+        ):
+            self._fields[name] = (
+                ui.label().classes(f"{classes} whitespace-pre-wrap").props(mark(name))
+            )
 
     def _build_measures(self):
         for name in ("pixel", "histogram", "difference", "edge", "response"):
@@ -175,51 +254,123 @@ class Page:
         with ui.row().classes("w-full items-center gap-2"):
             names = camera_names()
             own = self.session.state.camera
-            self._fields["camera"] = ui.select([*names, *([] if own in names else [own])], label="camera", on_change=(
-                lambda event: self._camera(event.value))).classes("grow").props(mark("camera"))
-            self._fields["tolerance"] = ui.select(list(TOLERANCES), label="tolerance", on_change=lambda event: (
-                self._set(tolerance=event.value))).classes("grow").props(mark("tolerance"))
+            self._fields["camera"] = (
+                ui.select(
+                    [*names, *([] if own in names else [own])],
+                    label="camera",
+                    on_change=(lambda event: self._camera(event.value)),
+                )
+                .classes("grow")
+                .props(mark("camera"))
+            )
+            self._fields["tolerance"] = (
+                ui.select(
+                    list(TOLERANCES),
+                    label="tolerance",
+                    on_change=lambda event: self._set(tolerance=event.value),
+                )
+                .classes("grow")
+                .props(mark("tolerance"))
+            )
             with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
                 ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
                 for suffix in FORMATS:
-                    ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix)).props(mark(f"save {suffix}"))
+                    ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix)).props(
+                        mark(f"save {suffix}")
+                    )
                 ui.menu_item("link and command line", self._show_link).props(mark("show link"))
 
     def _build_scene(self):
         with ui.expansion("Light").classes("w-full").props(mark("group Light")):
-            self._fields["light"] = ui.select([OWN, *LIGHTS], label="light", on_change=lambda event: self._set(
-                light=None if event.value == OWN else event.value)).classes("w-full").props(mark("light"))
-            self._slider("luminance", "white", "cd/m2", 0.1, 1e5, True, lambda value: self._set("luminance",
-                                                                                                luminance=value))
+            self._fields["light"] = (
+                ui.select(
+                    [OWN, *LIGHTS],
+                    label="light",
+                    on_change=lambda event: self._set(
+                        light=None if event.value == OWN else event.value
+                    ),
+                )
+                .classes("w-full")
+                .props(mark("light"))
+            )
+            self._slider(
+                "luminance",
+                "white",
+                "cd/m2",
+                0.1,
+                1e5,
+                True,
+                lambda value: self._set("luminance", luminance=value),
+            )
 
     def _build_control(self, control: Control):
         name = control.name
         if control.choices:
-            self._fields[name] = ui.select(list(control.choices), label=control.label, on_change=lambda event: (
-                self._turn(control, event.value))).classes("w-full").props(mark(name))
+            self._fields[name] = (
+                ui.select(
+                    list(control.choices),
+                    label=control.label,
+                    on_change=lambda event: self._turn(control, event.value),
+                )
+                .classes("w-full")
+                .props(mark(name))
+            )
             return
-        self._slider(name, control.label, control.unit, control.low, control.high, control.is_log,
-                     lambda value: self._turn(control, value), control)
+        self._slider(
+            name,
+            control.label,
+            control.unit,
+            control.low,
+            control.high,
+            control.is_log,
+            lambda value: self._turn(control, value),
+            control,
+        )
 
     def _slider(self, name, label, unit, low, high, is_log, turned, control=None):
         def to_place(value):
             value = min(max(value, low), high)
-            return round(PLACES * (log(value / low) / log(high / low) if is_log else (value - low) / (high - low)))
+            return round(
+                PLACES
+                * (log(value / low) / log(high / low) if is_log else (value - low) / (high - low))
+            )
 
         def to_value(place):
             part = place / PLACES
-            return float(f"{low * (high / low) ** part if is_log else low + (high - low) * part:.4g}")
+            return float(
+                f"{low * (high / low) ** part if is_log else low + (high - low) * part:.4g}"
+            )
 
         with ui.row(wrap=False).classes("w-full items-center gap-2 -my-1"):
             is_on = None
             if control is not None and control.off is not None:
-                is_on = ui.checkbox(on_change=lambda event: self._switch(control, event.value, to_value(slider.value))
-                                    ).props("dense").props(mark(f"{name} on"))
+                is_on = (
+                    ui.checkbox(
+                        on_change=lambda event: self._switch(
+                            control, event.value, to_value(slider.value)
+                        )
+                    )
+                    .props("dense")
+                    .props(mark(f"{name} on"))
+                )
             ui.label(label).classes("w-24 text-sm shrink-0")
-            slider = ui.slider(min=0, max=PLACES, on_change=lambda event: self._slid(turned, to_value(event.value))
-                               ).classes("grow").props(f'aria-label="{label}"').props(mark(name))
-            number = ui.number(suffix=unit or None).props("dense borderless").classes("w-28 shrink-0").props(
-                mark(f"{name} number")).on("change", lambda: self._typed(turned, number.value))
+            slider = (
+                ui.slider(
+                    min=0,
+                    max=PLACES,
+                    on_change=lambda event: self._slid(turned, to_value(event.value)),
+                )
+                .classes("grow")
+                .props(f'aria-label="{label}"')
+                .props(mark(name))
+            )
+            number = (
+                ui.number(suffix=unit or None)
+                .props("dense borderless")
+                .classes("w-28 shrink-0")
+                .props(mark(f"{name} number"))
+                .on("change", lambda: self._typed(turned, number.value))
+            )
         self._fields[name] = (slider, number, is_on, to_place, control)
 
     # what a control does
@@ -309,11 +460,17 @@ class Page:
         y, x, crop = self._held
         if self._fields["measure"].value:
             top, left = self._seen(y, x)
-            self._edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
+            self._edge = tuple(
+                slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col))
+            )
             self._draw_edge()
         elif crop is not None:
-            down, right = ((then - now) * own / n for then, now, own, n in zip(
-                (y, x), place, (crop.rows, crop.cols), self._shape, strict=True))
+            down, right = (
+                (then - now) * own / n
+                for then, now, own, n in zip(
+                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
+                )
+            )
             self._cut(crop.moved(round(down), round(right), self._shape))
         if event.type == "mouseup":
             self._held = None
@@ -321,16 +478,29 @@ class Page:
     def _seen(self, y, x):
         """Row and column of the frame at a place of the canvas, whose size is said to be the frame's."""
         crop = self.session.crop
-        top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-        return tuple(min(max(start + int(place * own / n), 0), n - 1) for start, place, own, n in zip(
-            (top, left), (y, x), (rows, cols), self._shape, strict=True))
+        top, left, rows, cols = (
+            (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+        )
+        return tuple(
+            min(max(start + int(place * own / n), 0), n - 1)
+            for start, place, own, n in zip(
+                (top, left), (y, x), (rows, cols), self._shape, strict=True
+            )
+        )
 
     def _on_size(self, event):
         self._width = int(event.args["width"])
 
     def _zoom(self, step):
-        self._cut(enlarged(self.session.crop, step, self._at or tuple(n // 2 for n in self._shape), self._shape,
-                           self._width))
+        self._cut(
+            enlarged(
+                self.session.crop,
+                step,
+                self._at or tuple(n // 2 for n in self._shape),
+                self._shape,
+                self._width,
+            )
+        )
 
     def _cut(self, crop):
         if crop != self.session.crop:
@@ -343,12 +513,19 @@ class Page:
         """The rectangle of the measured edge on the canvas, whose size is said to be the frame's."""
         crop, shown = self.session.crop, ""
         if self._edge is not None:
-            top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-            (y, high), (x, wide) = (((part.start - start) * n / own, (part.stop - part.start) * n / own)
-                                    for part, start, own, n in zip(self._edge, (top, left), (rows, cols), self._shape,
-                                                                   strict=True))
-            shown = (f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
-                     f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>')
+            top, left, rows, cols = (
+                (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+            )
+            (y, high), (x, wide) = (
+                ((part.start - start) * n / own, (part.stop - part.start) * n / own)
+                for part, start, own, n in zip(
+                    self._edge, (top, left), (rows, cols), self._shape, strict=True
+                )
+            )
+            shown = (
+                f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
+                f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>'
+            )
         self._fields["overlay"].content = shown
 
     async def _error_map(self):
@@ -363,8 +540,10 @@ class Page:
         from PIL import Image
 
         with ui.dialog(value=True), ui.card().classes("max-w-none").props(mark("error dialog")):
-            ui.label(f"mean electrons less their truth: {error.rms:.2g} rms, {error.p999_sigma:.2g} of a pixel's noise "
-                     f"at 99.9 %, {error.max_sigma:.2g} at most; full red is {SPAN:g} rms too much, full blue less")
+            ui.label(
+                f"mean electrons less their truth: {error.rms:.2g} rms, {error.p999_sigma:.2g} of a pixel's noise "
+                f"at 99.9 %, {error.max_sigma:.2g} at most; full red is {SPAN:g} rms too much, full blue less"
+            )
             ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
 
     # what the page shows
@@ -386,8 +565,13 @@ class Page:
             if only in CONTROLS:
                 return
             self._show("luminance", state.luminance)
-            for name, value in (("view", state.view), ("live", state.is_live), ("camera", state.camera),
-                                ("tolerance", state.tolerance), ("light", state.light or OWN)):
+            for name, value in (
+                ("view", state.view),
+                ("live", state.is_live),
+                ("camera", state.camera),
+                ("tolerance", state.tolerance),
+                ("light", state.light or OWN),
+            ):
                 self._fields[name].value = value
             for name in ("swap", "drop", "split"):
                 self._fields[name].visible = state.against is not None
@@ -434,7 +618,8 @@ class Page:
             self._setting = False
         self._fields["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
-            f"{of_exposure(shown.facts)}")
+            f"{of_exposure(shown.facts)}"
+        )
         self._fields["left out"].text = of_plan(shown.facts)
 
     async def _statistics(self):
@@ -443,19 +628,28 @@ class Page:
             return
         part = self._edge if self._fields["measure"].value else None
         try:
-            found = await session.computed(session.producer.statistics, session.state, session.shown.number, self._at,
-                                           part)
+            found = await session.computed(
+                session.producer.statistics, session.state, session.shown.number, self._at, part
+            )
         except Exception:
             return  # the picture says it, also of a device that fails
         self._fields["histogram"].content = histogram(found)
         if pixel := found.get("pixel"):
-            self._fields["pixel"].text = (f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
-                                          f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB")
-        self._fields["difference"].text = (f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
-                                           if "difference" in found else "")
+            self._fields["pixel"].text = (
+                f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
+                f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
+            )
+        self._fields["difference"].text = (
+            f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
+            if "difference" in found
+            else ""
+        )
         edge = found.get("edge", {})
-        self._fields["edge"].text = edge.get("why", "") if "mtf50" not in edge else (
-            f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees")
+        self._fields["edge"].text = (
+            edge.get("why", "")
+            if "mtf50" not in edge
+            else (f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees")
+        )
         self._fields["response"].content = response(edge) if "mtf50" in edge else ""
 
     # what is saved

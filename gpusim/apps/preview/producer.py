@@ -57,26 +57,41 @@ class Producer:
         """A frame of a state. drafts: see `Program.update`. Raises what the camera, the light and the simulation do."""
         begun = time.perf_counter()
         program = self._updated(state, number, drafts)
-        show = {"rendered": self._rendered, "raw": self._raw, "electrons": self._electrons, "noise": self._noise}
+        show = {
+            "rendered": self._rendered,
+            "raw": self._raw,
+            "electrons": self._electrons,
+            "noise": self._noise,
+        }
         codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
         account, exposure = program.account, program.exposure
         plan = program.plan
         tolerance = None if plan.is_draft else program.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
-        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft,
-                 "verdict": verdict and verdict.state, "unknown": verdict.unknown if verdict else account.unknown,
-                 "exposure": exposure.exposure_time, "gain": exposure.gain}
+        facts = {
+            "error": account.total.rms,
+            "left out": plan.left_out,
+            "draft": plan.is_draft,
+            "verdict": verdict and verdict.state,
+            "unknown": verdict.unknown if verdict else account.unknown,
+            "exposure": exposure.exposure_time,
+            "gain": exposure.gain,
+        }
         if state.other is None:
             self._other = None  # and what it has on the device
         else:
             self._other = self._other or Producer(self._scenes, self._device)
-            codes = _beside(codes, self._other.picture(state.other, number, drafts).codes, state.split)
+            codes = _beside(
+                codes, self._other.picture(state.other, number, drafts).codes, state.split
+            )
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
     def frame(self, state: State, number: int) -> Frame:
         """A frame to be saved: of a simulator of its own, as `gpusim simulate` makes it. Raises as `picture`."""
         simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
-        return next(simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)).complete()
+        return next(
+            simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)
+        ).complete()
 
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
         """Function that takes seconds, and any thread: map of the error of the mean electrons, and that error.
@@ -93,13 +108,22 @@ class Producer:
         def compared():
             mean, truth = seen(simulator, scene, exposure)
             if mean.ndim == 1:
-                raise BadData("error map: of so large a frame whose blur varies over the field parts alone are known")
-            return error_map(mean, truth), Error.between(mean, truth, simulator.camera.sensor.read_sigma)
+                raise BadData(
+                    "error map: of so large a frame whose blur varies over the field parts alone are known"
+                )
+            return error_map(mean, truth), Error.between(
+                mean, truth, simulator.camera.sensor.read_sigma
+            )
 
         return compared
 
-    def statistics(self, state: State, number: int, at: tuple[int, int] | None = None,
-                   part: tuple[slice, slice] | None = None) -> dict:
+    def statistics(
+        self,
+        state: State,
+        number: int,
+        at: tuple[int, int] | None = None,
+        part: tuple[slice, slice] | None = None,
+    ) -> dict:
         """What is told beside the picture: see `gpusim.apps.preview.measures`.
 
         at: row and column of a pixel, part: rows and columns of an edge, or None. Raises as `picture`.
@@ -125,15 +149,23 @@ class Producer:
 
     def _updated(self, state, number, drafts):
         last, camera = self._built
-        if last is None or camera is None or (last.camera, last.changes) != (state.camera, state.changes):
+        if (
+            last is None
+            or camera is None
+            or (last.camera, last.changes) != (state.camera, state.changes)
+        ):
             camera = state.built()
             self._built = state, camera
         scene = self._scene_in(state, number)
         if self._program is None or self._tolerance != state.tolerance:
-            self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(scene)
+            self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(
+                scene
+            )
             self._tolerance = state.tolerance
         changes = {}
-        if camera is not self._program.simulator.camera or (not drafts and self._program.plan.is_draft):
+        if camera is not self._program.simulator.camera or (
+            not drafts and self._program.plan.is_draft
+        ):
             changes["camera"] = camera
         if scene is not self._program.scene:
             changes["scene"] = scene
@@ -152,7 +184,10 @@ class Producer:
         number = 0 if self._scenes.is_still else number % self._scenes.count
         if self._shown[0] != number:
             if number != self._next:
-                self._arriving, self._next = self._scenes.between(number, self._scenes.count), number
+                self._arriving, self._next = (
+                    self._scenes.between(number, self._scenes.count),
+                    number,
+                )
             self._shown, self._next = (number, next(self._arriving)), number + 1
         own = self._shown[1]
         if state.light is None and state.luminance is None:
@@ -172,19 +207,27 @@ class Producer:
     def _raw(self, program, seed, number):
         raw = self._on_host(program.raw(seed=seed, frame=number))
         sensor = program.exposure.camera.sensor
-        shown = np.clip((raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1)
-        return colored(sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5)))
+        shown = np.clip(
+            (raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1
+        )
+        return colored(
+            sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
+        )
 
     def _electrons(self, program, seed, number):
         mean = program.exposure.layered(self._on_host(program.exposure.mean))
         sensor = program.exposure.camera.sensor
-        return colored(sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5))
+        return colored(
+            sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
+        )
 
     def _noise(self, program, seed, number):
         exposure, sensor = program.exposure, program.exposure.camera.sensor
         raw = exposure.layered(self._on_host(program.raw(seed=seed, frame=number)))
         mean = exposure.layered(self._on_host(exposure.mean))
-        expected = np.minimum(mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level)
+        expected = np.minimum(
+            mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
+        )
         sigma = np.sqrt(mean + sensor.read_sigma**2) * sensor.gain_dn_per_electron
         shown = np.clip(0.5 + (raw - expected) / (2 * SPREAD * np.maximum(sigma, 1e-9)), 0, 1)
         return _grey(np.uint8(255 * shown + 0.5))
@@ -193,8 +236,10 @@ class Producer:
 def _beside(codes, others, split):
     """One picture on the left of a line, another on its right."""
     if codes.shape != others.shape:
-        raise BadData(f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
-                      f"{codes.shape[1]}x{codes.shape[0]}, as this one's has")
+        raise BadData(
+            f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
+            f"{codes.shape[1]}x{codes.shape[0]}, as this one's has"
+        )
     at = round(split * codes.shape[1])
     codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
     codes[:, max(at - 1, 0) : at + 1] = 255
@@ -202,4 +247,6 @@ def _beside(codes, others, split):
 
 
 def _grey(values):
-    return np.repeat((values if values.ndim == 2 else values.mean(axis=0).astype(np.uint8))[..., None], 3, axis=2)
+    return np.repeat(
+        (values if values.ndim == 2 else values.mean(axis=0).astype(np.uint8))[..., None], 3, axis=2
+    )

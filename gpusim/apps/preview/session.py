@@ -21,7 +21,9 @@ COUNTED = 30  # frames of which rate and latency are told
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
 
-DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # what is on a device is used by one thread at a time
+DEVICE = ThreadPoolExecutor(
+    1, "gpusim-preview"
+)  # what is on a device is used by one thread at a time
 
 
 class Session:
@@ -65,7 +67,11 @@ class Session:
     def rate(self) -> float:
         """Painted frames a second, of the last ones."""
         span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
-        return (len(self._painted) - 1) / span if span and time.monotonic() - self._painted[-1] < 2 else 0.0
+        return (
+            (len(self._painted) - 1) / span
+            if span and time.monotonic() - self._painted[-1] < 2
+            else 0.0
+        )
 
     @property
     def latency(self) -> float:
@@ -94,13 +100,17 @@ class Session:
                 version, settles, most = self.version, False, IN_FLIGHT
                 if sent == version:
                     if not self._moves:
-                        most = 1  # noise alone is new: what is changed next is not to wait behind it
+                        most = (
+                            1  # noise alone is new: what is changed next is not to wait behind it
+                        )
                     if self.error or not self.state.is_live:
                         if self.error or await self._changes(version, STILL):
                             await self._changes(version)
                             continue
                         settles = True
-                    elif await self._changes(version, start + self.producer.period - time.monotonic()):
+                    elif await self._changes(
+                        version, start + self.producer.period - time.monotonic()
+                    ):
                         continue
                 start = time.monotonic()
                 data = await self._made(version, settles)
@@ -147,7 +157,9 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.computed(self._pictured, state, self.number, crop, settles)
+            shown, kind, data = await self.computed(
+                self._pictured, state, self.number, crop, settles
+            )
         except GpusimError as error:
             self.error = str(error)
             return None

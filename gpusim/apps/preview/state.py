@@ -85,8 +85,16 @@ class State:
     def command(self, scene: str, file: str = "camera.toml") -> str:
         """The command line that makes what is shown, with the camera's file beside it."""
         words = ["gpusim", "simulate", scene, "--camera", file]
-        for option, value in (("--light", self.light), ("--luminance", self.luminance), ("--tolerance", self.asked)):
-            words += [] if value is None else [option, f"{value:g}" if isinstance(value, float) else str(value)]
+        for option, value in (
+            ("--light", self.light),
+            ("--luminance", self.luminance),
+            ("--tolerance", self.asked),
+        ):
+            words += (
+                []
+                if value is None
+                else [option, f"{value:g}" if isinstance(value, float) else str(value)]
+            )
         return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
 
     @property
@@ -98,19 +106,30 @@ class State:
     def is_sound(self) -> bool:
         """Whether all fields are of their types, and of what the page can set."""
         one, numbers, other = self.luminance, (self.seed, self.frame), self.against
-        return (isinstance(self.camera, str) and isinstance(self.changes, dict) and self.changes.keys() <= {*CONTROLS}
-                and not any(isinstance(value, list | dict | None) for value in self.changes.values())
-                and (self.light is None or isinstance(self.light, str))
-                and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
-                and self.tolerance in TOLERANCES and self.view in VIEWS and isinstance(self.is_live, bool)
-                and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
-                and (other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"}))
-                and type(self.split) in (int, float) and 0 <= self.split <= 1)
+        return (
+            isinstance(self.camera, str)
+            and isinstance(self.changes, dict)
+            and self.changes.keys() <= {*CONTROLS}
+            and not any(isinstance(value, list | dict | None) for value in self.changes.values())
+            and (self.light is None or isinstance(self.light, str))
+            and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
+            and self.tolerance in TOLERANCES
+            and self.view in VIEWS
+            and isinstance(self.is_live, bool)
+            and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
+            and (
+                other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"})
+            )
+            and type(self.split) in (int, float)
+            and 0 <= self.split <= 1
+        )
 
     def link(self) -> str:
         """All of it as text, for an address: `State.of_link` reads it."""
-        return json.dumps({key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
-                          separators=(",", ":"))
+        return json.dumps(
+            {key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
+            separators=(",", ":"),
+        )
 
     @classmethod
     def of_link(cls, text: str, camera: str) -> "State":

@@ -42,8 +42,19 @@ class Batch:
     plan's `scene` is one. Raises as `Simulator` does, BadData, OutOfRange for the light.
     """
 
-    def __init__(self, camera, *, device="auto", output: str = "raw", wavelengths=None, light: str | None = LIGHT,
-                 luminance: float = LUMINANCE, tolerance=None, plan: Plan | None = None, **options):
+    def __init__(
+        self,
+        camera,
+        *,
+        device="auto",
+        output: str = "raw",
+        wavelengths=None,
+        light: str | None = LIGHT,
+        luminance: float = LUMINANCE,
+        tolerance=None,
+        plan: Plan | None = None,
+        **options,
+    ):
         self.simulator = Simulator(camera, device=device, tolerance=tolerance)
         self.simulator.batch(1, output)  # which knows the outputs
         self.output, self._options, self._plan = output, options, plan
@@ -60,7 +71,9 @@ class Batch:
     def __repr__(self):
         return shortened(f"Batch({self.output}, {self.simulator!r})")
 
-    def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None) -> Any:
+    def __call__(
+        self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None
+    ) -> Any:
         """Frames of pictures (B, C, rows, cols), floats, not negative: (B, rows, cols) or (B, C, rows, cols).
 
         They are a new array, torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's.
@@ -71,18 +84,31 @@ class Batch:
         Raises as `Simulator.frames` does, and BadData for pictures of other shapes and types.
         """
         values = described(pictures, "pictures")
-        shape, channels = tuple(values.shape), (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
+        shape, channels = (
+            tuple(values.shape),
+            (1, 3) if self.wavelengths is None else (len(self.wavelengths),),
+        )
         if len(shape) != 4 or 0 in shape or shape[1] not in channels:
-            raise BadData(f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
-                          f"{' or '.join(map(str, channels))} channels")
+            raise BadData(
+                f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
+                f"{' or '.join(map(str, channels))} channels"
+            )
         if type_of(values) not in (np.float16, np.float32, np.float64):
-            raise BadData(f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes")
-        lowest = values.min().item() if hasattr(values, "min") else 0  # only the device knows those of Warp
+            raise BadData(
+                f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
+            )
+        lowest = (
+            values.min().item() if hasattr(values, "min") else 0
+        )  # only the device knows those of Warp
         if not lowest >= 0:
             found = "negative light" if lowest < 0 else "NaN"
             raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
-        settings = {"camera": camera, "exposure_time": _listed(exposure_time), "gain": _listed(gain)}
+        settings = {
+            "camera": camera,
+            "exposure_time": _listed(exposure_time),
+            "gain": _listed(gain),
+        }
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
             frames = batch(scenes, seed=seed, frame=first, **settings)
@@ -91,7 +117,12 @@ class Batch:
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
-            one = batch(scene, seed=seed, frame=first + item, **{name: given[item] for name, given in each.items()})
+            one = batch(
+                scene,
+                seed=seed,
+                frame=first + item,
+                **{name: given[item] for name, given in each.items()},
+            )
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
         return self._given_back(pictures, np.concatenate(frames))
@@ -106,15 +137,20 @@ class Batch:
             content = Cube(self.wavelengths, values)
         else:
             basis = srgb_primaries()
-            content = Basis(basis.wavelengths, values, basis.values if values.shape[0] == 3 else np.ones(
-                (1, len(basis.wavelengths))))
+            content = Basis(
+                basis.wavelengths,
+                values,
+                basis.values if values.shape[0] == 3 else np.ones((1, len(basis.wavelengths))),
+            )
         return Scene(content, self._light, name="picture", **self._options)
 
     def _batch(self, shape):
         """Programs for batches of this shape; those of the last SHAPES are kept."""
         if shape not in self._batches:
             grey = self._scene(np.full(shape[1:], GREY, np.float32))
-            self._batches[shape] = self.simulator.batch(shape[0], self.output, planned_for=grey, plan=self._plan)
+            self._batches[shape] = self.simulator.batch(
+                shape[0], self.output, planned_for=grey, plan=self._plan
+            )
             if len(self._batches) > SHAPES:
                 self._batches.popitem(last=False)
         self._batches.move_to_end(shape)

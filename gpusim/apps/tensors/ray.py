@@ -21,24 +21,42 @@ class Frames:
     names of columns that have them. Raises as Batch does, and BadData for columns that are not there.
     """
 
-    def __init__(self, camera, *, picture: str = "image", number: str = "number", frame: str = "frame", seed: int = 0,
-                 channels_last: bool = True, exposure_time: float | str | None = None, gain: float | str = 1.0,
-                 **settings):
-        self._batch, self._seed, self._channels_last = Batch(camera, **settings), seed, channels_last
+    def __init__(
+        self,
+        camera,
+        *,
+        picture: str = "image",
+        number: str = "number",
+        frame: str = "frame",
+        seed: int = 0,
+        channels_last: bool = True,
+        exposure_time: float | str | None = None,
+        gain: float | str = 1.0,
+        **settings,
+    ):
+        self._batch, self._seed, self._channels_last = (
+            Batch(camera, **settings),
+            seed,
+            channels_last,
+        )
         self._picture, self._number, self._frame = picture, number, frame
         self._settings = {"exposure_time": exposure_time, "gain": gain}
 
     def __call__(self, rows: dict) -> dict:
         """The rows of a batch, columns by name, with their frames."""
         pictures, numbers = self._column(rows, self._picture), self._column(rows, self._number)
-        settings = {name: self._column(rows, value) if isinstance(value, str) else [value] * len(numbers)
-                    for name, value in self._settings.items()}
+        settings = {
+            name: self._column(rows, value) if isinstance(value, str) else [value] * len(numbers)
+            for name, value in self._settings.items()
+        }
         frames = []
         for item, number in enumerate(numbers):
             picture = np.asarray(pictures[item])
             picture = np.moveaxis(picture, -1, 0) if self._channels_last else picture
             own = {name: value[item] for name, value in settings.items()}
-            made = self._batch(np.ascontiguousarray(picture[None]), first=int(number), seed=self._seed, **own)
+            made = self._batch(
+                np.ascontiguousarray(picture[None]), first=int(number), seed=self._seed, **own
+            )
             is_turned = self._channels_last and self._batch.output in PICTURES
             frames.append(np.moveaxis(made[0], 0, -1) if is_turned else made[0])
         return rows | {self._frame: np.stack(frames)}

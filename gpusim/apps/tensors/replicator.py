@@ -29,24 +29,36 @@ class Views:
         named = cameras if isinstance(cameras, Mapping) else {"": cameras}
         self._batches = {name: Batch(camera, **settings) for name, camera in named.items()}
 
-    def __call__(self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None) -> dict:
+    def __call__(
+        self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None
+    ) -> dict:
         """A frame of every view in `data`, by its name ("" of a single one), as `gpusim.Batch` gives it.
 
         Pictures (codes, linear light, XYZ) are (rows, cols, 3), as the renderer's are.
         number: of this call among all. Each view draws noise of its own, by its name. Raises BadData for data without
         such frames and views without a camera.
         """
-        found = {key[len(COLOUR):].lstrip("-_"): values for key, values in data.items() if key.startswith(COLOUR)}
+        found = {
+            key[len(COLOUR) :].lstrip("-_"): values
+            for key, values in data.items()
+            if key.startswith(COLOUR)
+        }
         if not found:
-            raise BadData(f"rendered data: {', '.join(map(str, data)) or 'nothing'}; wanted {COLOUR}: attach that "
-                          "annotator")
+            raise BadData(
+                f"rendered data: {', '.join(map(str, data)) or 'nothing'}; wanted {COLOUR}: attach that "
+                "annotator"
+            )
         frames = {}
         for name in sorted(found):
             batch = self._batches.get(name) or self._batches.get("")
             if batch is None:
-                raise BadData(f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}")
+                raise BadData(
+                    f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}"
+                )
             picture = channels_first(found[name])
-            own = (seed + crc32(name.encode())) % 2**64  # by its name alone: other views may come and go
+            own = (
+                seed + crc32(name.encode())
+            ) % 2**64  # by its name alone: other views may come and go
             made = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
             frames[name] = moved(made, 0, -1) if batch.output in PICTURES else made
         return frames
@@ -63,4 +75,8 @@ def channels_first(frame):
     if hasattr(turned, "contiguous"):  # Warp's
         rows, cols = turned.shape[1:]
         return turned[:3].contiguous().reshape((1, 3, rows, cols))
-    return np.ascontiguousarray(turned[:3])[None] if isinstance(turned, np.ndarray) else turned[:3][None].copy()
+    return (
+        np.ascontiguousarray(turned[:3])[None]
+        if isinstance(turned, np.ndarray)
+        else turned[:3][None].copy()
+    )

@@ -47,8 +47,20 @@ class PairSet(Dataset):
     Raises as Simulator does, and BadData for no photographs and for ranges that are none.
     """
 
-    def __init__(self, photographs: Sequence, camera, *, vary: str = "", each: int = 1, seed: int = 0, device="auto",
-                 tolerance="video", pictures: bool = False, plan: Plan | None = None, **options):
+    def __init__(
+        self,
+        photographs: Sequence,
+        camera,
+        *,
+        vary: str = "",
+        each: int = 1,
+        seed: int = 0,
+        device="auto",
+        tolerance="video",
+        pictures: bool = False,
+        plan: Plan | None = None,
+        **options,
+    ):
         self._photographs = [Path(path) for path in photographs]
         if not self._photographs:
             raise BadData("photographs: none, wanted the names of some files")
@@ -59,7 +71,9 @@ class PairSet(Dataset):
             raise BadData(f"vary: {error}") from None
         self._asked = variety, each, seed, pictures, plan
         self._options, self._pairs, self._process = options, None, 0
-        Simulator(camera, device="numpy", tolerance=tolerance)  # says what is wrong, and opens no driver: see below
+        Simulator(
+            camera, device="numpy", tolerance=tolerance
+        )  # says what is wrong, and opens no driver: see below
 
     def __len__(self) -> int:
         return len(self._photographs) * self._asked[1]
@@ -68,8 +82,10 @@ class PairSet(Dataset):
         if not -len(self) <= number < len(self):
             raise IndexError(f"pair {number} of {len(self)}")
         pair = self._here().pair(number % len(self))
-        made = {name: torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part
-                for name, part in pair.items()}
+        made = {
+            name: torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part
+            for name, part in pair.items()
+        }
         return made | ({"rgb": made["rgb"].movedim(-1, 0)} if "rgb" in made else {})
 
     def __getstate__(self):

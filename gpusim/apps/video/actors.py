@@ -31,8 +31,10 @@ class Cast:
             except ValueError:
                 numbers = ()
             if len(numbers) != KEYS.get(key) or key in found or not all(map(isfinite, numbers)):
-                raise argparse.ArgumentTypeError(f"{part!r}: wanted at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or "
-                                                 "zooming=FACTOR, each once")
+                raise argparse.ArgumentTypeError(
+                    f"{part!r}: wanted at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or "
+                    "zooming=FACTOR, each once"
+                )
             found[key] = numbers
         return cls(Path(name), tuple(found.items()))
 
@@ -45,7 +47,11 @@ class Cast:
         own = dict(self.numbers)
         content, alpha = read_cutout(self.path)
         down, right = own.get("pan", (0.0, 0.0))
-        path = Motion((down, right), radians(own.get("roll", (0.0,))[0]), own.get("zoom", (1.0,))[0],
-                      own.get("zooming", (1.0,))[0])
+        path = Motion(
+            (down, right),
+            radians(own.get("roll", (0.0,))[0]),
+            own.get("zoom", (1.0,))[0],
+            own.get("zooming", (1.0,))[0],
+        )
         row, col = own.get("at", (0.0, 0.0))
         return Actor(content, alpha, (row, col), path)

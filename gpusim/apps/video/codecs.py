@@ -55,10 +55,24 @@ LEAST_H265 = 64  # pixels along each axis: libx265 ends the process for fewer
 PART = ".nut"  # of a segment's file, which holds what any encoder gives as it is
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # of FFV1, with a checksum of each slice
 CODECS = {
-    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", (".mp4", ".mkv"),
-                  (("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")), "crf"),
-    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", (".mp4", ".mkv"),
-                  (("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")), "crf"),
+    "h264": Codec(
+        "libx264",
+        "codes",
+        "yuv420p",
+        "rgb24",
+        (".mp4", ".mkv"),
+        (("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")),
+        "crf",
+    ),
+    "h265": Codec(
+        "libx265",
+        "linear",
+        "yuv420p10le",
+        "rgb48le",
+        (".mp4", ".mkv"),
+        (("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")),
+        "crf",
+    ),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }
@@ -72,7 +86,9 @@ def pyav():
         import av
         import av.filter
     except ImportError as error:
-        raise GpusimError(f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'") from error
+        raise GpusimError(
+            f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
+        ) from error
     # FFmpeg says nothing. With a level, threads of its decoders wait for Python's lock to say what is damaged, and who
     # has the lock waits for them as a file is closed: a deadlock
     av.logging.set_level(None)
@@ -95,11 +111,15 @@ def codec_of(path: Path, name: str | None) -> Codec:
         raise UnknownName("codec", name, CODECS)
     codec, known = CODECS[name], pyav().codecs_available
     if path.suffix.lower() not in codec.containers:
-        raise OutOfRange("--codec", f"{name} in {path.suffix}", f"{' or '.join(codec.containers)} files for it")
+        raise OutOfRange(
+            "--codec", f"{name} in {path.suffix}", f"{' or '.join(codec.containers)} files for it"
+        )
     if codec.encoder not in known:
         there = [other for other, one in CODECS.items() if one.encoder in known]
-        raise GpusimError(f"codec {name}: this PyAV has no encoder {codec.encoder}; it has those of "
-                          f"{', '.join(there) or 'none of ours'}")
+        raise GpusimError(
+            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has those of "
+            f"{', '.join(there) or 'none of ours'}"
+        )
     return codec
 
 
@@ -109,19 +129,40 @@ class Encoder:
     Raises OutOfRange for odd sides where chroma has half of them.
     """
 
-    def __init__(self, codec: Codec, shape, rate: Fraction, display: Display, tone: tuple = (),
-                 quality: float | None = None):
+    def __init__(
+        self,
+        codec: Codec,
+        shape,
+        rate: Fraction,
+        display: Display,
+        tone: tuple = (),
+        quality: float | None = None,
+    ):
         rows, cols = shape
         if codec.stored.startswith("yuv420") and (rows % 2 or cols % 2):
-            raise OutOfRange("frame size of an encoded video", f"{cols}x{rows}", "even numbers of columns and rows, "
-                             "or --codec ffv1-linear")
+            raise OutOfRange(
+                "frame size of an encoded video",
+                f"{cols}x{rows}",
+                "even numbers of columns and rows, or --codec ffv1-linear",
+            )
         if codec.encoder == "libx265" and min(rows, cols) < LEAST_H265:
-            raise OutOfRange("frame size of h265", f"{cols}x{rows}", f"{LEAST_H265} columns and rows or more, or "
-                             "--codec h264")
+            raise OutOfRange(
+                "frame size of h265",
+                f"{cols}x{rows}",
+                f"{LEAST_H265} columns and rows or more, or --codec h264",
+            )
         if quality is not None and not codec.quality:
             raise OutOfRange("--quality", quality, "none for ffv1, which loses nothing")
-        self.codec, self.rate, self._display, self._shape, self._tone = codec, rate, display, shape, tone
-        self._options = dict(codec.options) | ({codec.quality: f"{quality:g}"} if quality is not None else {})
+        self.codec, self.rate, self._display, self._shape, self._tone = (
+            codec,
+            rate,
+            display,
+            shape,
+            tone,
+        )
+        self._options = dict(codec.options) | (
+            {codec.quality: f"{quality:g}"} if quality is not None else {}
+        )
 
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
         """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
@@ -141,13 +182,26 @@ class Encoder:
     def join(self, path: Path, parts: list[tuple[int, Path]]):
         """Write one file of segments' files, each with the number of its first frame. Raises BadFile."""
         # decoders take frames in another order than they show them, and begin so many frames before
-        delay = max((number - shown for _, part in parts for number, shown, _ in self._packets(part)), default=0)
-        with _told(path), atomic_path(path) as temporary, pyav().open(str(temporary), "w") as container:
-            stream = self._stream(container)  # its encoder gives no frames, but what stands before them
+        delay = max(
+            (number - shown for _, part in parts for number, shown, _ in self._packets(part)),
+            default=0,
+        )
+        with (
+            _told(path),
+            atomic_path(path) as temporary,
+            pyav().open(str(temporary), "w") as container,
+        ):
+            stream = self._stream(
+                container
+            )  # its encoder gives no frames, but what stands before them
             for first, part in parts:
                 for number, shown, packet in self._packets(part):
                     packet.time_base, packet.stream = 1 / self.rate, stream
-                    packet.pts, packet.dts, packet.duration = first + shown, first + number - delay, 1
+                    packet.pts, packet.dts, packet.duration = (
+                        first + shown,
+                        first + number - delay,
+                        1,
+                    )
                     container.mux(packet)
 
     def _packets(self, part):
@@ -155,8 +209,10 @@ class Encoder:
         with reading(part, "a segment of this video"), pyav().open(str(part)) as source:
             packets = [packet for packet in source.demux(video=0) if packet.size]
             shown = [round(packet.pts * packet.time_base * self.rate) for packet in packets]
-            return [(number, at - min(shown), packet)
-                    for number, (at, packet) in enumerate(zip(shown, packets, strict=True))]
+            return [
+                (number, at - min(shown), packet)
+                for number, (at, packet) in enumerate(zip(shown, packets, strict=True))
+            ]
 
     def _stream(self, container):
         """A stream of this codec in a file to be written."""
@@ -168,8 +224,11 @@ class Encoder:
 
     def _tag(self, context):
         display = self._display
-        known = PRIMARIES.get(display.name, UNKNOWN) if display.name in DISPLAYS and display.encodes_like(
-            DISPLAYS[display.name]) else UNKNOWN
+        known = (
+            PRIMARIES.get(display.name, UNKNOWN)
+            if display.name in DISPLAYS and display.encodes_like(DISPLAYS[display.name])
+            else UNKNOWN
+        )
         curve = SRGB_CURVE if display.curve == "srgb" else UNKNOWN
         if self.codec.output == "raw":
             tags = UNKNOWN, UNKNOWN, UNKNOWN, FULL
@@ -184,9 +243,17 @@ class Encoder:
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
         (rows, cols), graph = self._shape, av.filter.Graph()
-        parts = [graph.add_buffer(width=cols, height=rows, format=av.VideoFormat(self.codec.given),
-                                  time_base=1 / self.rate), graph.add("scale", TO_LUMA),
-                 graph.add("format", self.codec.stored), graph.add("buffersink")]
+        parts = [
+            graph.add_buffer(
+                width=cols,
+                height=rows,
+                format=av.VideoFormat(self.codec.given),
+                time_base=1 / self.rate,
+            ),
+            graph.add("scale", TO_LUMA),
+            graph.add("format", self.codec.stored),
+            graph.add("buffersink"),
+        ]
         for part, following in pairwise(parts):
             part.link_to(following)
         graph.configure()
@@ -203,7 +270,11 @@ class Encoder:
             return np.ascontiguousarray(values)
         if self.codec.stored == self.codec.given:
             return np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
-        return self._codes[np.rint(np.sqrt(np.clip(values, 0, 1)) * np.float32(len(self._codes) - 1)).astype(np.int32)]
+        return self._codes[
+            np.rint(np.sqrt(np.clip(values, 0, 1)) * np.float32(len(self._codes) - 1)).astype(
+                np.int32
+            )
+        ]
 
     @cached_property
     def _codes(self):

@@ -25,12 +25,26 @@ VERSION = "v3.0"
 INFO, STATISTICS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 EPISODES = f"meta/episodes/{FILE}.parquet"
-NEW = {"codebase_version": VERSION, "robot_type": None, "chunks_size": 1000, "data_files_size_in_mb": 100,
-       "video_files_size_in_mb": 200, "data_path": f"data/{FILE}.parquet",
-       "video_path": f"videos/{{video_key}}/{FILE}.mp4"}
-KNOWN = {"exposure_time_s": "float32", "gain": "float32", "predicted_rms": "float32", "seed": "int64"}  # of a frame
-COLUMNS = KNOWN | {"timestamp": "float32"} | dict.fromkeys(("frame_index", "episode_index", "index", "task_index"),
-                                                           "int64")
+NEW = {
+    "codebase_version": VERSION,
+    "robot_type": None,
+    "chunks_size": 1000,
+    "data_files_size_in_mb": 100,
+    "video_files_size_in_mb": 200,
+    "data_path": f"data/{FILE}.parquet",
+    "video_path": f"videos/{{video_key}}/{FILE}.mp4",
+}
+KNOWN = {
+    "exposure_time_s": "float32",
+    "gain": "float32",
+    "predicted_rms": "float32",
+    "seed": "int64",
+}  # of a frame
+COLUMNS = (
+    KNOWN
+    | {"timestamp": "float32"}
+    | dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
+)
 QUANTILES = 0.01, 0.1, 0.5, 0.9, 0.99
 CODES = 256
 
@@ -41,7 +55,9 @@ def pyarrow():
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise GpusimError(f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'") from error
+        raise GpusimError(
+            f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'"
+        ) from error
     return pyarrow
 
 
@@ -55,8 +71,19 @@ class Episode(EncodedFile):
     those of the episodes before; BadFile for what is no data set of this version; GpusimError without pyarrow.
     """
 
-    def __init__(self, folder: Path, task: str, camera: str, shape, rate: Fraction, seed: int, codec: Codec,
-                 encoder: Encoder, segments: list[range], made: Callable):
+    def __init__(
+        self,
+        folder: Path,
+        task: str,
+        camera: str,
+        shape,
+        rate: Fraction,
+        seed: int,
+        codec: Codec,
+        encoder: Encoder,
+        segments: list[range],
+        made: Callable,
+    ):
         pyarrow()
         if rate.denominator != 1:
             raise OutOfRange("--fps of a LeRobot data set", f"{float(rate):g}", "a whole number")
@@ -77,22 +104,37 @@ class Episode(EncodedFile):
         with reading(path, "the information on a LeRobot data set"):
             info = json.loads(read_text(path, "JSON"))
             if info["codebase_version"] != VERSION:
-                raise BadFile(path, f"is of LeRobot's version {info['codebase_version']}; wanted {VERSION}")
+                raise BadFile(
+                    path, f"is of LeRobot's version {info['codebase_version']}; wanted {VERSION}"
+                )
             there = {name: _kind(feature) for name, feature in info["features"].items()}
             if info["fps"] != self._rate:
-                raise OutOfRange(f"--fps of an episode in {self._root}", self._rate, f"{info['fps']}, as the others")
+                raise OutOfRange(
+                    f"--fps of an episode in {self._root}",
+                    self._rate,
+                    f"{info['fps']}, as the others",
+                )
         here = {name: _kind(feature) for name, feature in self._features.items()}
-        others = sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
+        others = sorted(
+            name for name in here.keys() | there.keys() if here.get(name) != there.get(name)
+        )
         if others:
-            raise OutOfRange(f"features of an episode in {self._root}", ", ".join(
-                f"{name} {here.get(name, 'none')}" for name in others), "those of the others, " + ", ".join(
-                f"{name} {there.get(name, 'none')}" for name in others))
+            raise OutOfRange(
+                f"features of an episode in {self._root}",
+                ", ".join(f"{name} {here.get(name, 'none')}" for name in others),
+                "those of the others, "
+                + ", ".join(f"{name} {there.get(name, 'none')}" for name in others),
+            )
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
         with reading(self._root / "meta/episodes", "tables of episodes"):
-            rows = chain.from_iterable(pyarrow().parquet.read_table(table).to_pylist() for table in tables)
+            rows = chain.from_iterable(
+                pyarrow().parquet.read_table(table).to_pylist() for table in tables
+            )
             # a run that was ended between two files leaves a row that the information does not have
-            return info, sorted((row for row in rows if row["episode_index"] < info["total_episodes"]),
-                                key=lambda row: row["episode_index"])
+            return info, sorted(
+                (row for row in rows if row["episode_index"] < info["total_episodes"]),
+                key=lambda row: row["episode_index"],
+            )
 
     @property
     def told(self) -> str:
@@ -100,7 +142,9 @@ class Episode(EncodedFile):
         return f"{self._root}: episode {self.number}"
 
     def _joined(self, path):
-        self._encoder.join(path, [(segment.start, self.part(segment)) for segment in self._segments])
+        self._encoder.join(
+            path, [(segment.start, self.part(segment)) for segment in self._segments]
+        )
 
     def _encoded(self, segment, computed):
         """Encode a segment, and keep what is known of its frames beside it; gives each of its frames."""
@@ -109,11 +153,15 @@ class Episode(EncodedFile):
         def noted():
             for one in computed:
                 known.append((one.exposure_time, one.gain, one.account.total.rms))
-                counts[:] += [np.bincount(one.values[..., c].ravel(), minlength=CODES) for c in range(3)]
+                counts[:] += [
+                    np.bincount(one.values[..., c].ravel(), minlength=CODES) for c in range(3)
+                ]
                 yield one
 
         for one in super()._encoded(segment, noted()):
-            if one.number == segment[-1]:  # before the segment's file is there, which says that all is
+            if (
+                one.number == segment[-1]
+            ):  # before the segment's file is there, which says that all is
                 with atomic_path(self._notes(segment)) as temporary:
                     np.savez(temporary, known=known, counts=counts)
             yield one
@@ -129,27 +177,66 @@ class Episode(EncodedFile):
         if not all(self.part(segment).exists() for segment in self._segments):
             return False
         last: dict[str, Any] = self._before[-1] if self._before else {}
-        places = {name: _following(last, name, self._info["chunks_size"])
-                  for name in ("data", f"videos/{self._key}", "meta/episodes")}
+        places = {
+            name: _following(last, name, self._info["chunks_size"])
+            for name in ("data", f"videos/{self._key}", "meta/episodes")
+        }
         (data, video, episodes), info = places.values(), self._info
         tasks = self._tasks()
         table, statistics, length = self._table(tasks.index(self._task))
         begin = last.get("dataset_to_index", 0)
-        row = {"episode_index": self.number, "tasks": [self._task], "length": length, "dataset_from_index": begin,
-               "dataset_to_index": begin + length} | {
-            f"{name}/{part}_index": number for name, place in places.items()
-            for part, number in zip(("chunk", "file"), place, strict=True)} | {
-            f"videos/{self._key}/from_timestamp": 0.0, f"videos/{self._key}/to_timestamp": length / self._rate} | {
-            f"stats/{name}/{which}": value for name, one in statistics.items() for which, value in one.items()}
-        whole = {name: _together([*({which: before[f"stats/{name}/{which}"] for which in one
-                                     } for before in self._before), one]) for name, one in statistics.items()}
-        info = info | {"fps": self._rate, "features": info.get("features", self._features),
-                       "total_episodes": self.number + 1, "total_frames": begin + length, "total_tasks": len(tasks),
-                       "splits": {"train": f"0:{self.number + 1}"}}
+        row = (
+            {
+                "episode_index": self.number,
+                "tasks": [self._task],
+                "length": length,
+                "dataset_from_index": begin,
+                "dataset_to_index": begin + length,
+            }
+            | {
+                f"{name}/{part}_index": number
+                for name, place in places.items()
+                for part, number in zip(("chunk", "file"), place, strict=True)
+            }
+            | {
+                f"videos/{self._key}/from_timestamp": 0.0,
+                f"videos/{self._key}/to_timestamp": length / self._rate,
+            }
+            | {
+                f"stats/{name}/{which}": value
+                for name, one in statistics.items()
+                for which, value in one.items()
+            }
+        )
+        whole = {
+            name: _together(
+                [
+                    *(
+                        {which: before[f"stats/{name}/{which}"] for which in one}
+                        for before in self._before
+                    ),
+                    one,
+                ]
+            )
+            for name, one in statistics.items()
+        }
+        info = info | {
+            "fps": self._rate,
+            "features": info.get("features", self._features),
+            "total_episodes": self.number + 1,
+            "total_frames": begin + length,
+            "total_tasks": len(tasks),
+            "splits": {"train": f"0:{self.number + 1}"},
+        }
         arrow = pyarrow()
-        written = [(_path(info["video_path"], video, video_key=self._key), self._joined),
-                   (_path(info["data_path"], data), table), (TASKS, _task_table(tasks)),
-                   (_path(EPISODES, episodes), arrow.Table.from_pylist([row])), (STATISTICS, whole), (INFO, info)]
+        written = [
+            (_path(info["video_path"], video, video_key=self._key), self._joined),
+            (_path(info["data_path"], data), table),
+            (TASKS, _task_table(tasks)),
+            (_path(EPISODES, episodes), arrow.Table.from_pylist([row])),
+            (STATISTICS, whole),
+            (INFO, info),
+        ]
         staged = []
         for number, (name, content) in enumerate(written):
             path = self.folder / f"{number}{Path(name).suffix}"
@@ -176,26 +263,52 @@ class Episode(EncodedFile):
         if not self._before:
             return [self._task]
         with reading(path, "a table of tasks"):
-            rows = sorted(pyarrow().parquet.read_table(path).to_pylist(), key=lambda row: row["task_index"])
-            found = [next(value for name, value in row.items() if name != "task_index") for row in rows]
+            rows = sorted(
+                pyarrow().parquet.read_table(path).to_pylist(), key=lambda row: row["task_index"]
+            )
+            found = [
+                next(value for name, value in row.items() if name != "task_index") for row in rows
+            ]
         return found if self._task in found else [*found, self._task]
 
     def _table(self, task):
         """Table of the frames, statistics of each feature, and the number of frames."""
         notes = []
         for segment in self._segments:
-            with reading(self._notes(segment), "what is known of frames"), np.load(self._notes(segment)) as file:
+            with (
+                reading(self._notes(segment), "what is known of frames"),
+                np.load(self._notes(segment)) as file,
+            ):
                 notes.append((file["known"], file["counts"]))
         known = np.concatenate([one for one, _ in notes])
-        frames, begin = np.arange(len(known)), self._before[-1]["dataset_to_index"] if self._before else 0
-        values = [*known.T, np.full(len(known), self._seed), frames / self._rate, frames,
-                  np.full(len(known), self.number), begin + frames, np.full(len(known), task)]
-        columns = {name: one.astype(kind) for (name, kind), one in zip(COLUMNS.items(), values, strict=True)}
+        frames, begin = (
+            np.arange(len(known)),
+            self._before[-1]["dataset_to_index"] if self._before else 0,
+        )
+        values = [
+            *known.T,
+            np.full(len(known), self._seed),
+            frames / self._rate,
+            frames,
+            np.full(len(known), self.number),
+            begin + frames,
+            np.full(len(known), task),
+        ]
+        columns = {
+            name: one.astype(kind)
+            for (name, kind), one in zip(COLUMNS.items(), values, strict=True)
+        }
         statistics: dict[str, dict[str, list]] = {
             name: {which: [value] for which, value in _statistics(one, np.ones(len(one))).items()}
-            for name, one in columns.items()}
-        channels = [_statistics(np.arange(CODES) / (CODES - 1), counts) for counts in sum(one for _, one in notes)]
-        statistics[self._key] = {which: [[[one[which]]] for one in channels] for which in channels[0]}
+            for name, one in columns.items()
+        }
+        channels = [
+            _statistics(np.arange(CODES) / (CODES - 1), counts)
+            for counts in sum(one for _, one in notes)
+        ]
+        statistics[self._key] = {
+            which: [[[one[which]]] for one in channels] for which in channels[0]
+        }
         for one in statistics.values():
             one["count"] = [len(known)]
         return pyarrow().table(columns), statistics, len(known)
@@ -203,10 +316,24 @@ class Episode(EncodedFile):
 
 def _features(key, shape, rate):
     rows, cols = shape
-    info = {"video.height": rows, "video.width": cols, "video.codec": "h264", "video.pix_fmt": "yuv420p",
-            "video.is_depth_map": False, "video.fps": rate, "video.channels": 3, "has_audio": False}
-    return {key: {"dtype": "video", "shape": [rows, cols, 3], "names": ["height", "width", "channels"], "info": info}
-            } | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COLUMNS.items()}
+    info = {
+        "video.height": rows,
+        "video.width": cols,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": rate,
+        "video.channels": 3,
+        "has_audio": False,
+    }
+    return {
+        key: {
+            "dtype": "video",
+            "shape": [rows, cols, 3],
+            "names": ["height", "width", "channels"],
+            "info": info,
+        }
+    } | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COLUMNS.items()}
 
 
 def _kind(feature):
@@ -216,7 +343,11 @@ def _kind(feature):
 
 def _following(last, name, size):
     """Numbers of a chunk, of `size` files, and of the file in it that come after those of an episode's row."""
-    return divmod(last[f"{name}/chunk_index"] * size + last[f"{name}/file_index"] + 1, size) if last else (0, 0)
+    return (
+        divmod(last[f"{name}/chunk_index"] * size + last[f"{name}/file_index"] + 1, size)
+        if last
+        else (0, 0)
+    )
 
 
 def _path(template, place, **others):
@@ -227,9 +358,15 @@ def _statistics(values, weights):
     """Statistics of values (n,), each as often as its weight says."""
     there, mean = values[weights > 0], np.average(values, weights=weights)
     quantiles = np.quantile(values.astype(float), QUANTILES, weights=weights, method="inverted_cdf")
-    return {"min": there.min().item(), "max": there.max().item(), "mean": float(mean),
-            "std": float(np.sqrt(np.average((values - mean) ** 2, weights=weights)))} | {
-        f"q{round(100 * part):02d}": float(value) for part, value in zip(QUANTILES, quantiles, strict=True)}
+    return {
+        "min": there.min().item(),
+        "max": there.max().item(),
+        "mean": float(mean),
+        "std": float(np.sqrt(np.average((values - mean) ** 2, weights=weights))),
+    } | {
+        f"q{round(100 * part):02d}": float(value)
+        for part, value in zip(QUANTILES, quantiles, strict=True)
+    }
 
 
 def _together(parts):
@@ -242,15 +379,33 @@ def _together(parts):
 
     mean = average(of["mean"])
     found = {which: average(values) for which, values in of.items()} | {
-        "min": of["min"].min(0), "max": of["max"].max(0), "count": count.sum(0),
-        "std": np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2))}
+        "min": of["min"].min(0),
+        "max": of["max"].max(0),
+        "count": count.sum(0),
+        "std": np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2)),
+    }
     return {which: value.tolist() for which, value in found.items()}
 
 
 def _task_table(tasks):
     """Tasks are the index of a table of pandas, which its reader takes from the metadata."""
-    told = {"index_columns": ["task"], "column_indexes": [], "pandas_version": "2.0.0", "columns": [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-        for name, kind, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))]}
+    told = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "pandas_version": "2.0.0",
+        "columns": [
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": kind,
+                "numpy_type": numpy,
+                "metadata": None,
+            }
+            for name, kind, numpy in (
+                ("task_index", "int64", "int64"),
+                ("task", "unicode", "object"),
+            )
+        ],
+    }
     table = pyarrow().table({"task_index": range(len(tasks)), "task": tasks})
     return table.replace_schema_metadata({"pandas": json.dumps(told)})

@@ -53,24 +53,40 @@ class Lags:
             except ValueError:
                 lag = -1.0
             if name not in names or name in found or not (isfinite(lag) and 0 <= lag <= SLOWEST):
-                raise argparse.ArgumentTypeError(f"{part!r}: wanted NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: "
-                                                 f"{', '.join(names)}")
+                raise argparse.ArgumentTypeError(
+                    f"{part!r}: wanted NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: "
+                    f"{', '.join(names)}"
+                )
             found[name] = lag
         return cls(**found)
 
     def check(self, camera: Camera, ramps: Ramps):
         """Raise OutOfRange where a loop has nothing to do: what it would set is given."""
         ramped = [name for name, _ in ramps.ranges]
-        if self.exposure is not None and (camera.sensor.exposure_time is not None or "exposure" in ramped):
-            raise OutOfRange("--lag exposure", self.exposure, "for a camera that meters: --exposure auto")
+        if self.exposure is not None and (
+            camera.sensor.exposure_time is not None or "exposure" in ramped
+        ):
+            raise OutOfRange(
+                "--lag exposure", self.exposure, "for a camera that meters: --exposure auto"
+            )
         if self.focus is not None and "focus" in ramped:
             raise OutOfRange("--lag focus", self.focus, "without a ramp of the focus")
         if self.focus is not None and camera.optics.psf is not None:
-            raise OutOfRange("--lag focus", self.focus, "for a camera without measured point spreads, of one focus")
+            raise OutOfRange(
+                "--lag focus",
+                self.focus,
+                "for a camera without measured point spreads, of one focus",
+            )
         if self.white is not None and not camera.processor.estimates_white:
-            estimates = [name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")]
-            raise OutOfRange("--lag white", self.white, "for a processor that estimates the white: white_balance = one "
-                             f"of {', '.join(estimates)} in the camera file")
+            estimates = [
+                name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
+            ]
+            raise OutOfRange(
+                "--lag white",
+                self.white,
+                "for a processor that estimates the white: white_balance = one "
+                f"of {', '.join(estimates)} in the camera file",
+            )
 
 
 @dataclass(frozen=True)
@@ -92,12 +108,25 @@ class Loops:
         What is wrong with it is found with the rest.
         """
         try:
-            found = cls(**json.loads(read_text(manifest, "a manifest of a video", LARGEST))["loops"])
-            for lag, values, axes in ((lags.exposure, found.seconds, 1), (lags.white, found.white, 2),
-                                      (lags.focus, found.focus, 1)):
-                array = np.ones((count, 1)[:axes]) if lag is values is None else np.array(values, np.float64)
-                if (lag is None) != (values is None) or array.ndim != axes or len(array) != count or not (
-                        (array > 0) & (array < np.inf)).all():
+            found = cls(
+                **json.loads(read_text(manifest, "a manifest of a video", LARGEST))["loops"]
+            )
+            for lag, values, axes in (
+                (lags.exposure, found.seconds, 1),
+                (lags.white, found.white, 2),
+                (lags.focus, found.focus, 1),
+            ):
+                array = (
+                    np.ones((count, 1)[:axes])
+                    if lag is values is None
+                    else np.array(values, np.float64)
+                )
+                if (
+                    (lag is None) != (values is None)
+                    or array.ndim != axes
+                    or len(array) != count
+                    or not ((array > 0) & (array < np.inf)).all()
+                ):
                     return None
         except (GpusimError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
             return None
@@ -139,8 +168,16 @@ def follow(targets, lag: float, period: float) -> np.ndarray:
     return found
 
 
-def metered(simulator: Simulator, scenes: Scenes, lags: Lags, ramps: Ramps, period: float, *, seed: int = 0,
-            seen: Callable[[], Any] = int) -> Loops:
+def metered(
+    simulator: Simulator,
+    scenes: Scenes,
+    lags: Lags,
+    ramps: Ramps,
+    period: float,
+    *,
+    seed: int = 0,
+    seen: Callable[[], Any] = int,
+) -> Loops:
     """The loops' settings by the light, the colours and the distances of all scenes.
 
     period: of the frames [s]. seed: of the pictures' noise. seen: called after each of the scenes. Raises BadData for a
@@ -153,13 +190,21 @@ def metered(simulator: Simulator, scenes: Scenes, lags: Lags, ramps: Ramps, peri
     vergence: list[float] = []
     with closing(ahead(scenes.between(0, scenes.count), READ)) as arriving:
         for number, shown in enumerate(arriving):
-            scene, camera = ramps.scene(shown, number / last), ramps.camera(simulator.camera, number / last)
+            scene, camera = (
+                ramps.scene(shown, number / last),
+                ramps.camera(simulator.camera, number / last),
+            )
             if lags.focus is not None:
                 vergence.append(1 / _distance(scene))
-                camera = replace(camera, optics=replace(camera.optics, object_distance=1 / vergence[-1]))
+                camera = replace(
+                    camera, optics=replace(camera.optics, object_distance=1 / vergence[-1])
+                )
             if lags.exposure is not None or lags.white is not None:
-                program = (simulator.update(camera).program(scene) if program is None else
-                           program.update(scene=scene, camera=camera))
+                program = (
+                    simulator.update(camera).program(scene)
+                    if program is None
+                    else program.update(scene=scene, camera=camera)
+                )
                 exposure = program.exposure
                 seconds.append(log(exposure.exposure_time * exposure.gain))
                 if lags.white is not None:
@@ -169,12 +214,15 @@ def metered(simulator: Simulator, scenes: Scenes, lags: Lags, ramps: Ramps, peri
     return Loops(
         None if lags.exposure is None else np.exp(follow(seconds, lags.exposure, period)).tolist(),
         None if lags.white is None else np.exp(follow(white, lags.white, period)).tolist(),
-        None if lags.focus is None else (1 / follow(vergence, lags.focus, period)).tolist())
+        None if lags.focus is None else (1 / follow(vergence, lags.focus, period)).tolist(),
+    )
 
 
 def _distance(scene):
     """Of what is in the middle third of a scene [m]."""
     if scene.depth is None:
-        raise BadData(f"{scene.name}: no depth, so that a loop of focus has nothing to follow; wanted scene.depth [m]")
+        raise BadData(
+            f"{scene.name}: no depth, so that a loop of focus has nothing to follow; wanted scene.depth [m]"
+        )
     middle = tuple(slice(n // 3, n - n // 3) for n in scene.depth.shape)
     return float(np.median(scene.depth[middle]))

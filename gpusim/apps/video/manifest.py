@@ -56,7 +56,9 @@ def _keep(path, made, outputs):
         with suppress(_IsThere), atomic_path(path) as temporary:
             temporary.write_text(json.dumps(made, indent=2) + "\n")
             try:
-                os.link(temporary, path)  # the first of several shards writes it, and no other over it
+                os.link(
+                    temporary, path
+                )  # the first of several shards writes it, and no other over it
             except FileExistsError:
                 raise _IsThere from None
             except OSError:
@@ -64,14 +66,29 @@ def _keep(path, made, outputs):
     try:
         found = json.loads(read_text(path, "a manifest of a video", LARGEST))
         others = [name for name in made if found.get(name) != made[name]]
-        named = [name for one in others for name in (
-            [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
-            if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
+        named = [
+            name
+            for one in others
+            for name in (
+                [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
+                if isinstance(made[one], dict) and isinstance(found.get(one), dict)
+                else [one]
+            )
+        ]
         _plans_in(found)
-    except (ValueError, AttributeError, RecursionError) as error:  # RecursionError: of JSON, lists in lists
-        raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
+    except (
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ) as error:  # RecursionError: of JSON, lists in lists
+        raise BadFile(
+            path, f"not a manifest of a video ({error}); remove it and {outputs}"
+        ) from error
     if others:
-        raise BadFile(path, f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}")
+        raise BadFile(
+            path,
+            f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}",
+        )
 
 
 class Plans:
@@ -103,14 +120,18 @@ class Plans:
         with _alone(self._path.parent), suppress(FileNotFoundError, ValueError, RecursionError):
             made = json.loads(self._path.read_text(encoding="utf-8"))
             others = _plans_in(made)
-            plans = others | {name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()}
+            plans = others | {
+                name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()
+            }
             if plans != others:
                 with atomic_path(self._path) as temporary:
                     temporary.write_text(json.dumps(made | {"plans": plans}, indent=2) + "\n")
 
     def __str__(self):
         names = list(self.runs)
-        some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+        some = ", ".join(names[:SHOWN]) + (
+            f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        )
         return f"plan{'s' if len(names) > 1 else ''} {some}"
 
 
@@ -118,8 +139,10 @@ def _plans_in(made):
     """Return the runs of a manifest's plans by their names. Raises ValueError for anything else."""
     plans = made.get("plans", {}) if isinstance(made, dict) else None
     if not isinstance(plans, dict) or not all(
-            isinstance(runs, list) and all(isinstance(run, list) and [*map(type, run)] == [int, int] for run in runs)
-            for runs in plans.values()):
+        isinstance(runs, list)
+        and all(isinstance(run, list) and [*map(type, run)] == [int, int] for run in runs)
+        for runs in plans.values()
+    ):
         raise ValueError("plans that are no runs of frames")
     return plans
 

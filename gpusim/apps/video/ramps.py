@@ -36,17 +36,30 @@ class Ramps:
                 numbers = [parse_seconds(end) if name == "exposure" else float(end) for end in ends]
             except (ValueError, argparse.ArgumentTypeError):
                 numbers = []
-            if name not in NAMES or name in found or len(numbers) != 2 or not all(
-                    isinstance(number, float) and isfinite(number) and number > 0 for number in numbers):
-                raise argparse.ArgumentTypeError(f"{part!r}: wanted NAME=FIRST..LAST, numbers above 0, each NAME once: "
-                                                 f"{', '.join(NAMES)}")
+            if (
+                name not in NAMES
+                or name in found
+                or len(numbers) != 2
+                or not all(
+                    isinstance(number, float) and isfinite(number) and number > 0
+                    for number in numbers
+                )
+            ):
+                raise argparse.ArgumentTypeError(
+                    f"{part!r}: wanted NAME=FIRST..LAST, numbers above 0, each NAME once: "
+                    f"{', '.join(NAMES)}"
+                )
             found[name] = numbers[0], numbers[1]
         return cls(tuple(found.items()))
 
     def at(self, part: float) -> dict[str, float]:
         """Values at a part of the video, 0 .. 1."""
-        return {name: float(min(max(first * (last / first) ** part, min(first, last)), max(first, last)))
-                for name, (first, last) in self.ranges}  # a power rounds, and must not leave the range
+        return {
+            name: float(
+                min(max(first * (last / first) ** part, min(first, last)), max(first, last))
+            )
+            for name, (first, last) in self.ranges
+        }  # a power rounds, and must not leave the range
 
     def camera(self, camera: "Camera", part: float) -> "Camera":
         """The camera there. Raises what it does for settings that it cannot have."""
@@ -55,8 +68,13 @@ class Ramps:
             return camera
         from gpusim.color.speed import operate_camera
 
-        return operate_camera(camera, exposure=values.get("exposure"), iso=values.get("iso"),
-                              f_number=values.get("f-number"), focus=values.get("focus"))
+        return operate_camera(
+            camera,
+            exposure=values.get("exposure"),
+            iso=values.get("iso"),
+            f_number=values.get("f-number"),
+            focus=values.get("focus"),
+        )
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
         """The scene in the light that there is then."""

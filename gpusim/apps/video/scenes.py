@@ -64,7 +64,9 @@ class First:
 
     def __init__(self, scenes: Scenes, count: int):
         if count > scenes.count:
-            raise OutOfRange("--frames", count, f"up to {scenes.count}, which {scenes.names[0]} has")
+            raise OutOfRange(
+                "--frames", count, f"up to {scenes.count}, which {scenes.names[0]} has"
+            )
         self.count, self.names, self.between = count, scenes.names, scenes.between
 
 
@@ -76,9 +78,20 @@ class Moving:
 
     is_still = False
 
-    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction, flicker: Flicker | None = None,
-                 actors: tuple[Actor, ...] = ()):
-        self.still, self.motion, self.period, self.flicker = scenes, motion, float(1 / rate), flicker
+    def __init__(
+        self,
+        scenes: Scenes,
+        motion: Motion,
+        rate: Fraction,
+        flicker: Flicker | None = None,
+        actors: tuple[Actor, ...] = (),
+    ):
+        self.still, self.motion, self.period, self.flicker = (
+            scenes,
+            motion,
+            float(1 / rate),
+            flicker,
+        )
         self.actors = actors
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
@@ -88,14 +101,18 @@ class Moving:
         """See `Scenes`."""
         for number, scene in enumerate(self.still.between(first, end), first):
             time = number * self.period
-            yield (Animation(scene, self.actors).at(time) if self.actors else scene).viewed(self.motion.at(time))
+            yield (Animation(scene, self.actors).at(time) if self.actors else scene).viewed(
+                self.motion.at(time)
+            )
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:
     """Return a scene as it is. Raises BadData where it makes a frame of another size than the first."""
     if scene.shape != shape:
-        raise BadData(f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels, after {shape[1]}x{shape[0]} of "
-                      f"{first}; a video has one size")
+        raise BadData(
+            f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels, after {shape[1]}x{shape[0]} of "
+            f"{first}; a video has one size"
+        )
     return scene
 
 
@@ -106,17 +123,25 @@ def numbered_files(folder: Path) -> list[Path]:
     except OSError as error:
         raise BadFile(folder, f"cannot be read: {error.strerror or error}") from error
     if not found:
-        raise BadFile(folder, f"no scene files in it; wanted numbered ones ({', '.join(IN_FOLDERS)})")
+        raise BadFile(
+            folder, f"no scene files in it; wanted numbered ones ({', '.join(IN_FOLDERS)})"
+        )
     numbers: dict[Path, tuple] = {}
     for path in found:
         parts, (kind, _) = NUMBERED.fullmatch(path.stem), next(iter(numbers.values()), (None, 0))
         if parts is None:
-            raise BadFile(path, "its name ends in no number, so its place in the video is not known; move it away, or "
-                                "give the files one by one")
+            raise BadFile(
+                path,
+                "its name ends in no number, so its place in the video is not known; move it away, or "
+                "give the files one by one",
+            )
         numbers[path] = (parts[1], path.suffix), int(parts[2])
         if kind not in (None, numbers[path][0]):
-            raise BadFile(folder, f"files of two videos: {found[0].name} and {path.name}; give one of them, such as "
-                                  f"{folder / '*'.join(kind)}")
+            raise BadFile(
+                folder,
+                f"files of two videos: {found[0].name} and {path.name}; give one of them, such as "
+                f"{folder / '*'.join(kind)}",
+            )
     return sorted(found, key=lambda path: numbers[path][1])
 
 
@@ -129,8 +154,13 @@ def check_numbers(paths: Sequence[Path]):
     numbers = [int(part[2]) for part in parts]
     for path, before, number in zip(paths[1:], numbers, numbers[1:], strict=False):
         if number <= before:
-            raise BadFile(path, f"number {number} comes after {before}: the order of the files is not that of their "
-                                "numbers; --any-order takes them as they are given")
+            raise BadFile(
+                path,
+                f"number {number} comes after {before}: the order of the files is not that of their "
+                "numbers; --any-order takes them as they are given",
+            )
         if number > before + 1:
             missing = f"{before + 1}" + (f" .. {number - 1}" if number > before + 2 else "")
-            raise BadFile(path, f"number {missing} is missing before it; --any-order goes on without")
+            raise BadFile(
+                path, f"number {missing} is missing before it; --any-order goes on without"
+            )

@@ -24,14 +24,20 @@ class Shard:
         """Of `i/n` on a command line, i from 0 on."""
         number, slash, count = text.partition("/")
         if not (slash and number.isdecimal() and count.isdecimal() and int(number) < int(count)):
-            raise argparse.ArgumentTypeError(f"{text!r}: wanted I/N, I from 0 to N - 1, such as 0/4 .. 3/4")
+            raise argparse.ArgumentTypeError(
+                f"{text!r}: wanted I/N, I from 0 to N - 1, such as 0/4 .. 3/4"
+            )
         return cls(int(number), int(count))
 
     def of(self, segments: list[range], option: str = "--segment") -> list[range]:
         """Its segments. option: that sets their length. Raises OutOfRange where there are fewer of them than shards."""
         if self.count > len(segments):
-            raise OutOfRange("--shard", f"{self.number}/{self.count}", f"up to {len(segments)} shards, one for each "
-                             f"{len(segments[0])}; a smaller {option} makes more")
+            raise OutOfRange(
+                "--shard",
+                f"{self.number}/{self.count}",
+                f"up to {len(segments)} shards, one for each "
+                f"{len(segments[0])}; a smaller {option} makes more",
+            )
         first, end = (part * len(segments) // self.count for part in (self.number, self.number + 1))
         return segments[first:end]
 

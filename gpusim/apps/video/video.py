@@ -56,13 +56,24 @@ def within_period(camera: Camera, rate: Fraction) -> Camera:
         if automatic.longest is None or automatic.longest > longest:
             sensor = replace(sensor, auto_exposure=replace(automatic, longest=longest))
     elif sensor.exposure_time > longest:
-        raise OutOfRange("exposure time of a video", f"{sensor.exposure_time:.4g} s", f"up to the frame's period, "
-                         f"{longest:.4g} s at {float(rate):g} frames per second")
+        raise OutOfRange(
+            "exposure time of a video",
+            f"{sensor.exposure_time:.4g} s",
+            f"up to the frame's period, {longest:.4g} s at {float(rate):g} frames per second",
+        )
     return replace(camera, sensor=sensor)
 
 
-def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], *, seed: int = 0,
-           output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
+def frames(
+    simulator: Simulator,
+    scenes: Scenes,
+    segments: Iterable[list[int]],
+    *,
+    seed: int = 0,
+    output: str | None = None,
+    ramps: Ramps = NO_RAMPS,
+    loops: Loops = NO_LOOPS,
+) -> Iterator[Made]:
     """The frames that are wanted of each segment, in order.
 
     segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
@@ -83,19 +94,33 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
                 camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
                 operation = loops.operation(camera, number)
                 if number == lead or program is None:
-                    program = simulator.update(camera).program(scene, meters_late=meters, **operation)
+                    program = simulator.update(camera).program(
+                        scene, meters_late=meters, **operation
+                    )
                 else:
-                    other: dict[str, Any] = {} if camera is program.simulator.camera else {"camera": camera}
+                    other: dict[str, Any] = (
+                        {} if camera is program.simulator.camera else {"camera": camera}
+                    )
                     program.update(scene=scene, **other, **operation)
-                made = _made(program, number, seed, output)  # unwanted, too, for what the next one takes of it
+                made = _made(
+                    program, number, seed, output
+                )  # unwanted, too, for what the next one takes of it
                 if number in wanted:
                     yield made
         if program is not None:
             program.judge()
 
 
-def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
-                   output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
+def blurred_frames(
+    simulator: Simulator,
+    scenes: Moving,
+    segments: Iterable[list[int]],
+    *,
+    seed: int = 0,
+    output: str | None = None,
+    ramps: Ramps = NO_RAMPS,
+    loops: Loops = NO_LOOPS,
+) -> Iterator[Made]:
     """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
@@ -105,17 +130,34 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
                 scene = Animation(scene, scenes.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
-            exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
-                                     flicker=scenes.flicker, **loops.operation(camera, number))
-            told = (exposure.plan.account.at(exposure.exposure_time), exposure.exposure_time, exposure.gain,
-                    exposure.plan.name)
+            exposure = expose_motion(
+                simulator,
+                scene,
+                scenes.motion,
+                start=number * scenes.period,
+                flicker=scenes.flicker,
+                **loops.operation(camera, number),
+            )
+            told = (
+                exposure.plan.account.at(exposure.exposure_time),
+                exposure.exposure_time,
+                exposure.gain,
+                exposure.plan.name,
+            )
             if output is None:
-                yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), *told)
+                yield Made(
+                    number,
+                    next(simulator.shoot(exposure, seed=seed, first=number)).complete(),
+                    *told,
+                )
                 continue
             values = simulator.draw(exposure, seed=seed, frame=number)
             if output != "raw":
-                values = simulator.codes(values, exposure) if output == "codes" else simulator.develop(
-                    values, exposure)[0]
+                values = (
+                    simulator.codes(values, exposure)
+                    if output == "codes"
+                    else simulator.develop(values, exposure)[0]
+                )
             yield Made(number, _on_host(simulator, values, output), *told)
 
 
@@ -150,19 +192,36 @@ class NumberedFiles:
 
     def is_empty(self) -> bool:
         """Whether nothing was written yet."""
-        return not any(self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}"))
+        return not any(
+            self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}")
+        )
 
     def name(self, number: int) -> Path:
         """Of a frame."""
-        return self._path.with_name(f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}")
+        return self._path.with_name(
+            f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}"
+        )
 
-    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
-              loops: Loops = NO_LOOPS) -> Iterator[Made]:
+    def write(
+        self,
+        simulator: Simulator,
+        scenes: Scenes,
+        segments: list[range],
+        seed: int = 0,
+        loops: Loops = NO_LOOPS,
+    ) -> Iterator[Made]:
         """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
-        missing = [[segment.start, *(number for number in segment if not self.name(number).exists())]
-                   for segment in segments]
-        made = self._made(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed,
-                          loops=loops)
+        missing = [
+            [segment.start, *(number for number in segment if not self.name(number).exists())]
+            for segment in segments
+        ]
+        made = self._made(
+            simulator,
+            scenes,
+            [segment for segment in missing if len(segment) > 1],
+            seed=seed,
+            loops=loops,
+        )
         workers = os.cpu_count() or 1
         with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
             writing: dict = {}
@@ -186,8 +245,21 @@ class EncodedFile:
     made: `frames` or `blurred_frames`.
     """
 
-    def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range], made: Callable = frames):
-        self.path, self._codec, self._encoder, self._segments, self._made = path, codec, encoder, segments, made
+    def __init__(
+        self,
+        path: Path,
+        codec: Codec,
+        encoder: Encoder,
+        segments: list[range],
+        made: Callable = frames,
+    ):
+        self.path, self._codec, self._encoder, self._segments, self._made = (
+            path,
+            codec,
+            encoder,
+            segments,
+            made,
+        )
         self.folder = path.with_name(path.name + PARTS)
 
     @property
@@ -208,12 +280,24 @@ class EncodedFile:
         """The file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
-    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
-              loops: Loops = NO_LOOPS) -> Iterator[Made]:
+    def write(
+        self,
+        simulator: Simulator,
+        scenes: Scenes,
+        segments: list[range],
+        seed: int = 0,
+        loops: Loops = NO_LOOPS,
+    ) -> Iterator[Made]:
         """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
         missing = [segment for segment in segments if not self.part(segment).exists()]
-        made = self._made(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
-                          output=self._codec.output, loops=loops)
+        made = self._made(
+            simulator,
+            scenes,
+            [[segment.start, *segment] for segment in missing],
+            seed=seed,
+            output=self._codec.output,
+            loops=loops,
+        )
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
                 yield from self._encoded(segment, computed)

@@ -27,15 +27,34 @@ from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 4: "gamma2.2", 5: "gamma2.8", 8: "linear", 13: "srgb",
-             16: "pq", 18: "hlg"}
-PRIMARIES = {1: DISPLAYS["srgb"].primaries, 9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)), 12: P3_PRIMARIES}
+TRANSFERS = {
+    1: "bt709",
+    6: "bt709",
+    14: "bt709",
+    15: "bt709",
+    4: "gamma2.2",
+    5: "gamma2.8",
+    8: "linear",
+    13: "srgb",
+    16: "pq",
+    18: "hlg",
+}
+PRIMARIES = {
+    1: DISPLAYS["srgb"].primaries,
+    9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
+    12: P3_PRIMARIES,
+}
 UNTAGGED = (0, 2)
 MATRICES = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 FULL_RANGE = 2
 LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
-GAP, MOST_LATE = Fraction(3, 2), 16  # frames between neighbours; and that may be stored after one they are shown before
-STRICT = {"err_detect": "crccheck+explode"}  # of decoders: what they find damaged is refused, not concealed
+GAP, MOST_LATE = (
+    Fraction(3, 2),
+    16,
+)  # frames between neighbours; and that may be stored after one they are shown before
+STRICT = {
+    "err_detect": "crccheck+explode"
+}  # of decoders: what they find damaged is refused, not concealed
 PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # of the largest light, and of the largest code
 
 
@@ -58,7 +77,12 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            tags = context.color_trc, context.color_primaries, context.colorspace, context.color_range
+            tags = (
+                context.color_trc,
+                context.color_primaries,
+                context.colorspace,
+                context.color_range,
+            )
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._counted(container, stream)
         if not self.count:
@@ -75,15 +99,26 @@ class Film:
             if packet.size:
                 shown.append((packet.pts or 0) * stream.time_base)
                 end = max(end, shown[-1] + (packet.duration or 0) * stream.time_base)
-        length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))  # of this stream, as Matroska has it
+        length = LENGTH.fullmatch(
+            stream.metadata.get("DURATION", "")
+        )  # of this stream, as Matroska has it
         if length:
-            told = sum(Fraction(part) * unit for part, unit in zip(length.groups(), (3600, 60, 1), strict=True))
+            told = sum(
+                Fraction(part) * unit
+                for part, unit in zip(length.groups(), (3600, 60, 1), strict=True)
+            )
         else:  # of the file: sound may be longer
-            told = Fraction(container.duration or 0, 1_000_000) if len(container.streams) == 1 else Fraction(0)
+            told = (
+                Fraction(container.duration or 0, 1_000_000)
+                if len(container.streams) == 1
+                else Fraction(0)
+            )
         rate = stream.average_rate or Fraction(0)
         # times are whole milliseconds there; the last frame may have no length of its own
         if (told - end) * rate > Fraction(3, 4):
-            raise BadFile(self.path, f"ends at {float(end):.3f} of its {float(told):.3f} s: it is truncated")
+            raise BadFile(
+                self.path, f"ends at {float(end):.3f} of its {float(told):.3f} s: it is truncated"
+            )
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
             raise BadFile(self.path, "one of its last frames is missing: it is truncated")
@@ -93,16 +128,26 @@ class Film:
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            raise BadFile(self.path, f"its transfer function is {tag}, so what its codes stand for is not "
-                          f"known; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}")
+            raise BadFile(
+                self.path,
+                f"its transfer function is {tag}, so what its codes stand for is not "
+                f"known; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}",
+            )
         if primaries not in (*UNTAGGED, *PRIMARIES):
-            raise BadFile(self.path, f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3")
+            raise BadFile(
+                self.path,
+                f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3",
+            )
         self._transfer = TRANSFERS[curve] if transfer is None else transfer
         self._primaries = PRIMARIES.get(primaries, PRIMARIES[1])
         if self._format.startswith(("yuv", "nv", "p0")):
-            known = MATRICES.get(matrix) or (None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601")
+            known = MATRICES.get(matrix) or (
+                None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601"
+            )
             if known is None:
-                raise BadFile(self.path, f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
+                raise BadFile(
+                    self.path, f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020"
+                )
             extent = "full" if extent == FULL_RANGE or self._format.startswith("yuvj") else "tv"
             self._scale = f"in_color_matrix={known}:in_range={extent}:out_range=full"
         else:
@@ -126,9 +171,13 @@ class Film:
                     codes = self._codes(frame)
                     break
             else:
-                raise BadFile(self.path, f"ends before its frame {number} of {self.count}: it is truncated")
+                raise BadFile(
+                    self.path, f"ends before its frame {number} of {self.count}: it is truncated"
+                )
         scene = self._lifted(codes)
-        return checked_size(scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first")
+        return checked_size(
+            scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
+        )
 
     @contextmanager
     def _reading(self):
@@ -149,10 +198,17 @@ class Film:
         """RGB of a decoded frame, uint8 (rows, cols, 3), or uint16 of more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
         graph = self._av.filter.Graph()
-        parts = [graph.add_buffer(width=frame.width, height=frame.height, format=frame.format,
-                                  time_base=frame.time_base),
-                 graph.add("scale", f"{EXACT}:{self._scale}"),
-                 graph.add("format", "rgb48le" if deep else "rgb24"), graph.add("buffersink")]
+        parts = [
+            graph.add_buffer(
+                width=frame.width,
+                height=frame.height,
+                format=frame.format,
+                time_base=frame.time_base,
+            ),
+            graph.add("scale", f"{EXACT}:{self._scale}"),
+            graph.add("format", "rgb48le" if deep else "rgb24"),
+            graph.add("buffersink"),
+        ]
         for part, following in pairwise(parts):
             part.link_to(following)
         graph.configure()
@@ -166,7 +222,9 @@ class Film:
             return scene
         to_srgb = DISPLAYS["srgb"].rgb_from_xyz @ Display("film", self._primaries).xyz_from_rgb
         light = np.tensordot(to_srgb.astype(np.float32), np.moveaxis(curve[codes], -1, 0), 1)
-        return replace(scene, content=lift(np.maximum(light, 0)))  # what sRGB cannot show is taken to its edge
+        return replace(
+            scene, content=lift(np.maximum(light, 0))
+        )  # what sRGB cannot show is taken to its edge
 
 
 @cache

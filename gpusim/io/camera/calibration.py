@@ -6,14 +6,33 @@ from gpusim.domain.calibration import Calibration
 from gpusim.domain.errors import BadData, BadFile, UnknownName, shown
 from gpusim.io.files import named, read_text, reading
 
-LONGEST = 2**16  # [byte]; what is sensible has two thousand, and a parser in Python takes a second for these
+LONGEST = (
+    2**16
+)  # [byte]; what is sensible has two thousand, and a parser in Python takes a second for these
 WHAT = "YAML, JSON or XML of a calibration"
 # what files call the models, and whether that is the fisheye's
-MODELS = {"plumb_bob": False, "rational_polynomial": False, "thin_prism": False, "radtan": False, "none": False,
-          "radial-tangential": False, "pinhole": False, "equidistant": True, "equi": True, "fisheye": True}
+MODELS = {
+    "plumb_bob": False,
+    "rational_polynomial": False,
+    "thin_prism": False,
+    "radtan": False,
+    "none": False,
+    "radial-tangential": False,
+    "pinhole": False,
+    "equidistant": True,
+    "equi": True,
+    "fisheye": True,
+}
 KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections that are no pinhole's
 MATRIX = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "mtx")
-COEFFICIENTS = ("distortion_coefficients", "D", "d", "distCoeffs", "Distortion_Coefficients", "dist")
+COEFFICIENTS = (
+    "distortion_coefficients",
+    "D",
+    "d",
+    "distCoeffs",
+    "Distortion_Coefficients",
+    "dist",
+)
 SIZES = (("image_width", "image_height"), ("width", "height"))
 
 
@@ -29,7 +48,11 @@ def read_calibration(path, camera: str | None = None) -> Calibration:
     with named(path):
         if type(table) is not dict:
             raise BadData(f"not {WHAT}: wanted keys and values")
-        chain = {key: value for key, value in table.items() if type(value) is dict and "intrinsics" in value}
+        chain = {
+            key: value
+            for key, value in table.items()
+            if type(value) is dict and "intrinsics" in value
+        }
         if "intrinsics" in table:  # one camera of a chain, or the sensor.yaml of a data set
             return _kalibr(table)
         if chain:
@@ -53,8 +76,10 @@ def _parsed(path):
     class Loader(yaml.SafeLoader):
         """Takes OpenCV's matrices for what they hold."""
 
-    Loader.add_multi_constructor("tag:yaml.org,2002:opencv-",
-                                 lambda loader, _, node: loader.construct_mapping(node, deep=True))
+    Loader.add_multi_constructor(
+        "tag:yaml.org,2002:opencv-",
+        lambda loader, _, node: loader.construct_mapping(node, deep=True),
+    )
     text = re.sub(r"\A%YAML:.*\n", "", text)  # OpenCV's first line, which is not YAML's
     with reading(path, WHAT):
         # A printed message ends in ---; its first document is the message.
@@ -78,8 +103,10 @@ def _chosen(chain, camera):
     if camera is None and len(chain) == 1:
         return next(iter(chain))
     if camera is None:
-        raise BadData(f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"; known: '
-                      f"{', '.join(map(str, chain))}")
+        raise BadData(
+            f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"; known: '
+            f"{', '.join(map(str, chain))}"
+        )
     if camera not in chain:
         raise UnknownName("camera", str(camera), [str(key) for key in chain])
     return camera
@@ -89,8 +116,10 @@ def _kalibr(table):
     """The calibration of one camera of Kalibr's, whose intrinsics are fx, fy, cx, cy."""
     model = table.get("camera_model", "pinhole")
     if model in KALIBR_OTHERS:
-        raise BadData(f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant; calibrate "
-                      "again with --models pinhole-radtan or pinhole-equi")
+        raise BadData(
+            f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant; calibrate "
+            "again with --models pinhole-radtan or pinhole-equi"
+        )
     if model != "pinhole":
         raise BadData(f"camera_model: {shown(model)}: wanted pinhole")
     intrinsics = _numbers(table, "intrinsics", 4)
@@ -103,18 +132,28 @@ def _matrix_file(table):
     """The calibration of ROS's and OpenCV's files, with a camera matrix."""
     key = next((key for key in MATRIX if key in table), None)
     if key is None:
-        raise BadData("has no camera_matrix (or K) as of ROS and OpenCV, nor intrinsics as of Kalibr")
+        raise BadData(
+            "has no camera_matrix (or K) as of ROS and OpenCV, nor intrinsics as of Kalibr"
+        )
     matrix = _numbers(table, key, 9)
     if matrix[1] or matrix[3] or matrix[6:] != [0, 0, 1]:
         raise BadData(f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {shown(matrix)}")
     sizes = next((pair for pair in SIZES if set(pair) <= table.keys()), None)
     if sizes is None:
-        raise BadData("lacks image_width and image_height, the resolution at which the camera was calibrated")
+        raise BadData(
+            "lacks image_width and image_height, the resolution at which the camera was calibrated"
+        )
     _require_whole_frame(table)
     found = next((key for key in COEFFICIENTS if key in table), None)
-    model = table.get("distortion_model") or ("fisheye" if table.get("fisheye_model") else "pinhole")
-    return _made([_number(table, key) for key in sizes], [matrix[0], matrix[4], matrix[2], matrix[5]],
-                 [] if found is None else _numbers(table, found), model)
+    model = table.get("distortion_model") or (
+        "fisheye" if table.get("fisheye_model") else "pinhole"
+    )
+    return _made(
+        [_number(table, key) for key in sizes],
+        [matrix[0], matrix[4], matrix[2], matrix[5]],
+        [] if found is None else _numbers(table, found),
+        model,
+    )
 
 
 def _require_whole_frame(table):
@@ -134,7 +173,9 @@ def _made(size, intrinsics, coefficients, model):
     if model == "none" and any(coefficients):
         raise BadData("distortion_model: none, with coefficients: wanted one or the other")
     width, height = (int(item) if item == int(item) else item for item in size)
-    return Calibration(width, height, *intrinsics, () if model == "none" else tuple(coefficients), MODELS[model])
+    return Calibration(
+        width, height, *intrinsics, () if model == "none" else tuple(coefficients), MODELS[model]
+    )
 
 
 def _numbers(table, key, count=None):
@@ -146,7 +187,9 @@ def _numbers(table, key, count=None):
     value = [] if value is None else value
     if type(value) is list and value and all(type(item) is list for item in value):
         value = [item for row in value for item in row]
-    if type(value) is not list or not all(type(item) in (int, float) and abs(item) < 1e300 for item in value):
+    if type(value) is not list or not all(
+        type(item) in (int, float) and abs(item) < 1e300 for item in value
+    ):
         raise BadData(f"{key}: {shown(value)}: wanted numbers")
     if count is not None and len(value) != count:
         raise BadData(f"{key}: {len(value)} numbers, wanted {count}")

@@ -48,7 +48,9 @@ DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there 
 LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
 LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
 # A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
-_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII)
+_DEEP_KEY = re.compile(
+    r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII
+)
 _KEY = re.compile(r"\[(\w+)\] (\w+)")  # in an error of a camera file
 
 
@@ -72,11 +74,19 @@ def open_camera(name_or_path) -> Camera:
         return camera_of(path, table)
     except BadFile as error:
         key = _KEY.search(error.details)
-        where = key and next((file for file, own in _chain(name_or_path) if isinstance(own.get(key[1]), dict)
-                              and key[2] in own[key[1]]), path)
+        where = key and next(
+            (
+                file
+                for file, own in _chain(name_or_path)
+                if isinstance(own.get(key[1]), dict) and key[2] in own[key[1]]
+            ),
+            path,
+        )
         if where is None or where == path:
             raise
-        raise BadFile(path, f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})") from error
+        raise BadFile(
+            path, f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})"
+        ) from error
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
@@ -94,12 +104,21 @@ def _chain(name_or_path):
     files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
     yield path, table
     while base is not None:
-        place = base if base in camera_names() else files[-1].parent / base if type(base) is str else None
+        place = (
+            base
+            if base in camera_names()
+            else files[-1].parent / base
+            if type(base) is str
+            else None
+        )
         if place is None:
             raise BadFile(files[-1], f"base = {shown(base)}: wanted a camera's name or file")
         if type(place) is not str and not os.path.exists(place):
-            raise BadFile(files[-1], f"base = {shown(base)}: no such camera or file; cameras are "
-                                     f"{', '.join(camera_names())}")
+            raise BadFile(
+                files[-1],
+                f"base = {shown(base)}: no such camera or file; cameras are "
+                f"{', '.join(camera_names())}",
+            )
         path, table = _file_table(place)
         if path.resolve() in files:
             raise BadFile(files[-1], f"base = {shown(base)}: is based on this file itself")
@@ -110,9 +129,15 @@ def _chain(name_or_path):
 
 def anchored(path: Path, table: dict) -> dict:
     """A table whose files, beside the camera's file `path`, are named from anywhere."""
-    return {section: {key: str((path.parent / value).resolve()) if _is_file(path, value) else value
-                      for key, value in keys.items()} if isinstance(keys, dict) else keys
-            for section, keys in table.items()}
+    return {
+        section: {
+            key: str((path.parent / value).resolve()) if _is_file(path, value) else value
+            for key, value in keys.items()
+        }
+        if isinstance(keys, dict)
+        else keys
+        for section, keys in table.items()
+    }
 
 
 def _is_file(path, value):
@@ -121,7 +146,9 @@ def _is_file(path, value):
 
 def _over(below, table):
     """The keys of a table over those of the camera that it is based on, section by section."""
-    merged = {section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()}
+    merged = {
+        section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()
+    }
     for section, keys in table.items():
         if isinstance(keys, dict) and isinstance(merged.get(section), dict):
             for one, other in (DEFOCUS, DEFOCUS[::-1]):
@@ -139,7 +166,9 @@ def _file_table(name_or_path):
         path = _FOLDER / f"{name_or_path}.toml"
     else:
         path = Path(name_or_path)
-        if path.suffix != ".toml" and not os.path.exists(path):  # Path.exists raises for a name that is too long
+        if path.suffix != ".toml" and not os.path.exists(
+            path
+        ):  # Path.exists raises for a name that is too long
             raise UnknownName("camera", str(name_or_path), camera_names())
     text = read_text(path, "TOML")
     deep = _DEEP_KEY.search(text)
@@ -157,7 +186,9 @@ def _file_table(name_or_path):
 
 def camera_of(path: Path, table: dict) -> Camera:
     """The camera of a file's keys, or of changed ones. path: its file, which errors name. Raises as `open_camera`."""
-    with named(path):  # the domain's own checks know a field but not the file, and not the key in its unit
+    with named(
+        path
+    ):  # the domain's own checks know a field but not the file, and not the key in its unit
         try:
             return _camera(path, dict(table))
         except (BadData, OutOfRange, UnknownName) as error:
@@ -180,7 +211,9 @@ def _require_short_integers(path, value):
     """Refuse whole numbers that no field takes: beyond 4300 digits Python does not even print them."""
     if isinstance(value, int) and abs(value) >= LONGEST_INTEGER:
         raise BadFile(path, "has a whole number of more than 64 bits: wanted a smaller number")
-    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    for item in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    ):
         _require_short_integers(path, item)
 
 
@@ -190,8 +223,14 @@ def _camera(path, table):
         raise BadFile(path, f"name = {shown(name)}: wanted a text")
     for section in table:
         if section not in SECTIONS:
-            raise BadFile(path, f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}")
-    optics, sensor = section_fields(path, table, "optics", Optics), section_fields(path, table, "sensor", Sensor)
+            raise BadFile(
+                path,
+                f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}",
+            )
+    optics, sensor = (
+        section_fields(path, table, "optics", Optics),
+        section_fields(path, table, "sensor", Sensor),
+    )
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
     optics = _lens(path, _calibrated(path, optics, sensor))
@@ -200,8 +239,13 @@ def _camera(path, table):
     if "profile" in sensor:
         _profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
-    return Camera(name, optics, Sensor(**sensor), _processor(path, section_fields(path, table, "processor")),
-                  _display(path, section_fields(path, table, "display")))
+    return Camera(
+        name,
+        optics,
+        Sensor(**sensor),
+        _processor(path, section_fields(path, table, "processor")),
+        _display(path, section_fields(path, table, "display")),
+    )
 
 
 def _processor(path, fields):
@@ -224,8 +268,11 @@ def _display(path, fields):
         with _named_by(path, "[display] name"):
             return open_display(name or "srgb")
     if name in display_names():
-        raise BadFile(path, f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
-                            "give it another name")
+        raise BadFile(
+            path,
+            f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
+            "give it another name",
+        )
     return Display(name or path.stem, **fields)
 
 
@@ -233,10 +280,15 @@ def _profile(path, sensor, noise):
     """Put what a DNG's noise profile tells into the fields of sensor and noise."""
     with _named_by(path, "[sensor] noise_profile"):
         profile = read_noise_profile(path.parent / sensor.pop("profile"))
-    own = [*(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}) & sensor.keys(),
-           *{"read", "reset", "adc", "row", "column"} & noise.keys()]
+    own = [
+        *(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"})
+        & sensor.keys(),
+        *{"read", "reset", "adc", "row", "column"} & noise.keys(),
+    ]
     if own:
-        raise BadFile(path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other")
+        raise BadFile(
+            path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other"
+        )
     sensor.update(profile.fields)
     noise["read"] = profile.read
 
@@ -244,9 +296,14 @@ def _profile(path, sensor, noise):
 def _noise(path, fields, sensor):
     """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
     if fields.get("reset") == "kTC":
-        noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})  # its checks first
+        noise = Noise(
+            **{key: value for key, value in fields.items() if key != "reset"}
+        )  # its checks first
         if "conversion_gain" not in sensor:
-            raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
+            raise BadFile(
+                path,
+                '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v',
+            )
         fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
     return Noise(**fields)
 
@@ -260,10 +317,16 @@ def _calibrated(path, fields, sensor):
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
         with _named_by(path, "[optics] calibration"):
-            calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
-    if "focal_length" not in fields:  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
+            calibration = read_calibration(
+                path.parent / calibration["file"], calibration.get("camera")
+            )
+    if (
+        "focal_length" not in fields
+    ):  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
         image_distance = calibration.fx * sensor["pixel_pitch"]
-        fields["focal_length"] = image_distance / (1 + image_distance / fields.get("object_distance", np.inf))
+        fields["focal_length"] = image_distance / (
+            1 + image_distance / fields.get("object_distance", np.inf)
+        )
     return {**fields, "distortion": calibration}
 
 
@@ -276,7 +339,11 @@ def _lens(path, fields):
     if not isinstance(defocus, float):
         table = _single(path, "[optics] defocus_um", defocus)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
-    aberrations = {key: fields.pop(key) for key in ("zernike", "heights", "seidel", "reference") if key in fields}
+    aberrations = {
+        key: fields.pop(key)
+        for key in ("zernike", "heights", "seidel", "reference")
+        if key in fields
+    }
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:
@@ -284,7 +351,11 @@ def _lens(path, fields):
             fields["psf"] = read_psf(path.parent / fields["psf"])
         fields.setdefault("model", "measured")
     optics = Optics(**fields, wavefront=Wavefront(**aberrations))
-    return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    return (
+        optics
+        if diopters is None
+        else dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    )
 
 
 def _efficiency(path, sensor):
@@ -295,8 +366,11 @@ def _efficiency(path, sensor):
     spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
     used = set("".join(sensor.get("cfa", Sensor.cfa)))
     if not used <= set(letters):
-        raise BadFile(path, f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}; "
-                            f"it has {', '.join(letters) or 'one without a letter'}")
+        raise BadFile(
+            path,
+            f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}; "
+            f"it has {', '.join(letters) or 'one without a letter'}",
+        )
     channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
     rows = [letters.index(letter) for letter in channels]
     product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
@@ -309,7 +383,10 @@ def _efficiency(path, sensor):
         nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
         product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
     elif ends is not None:
-        raise BadFile(path, f'[sensor] qe_ends = {shown(ends)}: wanted "zero": no light is counted outside the table')
+        raise BadFile(
+            path,
+            f'[sensor] qe_ends = {shown(ends)}: wanted "zero": no light is counted outside the table',
+        )
     return product, channels
 
 
@@ -320,7 +397,9 @@ def _product(path, first, second):
     high = min(first.wavelengths[-1], second.wavelengths[-1])
     nodes = nodes[(nodes >= low) & (nodes <= high)]
     if len(nodes) < 2:
-        raise BadFile(path, f"[sensor] {first.name} and {second.name} have no wavelengths in common")
+        raise BadFile(
+            path, f"[sensor] {first.name} and {second.name} have no wavelengths in common"
+        )
     return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
 
 
@@ -337,7 +416,9 @@ def _curves(path, label, value):
     if type(value) is dict:
         columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
         if "wavelengths_nm" not in value or not columns:
-            raise BadFile(path, f"{label}: wanted wavelengths_nm = [...] and one list of values per curve")
+            raise BadFile(
+                path, f"{label}: wanted wavelengths_nm = [...] and one list of values per curve"
+            )
         try:
             wavelengths = np.array(value["wavelengths_nm"], np.float64)
             values = np.array(list(columns.values()), np.float64)
@@ -345,14 +426,20 @@ def _curves(path, label, value):
             raise BadFile(path, f"{label}: wanted lists of equally many numbers") from None
         return Spectrum(wavelengths, values, label), tuple(columns)
     if type(value) is not str:
-        raise BadFile(path, f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
-                            "wavelengths_nm and values")
+        raise BadFile(
+            path,
+            f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
+            "wavelengths_nm and values",
+        )
     if value.endswith(".csv"):
         with _named_by(path, label):
             return _read_csv(path.parent / value)
     with _named_by(path, label):
         spectrum = curve(value)
-    return (Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value), tuple(CHANNELS[value]))
+    return (
+        Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value),
+        tuple(CHANNELS[value]),
+    )
 
 
 def _read_csv(path):
@@ -366,5 +453,7 @@ def _read_csv(path):
     try:
         table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
     except ValueError:
-        raise BadFile(path, f"wanted {len(lines[0])} numbers on every line after the first") from None
+        raise BadFile(
+            path, f"wanted {len(lines[0])} numbers on every line after the first"
+        ) from None
     return Spectrum(table[0], table[1:], path.name), tuple(lines[0][1:])

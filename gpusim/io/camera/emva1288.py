@@ -13,26 +13,58 @@ from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 
 QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
-_OPTIONAL = {"dark_noise", "dark_noise_dn", "snr_max_db", "dynamic_range_db", "sensitivity_threshold"}
+_OPTIONAL = {
+    "dark_noise",
+    "dark_noise_dn",
+    "snr_max_db",
+    "dynamic_range_db",
+    "sensitivity_threshold",
+}
 _LIMITS = {  # unit, least, most; `Sensor` and `Noise` check what is theirs
-    "gain": ("DN/e-", 1e-12, 1e12), "saturation_capacity": ("e-", 1, 1e9), "dark_noise": ("e-", 0, 1e12),
-    "dark_noise_dn": ("DN", 0, 1e12), "sensitivity_threshold": ("photon", 1e-12, 1e12),
-    "snr_max_db": ("dB", -300, 300), "dynamic_range_db": ("dB", -300, 300), "rounding": ("", 0, 0.5),
+    "gain": ("DN/e-", 1e-12, 1e12),
+    "saturation_capacity": ("e-", 1, 1e9),
+    "dark_noise": ("e-", 0, 1e12),
+    "dark_noise_dn": ("DN", 0, 1e12),
+    "sensitivity_threshold": ("photon", 1e-12, 1e12),
+    "snr_max_db": ("dB", -300, 300),
+    "dynamic_range_db": ("dB", -300, 300),
+    "rounding": ("", 0, 0.5),
     **{f"dsnu{part}": ("e-", 0, 1e12) for part in ("", "_row", "_column")},
-    **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")}}
+    **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")},
+}
 LARGEST = 1e300  # of figures that `Sensor` and `Noise` check: what a float holds
 HALF_BAND = 25.0  # [nm]; the standard's light has a full width at half maximum below 50 nm
 
 
-def sensor_from_emva1288(*, pixel_pitch: float, quantum_efficiency: float | Spectrum, wavelength: float | None = None,
-                         response: Spectrum | None = None, gain: float, saturation_capacity: float, bits: int,
-                         dark_noise: float | None = None, dark_noise_dn: float | None = None, black_level: int = 0,
-                         dsnu: float = 0.0, dsnu_row: float = 0.0, dsnu_column: float = 0.0,
-                         prnu: float = 0.0, prnu_row: float = 0.0, prnu_column: float = 0.0,
-                         dark_current: float = 0.0, dark_current_temperature: float = 25.0,
-                         dark_current_doubling: float = 8.0, snr_max_db: float | None = None,
-                         dynamic_range_db: float | None = None, sensitivity_threshold: float | None = None,
-                         rounding: float = 0.03, channels=("Y",), cfa=("Y",), seed: int = 0) -> Sensor:
+def sensor_from_emva1288(
+    *,
+    pixel_pitch: float,
+    quantum_efficiency: float | Spectrum,
+    wavelength: float | None = None,
+    response: Spectrum | None = None,
+    gain: float,
+    saturation_capacity: float,
+    bits: int,
+    dark_noise: float | None = None,
+    dark_noise_dn: float | None = None,
+    black_level: int = 0,
+    dsnu: float = 0.0,
+    dsnu_row: float = 0.0,
+    dsnu_column: float = 0.0,
+    prnu: float = 0.0,
+    prnu_row: float = 0.0,
+    prnu_column: float = 0.0,
+    dark_current: float = 0.0,
+    dark_current_temperature: float = 25.0,
+    dark_current_doubling: float = 8.0,
+    snr_max_db: float | None = None,
+    dynamic_range_db: float | None = None,
+    sensitivity_threshold: float | None = None,
+    rounding: float = 0.03,
+    channels=("Y",),
+    cfa=("Y",),
+    seed: int = 0,
+) -> Sensor:
     """Build the sensor that an EMVA 1288 data sheet describes.
 
     pixel_pitch: [m].
@@ -53,36 +85,89 @@ def sensor_from_emva1288(*, pixel_pitch: float, quantum_efficiency: float | Spec
     Raises BadData for figures that are missing or contradict each other, OutOfRange.
     Source: EMVA Standard 1288, Release 4.0 Linear (2021) and 3.1 (2016), the linear camera model.
     """
-    figures = {"gain": gain, "saturation_capacity": saturation_capacity, "dark_noise": dark_noise, "dsnu": dsnu,
-               "dark_noise_dn": dark_noise_dn, "dsnu_row": dsnu_row, "dsnu_column": dsnu_column, "prnu": prnu,
-               "prnu_row": prnu_row, "prnu_column": prnu_column, "snr_max_db": snr_max_db, "rounding": rounding,
-               "dynamic_range_db": dynamic_range_db, "sensitivity_threshold": sensitivity_threshold,
-               "pixel_pitch": pixel_pitch, "bits": bits, "black_level": black_level, "dark_current": dark_current,
-               "dark_current_temperature": dark_current_temperature, "dark_current_doubling": dark_current_doubling}
+    figures = {
+        "gain": gain,
+        "saturation_capacity": saturation_capacity,
+        "dark_noise": dark_noise,
+        "dsnu": dsnu,
+        "dark_noise_dn": dark_noise_dn,
+        "dsnu_row": dsnu_row,
+        "dsnu_column": dsnu_column,
+        "prnu": prnu,
+        "prnu_row": prnu_row,
+        "prnu_column": prnu_column,
+        "snr_max_db": snr_max_db,
+        "rounding": rounding,
+        "dynamic_range_db": dynamic_range_db,
+        "sensitivity_threshold": sensitivity_threshold,
+        "pixel_pitch": pixel_pitch,
+        "bits": bits,
+        "black_level": black_level,
+        "dark_current": dark_current,
+        "dark_current_temperature": dark_current_temperature,
+        "dark_current_doubling": dark_current_doubling,
+    }
     _check_figures(figures)
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
     sensor = Sensor(
-        pixel_pitch=pixel_pitch, qe=spectrum, channels=channels, cfa=cfa, bits=bits, black_level=black_level, gain=gain,
+        pixel_pitch=pixel_pitch,
+        qe=spectrum,
+        channels=channels,
+        cfa=cfa,
+        bits=bits,
+        black_level=black_level,
+        gain=gain,
         full_well=full_well(saturation_capacity, prnu / 100),
-        noise=Noise(read=math.sqrt(noise_squared), dark_current=dark_current, temperature=dark_current_temperature,
-                    reference_temperature=dark_current_temperature, doubling=dark_current_doubling, seed=seed,
-                    dsnu=_pixel_part("dsnu", figures, rounding, "e-"), row_dsnu=dsnu_row, column_dsnu=dsnu_column,
-                    prnu=_pixel_part("prnu", figures, rounding, "%") / 100, row_prnu=prnu_row / 100,
-                    column_prnu=prnu_column / 100))
+        noise=Noise(
+            read=math.sqrt(noise_squared),
+            dark_current=dark_current,
+            temperature=dark_current_temperature,
+            reference_temperature=dark_current_temperature,
+            doubling=dark_current_doubling,
+            seed=seed,
+            dsnu=_pixel_part("dsnu", figures, rounding, "e-"),
+            row_dsnu=dsnu_row,
+            column_dsnu=dsnu_column,
+            prnu=_pixel_part("prnu", figures, rounding, "%") / 100,
+            row_prnu=prnu_row / 100,
+            column_prnu=prnu_column / 100,
+        ),
+    )
     highest = sensor.white_level - black_level
     if gain * saturation_capacity > highest * (1 + rounding):
-        raise BadData(f"gain x saturation_capacity = {gain * saturation_capacity:.6g} DN: {bits} bits above a black "
-                      f"level of {black_level} hold {highest} DN; check bits, black_level and the unit of gain, DN/e-")
+        raise BadData(
+            f"gain x saturation_capacity = {gain * saturation_capacity:.6g} DN: {bits} bits above a black "
+            f"level of {black_level} hold {highest} DN; check bits, black_level and the unit of gain, DN/e-"
+        )
     threshold = math.sqrt(noise_squared + QUANTISATION / gain**2) + 0.5  # [e-]
-    _compare("snr_max_db", snr_max_db, math.sqrt(saturation_capacity), rounding,
-             "sqrt(saturation_capacity)", decibels=True)
-    _compare("dynamic_range_db", dynamic_range_db, saturation_capacity / threshold, rounding,
-             "saturation_capacity / (dark noise with quantisation + 0.5 e-)", decibels=True)
+    _compare(
+        "snr_max_db",
+        snr_max_db,
+        math.sqrt(saturation_capacity),
+        rounding,
+        "sqrt(saturation_capacity)",
+        decibels=True,
+    )
+    _compare(
+        "dynamic_range_db",
+        dynamic_range_db,
+        saturation_capacity / threshold,
+        rounding,
+        "saturation_capacity / (dark noise with quantisation + 0.5 e-)",
+        decibels=True,
+    )
     if sensitivity_threshold is not None and efficiency is None:
-        raise BadData("sensitivity_threshold: wanted the wavelength at which it was measured, wavelength = ... [nm]")
-    _compare("sensitivity_threshold", sensitivity_threshold, threshold / efficiency if efficiency else None, rounding,
-             "(dark noise with quantisation + 0.5 e-) / quantum_efficiency")
+        raise BadData(
+            "sensitivity_threshold: wanted the wavelength at which it was measured, wavelength = ... [nm]"
+        )
+    _compare(
+        "sensitivity_threshold",
+        sensitivity_threshold,
+        threshold / efficiency if efficiency else None,
+        rounding,
+        "(dark noise with quantisation + 0.5 e-) / quantum_efficiency",
+    )
     return sensor
 
 
@@ -95,7 +180,7 @@ def full_well(saturation_capacity: float, prnu: float = 0.0) -> float:
     """
     # pixels lie closer together than half a deviation of the photon noise
     z = np.linspace(-6, 6, 601 + round(24 * prnu * math.sqrt(saturation_capacity)))
-    share = np.exp(-z**2 / 2) * (1 + prnu * z > 0)
+    share = np.exp(-(z**2) / 2) * (1 + prnu * z > 0)
     factor = np.maximum(1 + prnu * z, 1e-9)
     mean = saturation_capacity * factor
     root = np.sqrt(mean)
@@ -109,8 +194,11 @@ def full_well(saturation_capacity: float, prnu: float = 0.0) -> float:
         return share @ (factor * (variance - 2 * beyond * (a - first) * (root + a / 2)))
 
     # beyond 8 deviations of either kind no pixel is cut off
-    return brentq(slope, saturation_capacity, saturation_capacity * (1 + 8 * prnu) + 12 * math.sqrt(saturation_capacity)
-                  + 12)
+    return brentq(
+        slope,
+        saturation_capacity,
+        saturation_capacity * (1 + 8 * prnu) + 12 * math.sqrt(saturation_capacity) + 12,
+    )
 
 
 def _check_figures(figures):
@@ -121,7 +209,9 @@ def _check_figures(figures):
             raise BadData(f"{name} = {shown(value)}: wanted a number")
         unit, low, high = _LIMITS.get(name, ("", -LARGEST, LARGEST))
         if not low <= value <= high:
-            raise OutOfRange(name, f"{_short(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}")
+            raise OutOfRange(
+                name, f"{_short(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}"
+            )
 
 
 def _short(value):
@@ -131,19 +221,32 @@ def _short(value):
 
 def _efficiency(quantum_efficiency, wavelength, response):
     """Return curves (C, L) and the efficiency at the wavelength, that of the best channel; None without wavelength."""
-    if wavelength is not None and not (isinstance(wavelength, Real) and 10 + HALF_BAND < wavelength < 1e5 - HALF_BAND):
-        raise OutOfRange("wavelength", f"{shown(wavelength)} nm", f"a number, {10 + HALF_BAND:g} < wavelength < 99975")
+    if wavelength is not None and not (
+        isinstance(wavelength, Real) and 10 + HALF_BAND < wavelength < 1e5 - HALF_BAND
+    ):
+        raise OutOfRange(
+            "wavelength",
+            f"{shown(wavelength)} nm",
+            f"a number, {10 + HALF_BAND:g} < wavelength < 99975",
+        )
     if response is not None and not isinstance(response, Spectrum):
         raise BadData(f"response = {shown(response)}: wanted a gpusim.Spectrum")
     if not isinstance(quantum_efficiency, Spectrum):
         if not isinstance(quantum_efficiency, Real) or isinstance(quantum_efficiency, bool):
-            raise BadData(f"quantum_efficiency = {shown(quantum_efficiency)}: wanted a number or a Spectrum")
+            raise BadData(
+                f"quantum_efficiency = {shown(quantum_efficiency)}: wanted a number or a Spectrum"
+            )
         if not 0 < quantum_efficiency <= 1:
-            raise OutOfRange("quantum_efficiency", _short(quantum_efficiency),
-                             "0 < quantum_efficiency <= 1; a data sheet's 60 % are 0.6")
+            raise OutOfRange(
+                "quantum_efficiency",
+                _short(quantum_efficiency),
+                "0 < quantum_efficiency <= 1; a data sheet's 60 % are 0.6",
+            )
         if wavelength is None:
-            raise BadData("quantum_efficiency is one number: wanted the wavelength it belongs to, wavelength = ... "
-                          "[nm], or a curve")
+            raise BadData(
+                "quantum_efficiency is one number: wanted the wavelength it belongs to, wavelength = ... "
+                "[nm], or a curve"
+            )
         if response is None:
             band = np.array([wavelength - HALF_BAND, wavelength + HALF_BAND])
             response = Spectrum(band, np.ones(2), "quantum efficiency at one wavelength")
@@ -152,7 +255,11 @@ def _efficiency(quantum_efficiency, wavelength, response):
         quantum_efficiency = response.scaled(quantum_efficiency / response.at([wavelength])[0])
     elif response is not None:
         raise BadData("response and quantum_efficiency as a curve: wanted one of them")
-    curves = Spectrum(quantum_efficiency.wavelengths, np.atleast_2d(quantum_efficiency.values), quantum_efficiency.name)
+    curves = Spectrum(
+        quantum_efficiency.wavelengths,
+        np.atleast_2d(quantum_efficiency.values),
+        quantum_efficiency.name,
+    )
     efficiency = None if wavelength is None else float(curves.at([wavelength]).max())
     if efficiency == 0:
         raise BadData(f"quantum_efficiency is 0 at {wavelength:g} nm, or its curve ends before")
@@ -167,12 +274,21 @@ def _dark_noise_squared(electrons, numbers, gain, rounding):
         return electrons**2
     squared = (numbers**2 - QUANTISATION) / gain**2
     if squared < 0:
-        raise OutOfRange("dark_noise_dn", f"{numbers:.6g} DN", f"{math.sqrt(QUANTISATION):.3f} or more, which rounding "
-                         "alone gives; dark noise without quantisation is dark_noise, in e-")
+        raise OutOfRange(
+            "dark_noise_dn",
+            f"{numbers:.6g} DN",
+            f"{math.sqrt(QUANTISATION):.3f} or more, which rounding "
+            "alone gives; dark noise without quantisation is dark_noise, in e-",
+        )
     if electrons is None:
         return squared
-    _compare("dark_noise_dn", numbers, math.sqrt(gain**2 * electrons**2 + QUANTISATION), rounding,
-             "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)")
+    _compare(
+        "dark_noise_dn",
+        numbers,
+        math.sqrt(gain**2 * electrons**2 + QUANTISATION),
+        rounding,
+        "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)",
+    )
     return electrons**2
 
 
@@ -181,8 +297,10 @@ def _pixel_part(name, figures, rounding, unit):
     total, row, column = (figures[key] for key in (name, f"{name}_row", f"{name}_column"))
     both = math.hypot(row, column)
     if both > total * (1 + rounding):
-        raise BadData(f"{name}_row = {row:g} {unit} and {name}_column = {column:g} {unit} are {both:.4g} {unit} "
-                      f"together: more than {name} = {total:g} {unit}, which includes them")
+        raise BadData(
+            f"{name}_row = {row:g} {unit} and {name}_column = {column:g} {unit} are {both:.4g} {unit} "
+            f"together: more than {name} = {total:g} {unit}, which includes them"
+        )
     return math.sqrt(max(total**2 - both**2, 0.0))
 
 
@@ -193,5 +311,7 @@ def _compare(name, stated, derived, rounding, formula, decibels=False):
     ratio = (10 ** (stated / 20) if decibels else stated) / derived
     if not 1 / (1 + rounding) <= ratio <= 1 + rounding:
         shown = 20 * math.log10(derived) if decibels else derived
-        raise BadData(f"{name} = {stated:.6g} contradicts the other figures: {formula} gives {shown:.4g}, and "
-                      f"rounding = {rounding:g} allows {100 * rounding:g} % between them; check units and figures")
+        raise BadData(
+            f"{name} = {stated:.6g} contradicts the other figures: {formula} gives {shown:.4g}, and "
+            f"rounding = {rounding:g} allows {100 * rounding:g} % between them; check units and figures"
+        )

@@ -30,10 +30,15 @@ def bayer_table() -> FilterTable:
 def write_table(path, table: FilterTable):
     """Write a table; `read_table` gives the same back. The path ends in .npz. Raises BadFile."""
     layout = table.layout
-    arrays: dict = {name: np.array(getattr(layout, name)) for name in (*ARRAYS, "mosaic", "outputs", "domain", "box")}
+    arrays: dict = {
+        name: np.array(getattr(layout, name))
+        for name in (*ARRAYS, "mosaic", "outputs", "domain", "box")
+    }
     arrays |= {"filters": table.filters, "provenance": np.array(table.provenance)}
     for name in ("contrast", "detail"):
-        arrays |= {f"{name}_{axis}": weights for axis, weights in enumerate(getattr(layout, name) or ())}
+        arrays |= {
+            f"{name}_{axis}": weights for axis, weights in enumerate(getattr(layout, name) or ())
+        }
     if table.offsets is not None:
         arrays["offsets"] = table.offsets
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
@@ -53,9 +58,18 @@ def read_table(path) -> FilterTable:
             stored.shape(name)
         stored.shape("box", WHOLE, wanted=())
         stored.require_memory(COPIES)
-        layout = Layout(mosaic=tuple(map(str, stored["mosaic"])), outputs=tuple(map(str, stored["outputs"])),
-                        domain=str(stored["domain"]), contrast=tuple(stored[name] for name in CONTRAST),
-                        detail=tuple(stored[name] for name in detail) or None, box=int(stored["box"]),
-                        **{name: stored[name] for name in ARRAYS})
-        return FilterTable(layout, stored["filters"], stored["offsets"] if "offsets" in stored else None,
-                           str(stored["provenance"]))
+        layout = Layout(
+            mosaic=tuple(map(str, stored["mosaic"])),
+            outputs=tuple(map(str, stored["outputs"])),
+            domain=str(stored["domain"]),
+            contrast=tuple(stored[name] for name in CONTRAST),
+            detail=tuple(stored[name] for name in detail) or None,
+            box=int(stored["box"]),
+            **{name: stored[name] for name in ARRAYS},
+        )
+        return FilterTable(
+            layout,
+            stored["filters"],
+            stored["offsets"] if "offsets" in stored else None,
+            str(stored["provenance"]),
+        )

@@ -37,10 +37,17 @@ class NoiseProfile:
 
     def __post_init__(self):
         if not 0 <= self.black_level < self.white_level <= 65535:
-            raise OutOfRange("black level, white level", f"{self.black_level:.6g}, {self.white_level:.6g}",
-                             "0 <= black < white <= 65535 DN")
+            raise OutOfRange(
+                "black level, white level",
+                f"{self.black_level:.6g}, {self.white_level:.6g}",
+                "0 <= black < white <= 65535 DN",
+            )
         if not 1e-9 <= self.scale <= 1:
-            raise OutOfRange("noise profile's scale S", f"{self.scale:.6g}", "1e-9 <= S <= 1, white at 1 .. 1e9 e-")
+            raise OutOfRange(
+                "noise profile's scale S",
+                f"{self.scale:.6g}",
+                "1e-9 <= S <= 1, white at 1 .. 1e9 e-",
+            )
         if not abs(self.offset) <= 1:
             raise OutOfRange("noise profile's offset O", f"{self.offset:.6g}", "-1 <= O <= 1")
 
@@ -61,14 +68,25 @@ class NoiseProfile:
         Fixed patterns, dark current and the rest stay: a profile does not know them.
         """
         noise = replace(sensor.noise, read=self.read, reset=0.0, adc=0.0, row=0.0, column=0.0)
-        return replace(sensor, **self.fields, conversion_gain=None, adc_range=None, analog_gain=1.0, analog_offset=0.0,
-                       noise=noise)
+        return replace(
+            sensor,
+            **self.fields,
+            conversion_gain=None,
+            adc_range=None,
+            analog_gain=1.0,
+            analog_offset=0.0,
+            noise=noise,
+        )
 
     @property
     def fields(self) -> dict:
         """What of `Sensor` it tells."""
-        return {"gain": self.gain, "full_well": 1 / self.scale, "black_level": round(self.black_level),
-                "bits": max(1, math.ceil(math.log2(self.white_level + 1)))}
+        return {
+            "gain": self.gain,
+            "full_well": 1 / self.scale,
+            "black_level": round(self.black_level),
+            "bits": max(1, math.ceil(math.log2(self.white_level + 1))),
+        }
 
 
 def read_noise_profile(path) -> NoiseProfile:
@@ -79,32 +97,64 @@ def read_noise_profile(path) -> NoiseProfile:
     tags = _tags(path)
     with named(path):
         if NOISE_PROFILE not in tags:
-            raise BadData("has no NoiseProfile (tag 51041); Android's camera and Adobe's DNG Converter write one")
+            raise BadData(
+                "has no NoiseProfile (tag 51041); Android's camera and Adobe's DNG Converter write one"
+            )
         profile = np.array(tags[NOISE_PROFILE], np.float64).ravel()
         if len(profile) < 2 or len(profile) % 2 or not np.isfinite(profile).all():
-            raise BadData(f"NoiseProfile has {len(profile)} numbers: wanted 2 for each plane, or 2, finite")
+            raise BadData(
+                f"NoiseProfile has {len(profile)} numbers: wanted 2 for each plane, or 2, finite"
+            )
         scale, offset = profile.reshape(-1, 2).T
         if scale.max() > SPREAD * scale.min():
-            raise BadData(f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane: wanted one "
-                          f"gain, factors within {SPREAD:g}")
+            raise BadData(
+                f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane: wanted one "
+                f"gain, factors within {SPREAD:g}"
+            )
         bits = int(np.max(tags.get(BITS, 16)))
         white = tags.get(WHITE_LEVEL, (2 ** min(bits, 16) - 1,))
-        return NoiseProfile(float(scale.mean()), float(offset.mean()), float(np.mean(tags.get(BLACK_LEVEL, 0))),
-                            float(np.mean(white)))
+        return NoiseProfile(
+            float(scale.mean()),
+            float(offset.mean()),
+            float(np.mean(tags.get(BLACK_LEVEL, 0))),
+            float(np.mean(white)),
+        )
 
 
 def _tags(path):
     """The numbers of the raw picture's tags, and of the first picture's where the raw one has none."""
     import tifffile
 
-    with open_file(path) as file, _silent("tifffile"), reading(path, WHAT), tifffile.TiffFile(file) as tiff:
+    with (
+        open_file(path) as file,
+        _silent("tifffile"),
+        reading(path, WHAT),
+        tifffile.TiffFile(file) as tiff,
+    ):
         first = tiff.pages[0]
         pages = [first, *(first.pages or ())]
-        found = [{code: values for code in (SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE)
-                  if code in page.tags and len(values := _values(page, code))} for page in pages]
-    raw = next((tags for tags in found if tags.get(PHOTOMETRIC, [0])[0] in (CFA, LINEAR_RAW)
-                and not tags.get(SUBFILE, [0])[0] & 1), None)
-    return {NOISE_PROFILE: found[0][NOISE_PROFILE], **(raw or {})} if NOISE_PROFILE in found[0] else raw or {}
+        found = [
+            {
+                code: values
+                for code in (SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE)
+                if code in page.tags and len(values := _values(page, code))
+            }
+            for page in pages
+        ]
+    raw = next(
+        (
+            tags
+            for tags in found
+            if tags.get(PHOTOMETRIC, [0])[0] in (CFA, LINEAR_RAW)
+            and not tags.get(SUBFILE, [0])[0] & 1
+        ),
+        None,
+    )
+    return (
+        {NOISE_PROFILE: found[0][NOISE_PROFILE], **(raw or {})}
+        if NOISE_PROFILE in found[0]
+        else raw or {}
+    )
 
 
 def _values(page, code):

@@ -12,11 +12,22 @@ HEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 MARGIN = 0.95  # of the coarsest spacing that tells all of the irradiance, lambda N / 2
 SAMPLES = 65
 FIELDS = 41  # chief rays from which the field of an image height is interpolated
-FIELD_STEPS = 4  # of the secant's search, which converges with the third power of the distance of the fields
+FIELD_STEPS = (
+    4  # of the secant's search, which converges with the third power of the distance of the fields
+)
 
 
-def optiland_psf(optic, wavelengths, corner: float, heights=HEIGHTS, *, spacing: float | None = None,
-                 samples: int = SAMPLES, rays: int = 128, reference: float | None = None) -> PointSpread:
+def optiland_psf(
+    optic,
+    wavelengths,
+    corner: float,
+    heights=HEIGHTS,
+    *,
+    spacing: float | None = None,
+    samples: int = SAMPLES,
+    rays: int = 128,
+    reference: float | None = None,
+) -> PointSpread:
     """Huygens point spreads of an `optiland.optic.Optic`, a round lens, over wavelength and field.
 
     wavelengths: [nm]; all light of the scenes must lie between them. corner: distance of the frame's corner from the
@@ -36,15 +47,27 @@ def optiland_psf(optic, wavelengths, corner: float, heights=HEIGHTS, *, spacing:
     checked_count("rays", rays, 16)
     if not (len(wavelengths) and np.isfinite(wavelengths).all() and wavelengths[0] > 0):
         raise BadData("optiland_psf: wanted wavelengths [nm] above 0")
-    if not (len(heights) and np.isfinite(heights).all() and heights[0] == 0) or not 0 < corner < math.inf:
-        raise BadData("optiland_psf: wanted heights from 0 on, 1 at the frame's corner, and corner > 0 [m]")
+    if (
+        not (len(heights) and np.isfinite(heights).all() and heights[0] == 0)
+        or not 0 < corner < math.inf
+    ):
+        raise BadData(
+            "optiland_psf: wanted heights from 0 on, 1 at the frame's corner, and corner > 0 [m]"
+        )
     if reference is None:
         reference = float(wavelengths[len(wavelengths) // 2])
     if spacing is None:
         spacing = MARGIN * wavelengths[0] * 1e-9 * abs(float(np.squeeze(optic.paraxial.FNO()))) / 2
     fields = [_field(optic, height * corner, reference) for height in heights]
-    return spread_of([_traced(optic, field, wavelength, spacing, samples | 1, rays) for field in fields
-                      for wavelength in wavelengths], corner if len(fields) > 1 else None, reference)
+    return spread_of(
+        [
+            _traced(optic, field, wavelength, spacing, samples | 1, rays)
+            for field in fields
+            for wavelength in wavelengths
+        ],
+        corner if len(fields) > 1 else None,
+        reference,
+    )
 
 
 def _chief(optic, field, wavelength):
@@ -52,7 +75,9 @@ def _chief(optic, field, wavelength):
     rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
     found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
     if not np.isfinite(found).all():
-        raise BadData(f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at {wavelength:g} nm")
+        raise BadData(
+            f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at {wavelength:g} nm"
+        )
     return found
 
 
@@ -63,12 +88,17 @@ def _field(optic, height, wavelength):
     fields = np.linspace(0, 1, FIELDS)
     found = np.abs([_chief(optic, field, wavelength)[1] for field in fields])
     if not (np.diff(found) > 0).all() or found[-1] < height * (1 - 1e-9):
-        raise OutOfRange("optiland_psf: image height", f"{height * 1e3:.4g} mm",
-                         f"up to {found.max() * 1e3:.4g} mm, which the lens's largest field reaches")
+        raise OutOfRange(
+            "optiland_psf: image height",
+            f"{height * 1e3:.4g} mm",
+            f"up to {found.max() * 1e3:.4g} mm, which the lens's largest field reaches",
+        )
     field = float(np.interp(height, found, fields))
     for _ in range(FIELD_STEPS):
         slope = np.interp(field, (fields[1:] + fields[:-1]) / 2, np.diff(found) * (FIELDS - 1))
-        field = float(np.clip(field + (height - abs(_chief(optic, field, wavelength)[1])) / slope, 0, 1))
+        field = float(
+            np.clip(field + (height - abs(_chief(optic, field, wavelength)[1])) / slope, 0, 1)
+        )
     return field
 
 
@@ -77,9 +107,20 @@ def _traced(optic, field, wavelength, spacing, samples, rays):
     from optiland.psf import HuygensPSF
 
     # n samples at an extent of n pitches from the first to the last: they are n / (n - 1) pitches apart
-    found = HuygensPSF(optic, (0, field), wavelength / 1e3, num_rays=rays, image_size=samples,
-                       pixel_pitch=spacing * 1e3 * (samples - 1) / samples)
+    found = HuygensPSF(
+        optic,
+        (0, field),
+        wavelength / 1e3,
+        num_rays=rays,
+        image_size=samples,
+        pixel_pitch=spacing * 1e3 * (samples - 1) / samples,
+    )
     x, y = (float(np.squeeze(place)) / 1e3 for place in (found.cx, found.cy))
     centre = _chief(optic, field, wavelength)
-    middle = ((samples - 1) / 2 + (centre[1] - y) / spacing, (samples - 1) / 2 + (centre[0] - x) / spacing)
-    return Traced(float(wavelength), np.asarray(found.psf, np.float64), spacing, middle, centre, field)
+    middle = (
+        (samples - 1) / 2 + (centre[1] - y) / spacing,
+        (samples - 1) / 2 + (centre[0] - x) / spacing,
+    )
+    return Traced(
+        float(wavelength), np.asarray(found.psf, np.float64), spacing, middle, centre, field
+    )

@@ -12,8 +12,15 @@ from gpusim.io.archive import NUMBERS, open_archive
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import named
 
-SHAPES = {"wavelengths_nm": (None,), "psf": None, "spacing_um": (), "integrated": (), "heights": (None,),
-          "grid_y": (None,), "grid_x": (None,)}  # None: any
+SHAPES = {
+    "wavelengths_nm": (None,),
+    "psf": None,
+    "spacing_um": (),
+    "integrated": (),
+    "heights": (None,),
+    "grid_y": (None,),
+    "grid_x": (None,),
+}  # None: any
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 
@@ -29,14 +36,24 @@ def read_psf(path) -> PointSpread:
         archive.require_memory(COPIES)
         integrated = bool(archive["integrated"]) if "integrated" in archive else False
         heights = archive["heights"] if "heights" in archive else None
-        return PointSpread(archive["wavelengths_nm"], archive["psf"], float(archive["spacing_um"]) / 1e6, integrated,
-                           heights, tuple(archive[key] for key in axes) or None)
+        return PointSpread(
+            archive["wavelengths_nm"],
+            archive["psf"],
+            float(archive["spacing_um"]) / 1e6,
+            integrated,
+            heights,
+            tuple(archive[key] for key in axes) or None,
+        )
 
 
 def write_psf(path, spread: PointSpread) -> None:
     """Write point spreads; `read_psf` gives the same back. Raises BadFile."""
-    arrays: dict = {"wavelengths_nm": spread.wavelengths, "psf": spread.values, "spacing_um": spread.spacing * 1e6,
-              "integrated": spread.integrated}
+    arrays: dict = {
+        "wavelengths_nm": spread.wavelengths,
+        "psf": spread.values,
+        "spacing_um": spread.spacing * 1e6,
+        "integrated": spread.integrated,
+    }
     if spread.heights is not None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:

@@ -29,7 +29,9 @@ class Traced(NamedTuple):
     field: object = None
 
 
-def spread_of(traced: list[Traced], corner: float | None = None, reference: float | None = None) -> PointSpread:
+def spread_of(
+    traced: list[Traced], corner: float | None = None, reference: float | None = None
+) -> PointSpread:
     """Point spreads of one field point, the same all over the frame, or of several, of a lens that is round.
 
     corner: distance of the frame's corner from the axis [m], needed for several field points, which lie on one line
@@ -42,19 +44,30 @@ def spread_of(traced: list[Traced], corner: float | None = None, reference: floa
     fields = list(dict.fromkeys(one.field for one in traced))
     table = {(one.field, one.wavelength): one for one in traced}
     if not traced or len(table) != len(traced) or len(traced) != len(wavelengths) * len(fields):
-        raise BadData(f"{len(traced)} point spreads of {len(fields)} field points and {len(wavelengths)} wavelengths: "
-                      "wanted each wavelength once at every field point")
+        raise BadData(
+            f"{len(traced)} point spreads of {len(fields)} field points and {len(wavelengths)} wavelengths: "
+            "wanted each wavelength once at every field point"
+        )
     middle = wavelengths[len(wavelengths) // 2] if reference is None else reference
     if middle not in wavelengths:
-        raise OutOfRange("reference wavelength", f"{middle:g} nm", ", ".join(f"{one:g}" for one in wavelengths))
+        raise OutOfRange(
+            "reference wavelength", f"{middle:g} nm", ", ".join(f"{one:g}" for one in wavelengths)
+        )
     ideal = {field: table[field, middle].centre for field in fields}
     if len(fields) > 1:
         if corner is None or not 0 < corner < np.inf:
-            raise BadData(f"{len(fields)} field points: wanted corner, the distance of the frame's corner from the "
-                          "axis [m]")
+            raise BadData(
+                f"{len(fields)} field points: wanted corner, the distance of the frame's corner from the "
+                "axis [m]"
+            )
         fields.sort(key=lambda field: np.hypot(*ideal[field]))
-    values, spacing = _sampled([_outward(table[field, wavelength], ideal[field], corner) for field in fields
-                                for wavelength in wavelengths])
+    values, spacing = _sampled(
+        [
+            _outward(table[field, wavelength], ideal[field], corner)
+            for field in fields
+            for wavelength in wavelengths
+        ]
+    )
     values = values.reshape(len(fields), len(wavelengths), *values.shape[1:])
     if len(fields) == 1 or corner is None:
         return PointSpread(np.array(wavelengths), values[0], spacing)
@@ -62,8 +75,11 @@ def spread_of(traced: list[Traced], corner: float | None = None, reference: floa
     for end in (0.0, 1.0):
         heights[np.abs(heights - end) <= ON_AXIS] = end
     if heights[-1] < 1:
-        raise OutOfRange("field points", f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis",
-                         f"up to the frame's corner, {corner * 1e3:.4g} mm")
+        raise OutOfRange(
+            "field points",
+            f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis",
+            f"up to the frame's corner, {corner * 1e3:.4g} mm",
+        )
     return PointSpread(np.array(wavelengths), values, spacing, heights=heights)
 
 
@@ -77,17 +93,25 @@ def _outward(traced, ideal, corner):
     if corner is None or max(abs(x), abs(y)) <= least:
         return values, traced.spacing, (row, col)
     if min(abs(x), abs(y)) > least:
-        raise BadData(f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y")
+        raise BadData(
+            f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y"
+        )
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
-        values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)  # what is below comes to the right
+        values, (row, col) = (
+            np.rot90(values),
+            (values.shape[1] - 1 - col, row),
+        )  # what is below comes to the right
     return values, traced.spacing, (row, col)
 
 
 def _sampled(parts):
     """All on one square grid about their ideal points, (n, size, size), size odd, and its spacing."""
     spacing = min(part[1] for part in parts)
-    reach = min(min(middle, size - 1 - middle) * own / spacing for values, own, place in parts
-                for middle, size in zip(place, values.shape, strict=True))
+    reach = min(
+        min(middle, size - 1 - middle) * own / spacing
+        for values, own, place in parts
+        for middle, size in zip(place, values.shape, strict=True)
+    )
     half = int(reach + 1e-6)
     if half < 1:
         raise BadData("the image point lies outside its point spread")
@@ -97,6 +121,8 @@ def _sampled(parts):
 def _resampled(values, own, place, spacing, half):
     """Values about `place` at 2 half + 1 steps of `spacing`, band-limited; what rings below 0 is cut off."""
     steps = np.arange(-half, half + 1) * (spacing / own)
-    lines = [np.sinc(np.round(middle + steps, 9)[:, None] - np.arange(size))
-             for middle, size in zip(place, values.shape, strict=True)]
+    lines = [
+        np.sinc(np.round(middle + steps, 9)[:, None] - np.arange(size))
+        for middle, size in zip(place, values.shape, strict=True)
+    ]
     return np.maximum(lines[0] @ values @ lines[1].T, 0)

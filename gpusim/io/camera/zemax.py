@@ -13,21 +13,38 @@ from gpusim.io.files import named, read_text, reading
 WHAT = "a text listing of Zemax's Huygens PSF or FFT PSF"
 LONGEST = 2**26  # [byte]: a grid of 2048 x 2048
 COST = 12  # [byte] per byte of text: its letters, its words, their numbers
-UNITS = {"µm": 1e-6, "μm": 1e-6, "um": 1e-6, "micrometers": 1e-6, "nm": 1e-9, "mm": 1e-3, "millimeters": 1e-3,
-         "cm": 1e-2, "centimeters": 1e-2, "in": 0.0254, "inches": 0.0254, "m": 1.0, "meters": 1.0}
+UNITS = {
+    "µm": 1e-6,
+    "μm": 1e-6,
+    "um": 1e-6,
+    "micrometers": 1e-6,
+    "nm": 1e-9,
+    "mm": 1e-3,
+    "millimeters": 1e-3,
+    "cm": 1e-2,
+    "centimeters": 1e-2,
+    "in": 0.0254,
+    "inches": 0.0254,
+    "m": 1.0,
+    "meters": 1.0,
+}
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 UNIT = r"([^\s\d.,()]+)"
 SPACING = re.compile(rf"Data spacing is {NUMBER} {UNIT}\.", re.M)
 LIGHT = re.compile(rf"^{NUMBER}(?: to {NUMBER})? {UNIT} at (.+)$", re.M)
 GRID = re.compile(r"^Image grid size *: (\d{1,5}) by (\d{1,5})", re.M)
 MIDDLE = re.compile(r"^Center point is *: (?:row )?(\d{1,5}), (?:column )?(\d{1,5})", re.M)
-CENTRE = re.compile(rf"^(?:Center|Reference) coordinates *: *{NUMBER}, *{NUMBER}(?:[ \t]+{UNIT})?", re.M | re.I)
+CENTRE = re.compile(
+    rf"^(?:Center|Reference) coordinates *: *{NUMBER}, *{NUMBER}(?:[ \t]+{UNIT})?", re.M | re.I
+)
 VALUES = re.compile(r"^Values are .*$", re.M)
 WAVELENGTHS, SPACINGS, PLACES = (1e-7, 1e-4), (1e-10, 1e-2), (-10.0, 10.0)  # [m] that are believed
 FINEST = 1e-9  # relative, of spacings and wavelengths that are printed
 
 
-def read_zemax_psf(paths, corner: float | None = None, reference: float | None = None) -> PointSpread:
+def read_zemax_psf(
+    paths, corner: float | None = None, reference: float | None = None
+) -> PointSpread:
     """Read the text listings of one lens, one for each wavelength and field point, as point spreads of the camera.
 
     paths: of one file or a list. Each is of a single wavelength, linear, on axis or at a field point along x or y.
@@ -38,7 +55,9 @@ def read_zemax_psf(paths, corner: float | None = None, reference: float | None =
     Raises BadFile, naming the file, and BadData for files that do not go together.
     """
     several = isinstance(paths, Iterable) and not isinstance(paths, str)
-    return spread_of([_listing(path) for path in (paths if several else [paths])], corner, reference)
+    return spread_of(
+        [_listing(path) for path in (paths if several else [paths])], corner, reference
+    )
 
 
 def _listing(path) -> Traced:
@@ -49,12 +68,14 @@ def _listing(path) -> Traced:
         start = VALUES.search(text)
         if start is None:
             raise BadData(f'not {WHAT}: no line "Values are ..." before the values')
-        head = text[:start.start()]
+        head = text[: start.start()]
         rows, cols = map(int, _found(GRID, head, "Image grid size").groups())
-        values = _values(path, text[start.end():], rows, cols)
+        values = _values(path, text[start.end() :], rows, cols)
         first, last, unit, field = _found(LIGHT, head, "wavelength and field").groups()
         if last is not None and abs(float(last) / max(float(first), 1e-30) - 1) > FINEST:
-            raise BadData(f"of {first} to {last} {unit}: wanted a listing of a single wavelength each")
+            raise BadData(
+                f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
+            )
         wavelength = _within("wavelength", first, unit, WAVELENGTHS)
         size, its = _found(SPACING, head, "Data spacing").groups()
         spacing = _within("Data spacing", size, its, SPACINGS)
@@ -65,7 +86,14 @@ def _listing(path) -> Traced:
         x, y, length = centre.groups() if (centre := CENTRE.search(head)) else (0, 0, None)
         x, y = (_within("Center coordinates", item, length or "mm", PLACES) for item in (x, y))
         # the first line is the top one
-        return Traced(round(wavelength * 1e9, 6), values[::-1], spacing, (rows - 1 - row, col), (x, y), field.strip())
+        return Traced(
+            round(wavelength * 1e9, 6),
+            values[::-1],
+            spacing,
+            (rows - 1 - row, col),
+            (x, y),
+            field.strip(),
+        )
 
 
 def _found(pattern, head, what):
@@ -91,10 +119,14 @@ def _values(path, text, rows, cols):
     words = text.split()
     if len(words) != rows * cols:
         raise BadData(f"{len(words)} values, {rows} x {cols} were announced; is it truncated?")
-    if not text[-1].isspace() and len(set(map(len, words))) > 1:  # OpticStudio's are all of one length
+    if (
+        not text[-1].isspace() and len(set(map(len, words))) > 1
+    ):  # OpticStudio's are all of one length
         raise BadData(f"no line ends after the last value, {shown(words[-1])}; is it truncated?")
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():
-        raise BadData("has values that are negative or no numbers: wanted a linear listing, not a logarithmic one")
+        raise BadData(
+            "has values that are negative or no numbers: wanted a linear listing, not a logarithmic one"
+        )
     return values

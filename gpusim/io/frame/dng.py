@@ -8,8 +8,18 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.io.atomic import atomic_path
 
-LIGHTS = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}  # EXIF codes, LightSource
-FILTERS = "RGBCMYW"  # by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+LIGHTS = {
+    "A": 17,
+    "B": 18,
+    "C": 19,
+    "D55": 20,
+    "D65": 21,
+    "D75": 22,
+    "D50": 23,
+}  # EXIF codes, LightSource
+FILTERS = (
+    "RGBCMYW"  # by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+)
 PLANES = (1, 3, 4)  # that colour matrices, and the programs that read them, know
 LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
@@ -18,16 +28,33 @@ LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 def check_dng(cfa, channels):
     """Raise OutOfRange unless a DNG can tell these filters. cfa: one period, () without a mosaic. channels: letters."""
     if len(channels) not in PLANES:
-        raise OutOfRange("channels of a DNG", f"{len(channels)} ({', '.join(channels)})",
-                         "1, 3 or 4: colour matrices have no other; .npz holds any")
+        raise OutOfRange(
+            "channels of a DNG",
+            f"{len(channels)} ({', '.join(channels)})",
+            "1, 3 or 4: colour matrices have no other; .npz holds any",
+        )
     strange = [letter for letter in channels if letter not in FILTERS] if cfa else []
     if strange:
-        raise OutOfRange("filters of a DNG", ", ".join(strange), f"{', '.join(FILTERS)}: DNG has no other names; .npz "
-                         "holds any")
+        raise OutOfRange(
+            "filters of a DNG",
+            ", ".join(strange),
+            f"{', '.join(FILTERS)}: DNG has no other names; .npz holds any",
+        )
 
 
-def write_dng(path, raw, cfa, black_level, white_level, matrices=None, as_shot_neutral=None, *, channels="RGB",
-              noise=None, camera_name="gpusim"):
+def write_dng(
+    path,
+    raw,
+    cfa,
+    black_level,
+    white_level,
+    matrices=None,
+    as_shot_neutral=None,
+    *,
+    channels="RGB",
+    noise=None,
+    camera_name="gpusim",
+):
     """Write sensor values as a DNG (version 1.4, one uncompressed strip), exactly as they are.
 
     raw: uint16 or float32 [DN], shape (rows, cols); of stacked pixels (C, rows, cols).
@@ -44,8 +71,14 @@ def write_dng(path, raw, cfa, black_level, white_level, matrices=None, as_shot_n
     import tifffile
 
     raw = np.asarray(raw)
-    if raw.dtype not in (np.uint16, np.float32) or raw.ndim not in ((2,) if cfa else (2, 3)) or raw.size == 0:
-        raise BadData(f"{path}: a DNG needs uint16 or float32 of shape (rows, cols), got {raw.dtype} {raw.shape}")
+    if (
+        raw.dtype not in (np.uint16, np.float32)
+        or raw.ndim not in ((2,) if cfa else (2, 3))
+        or raw.size == 0
+    ):
+        raise BadData(
+            f"{path}: a DNG needs uint16 or float32 of shape (rows, cols), got {raw.dtype} {raw.shape}"
+        )
     planes = len(channels) if cfa or raw.ndim == 3 else 1
     check_dng(cfa, channels if planes > 1 else "Y")
     if raw.ndim == 3:
@@ -68,13 +101,24 @@ def write_dng(path, raw, cfa, black_level, white_level, matrices=None, as_shot_n
     if noise is not None:
         if not (len(noise) == 2 and noise[0] > 0 and noise[1] >= 0 and np.isfinite(noise).all()):
             raise OutOfRange("noise of a DNG", noise, "S > 0 and O >= 0")
-        tags.append((51041, "d", 2, tuple(map(float, noise)), False))  # NoiseProfile, one for all planes
+        tags.append(
+            (51041, "d", 2, tuple(map(float, noise)), False)
+        )  # NoiseProfile, one for all planes
     with atomic_path(path) as temporary:
-        tifffile.imwrite(temporary, raw, photometric="cfa" if cfa else "minisblack", rowsperstrip=len(raw),
-                         metadata=None, software="gpusim", planarconfig="contig" if samples > 1 else None,
-                         extratags=tags)
+        tifffile.imwrite(
+            temporary,
+            raw,
+            photometric="cfa" if cfa else "minisblack",
+            rowsperstrip=len(raw),
+            metadata=None,
+            software="gpusim",
+            planarconfig="contig" if samples > 1 else None,
+            extratags=tags,
+        )
         if not cfa:
-            with tifffile.TiffFile(temporary, mode="r+b") as file:  # tifffile itself writes it for three samples only
+            with tifffile.TiffFile(
+                temporary, mode="r+b"
+            ) as file:  # tifffile itself writes it for three samples only
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
 
 
@@ -83,28 +127,48 @@ def _levels(cfa, samples, black_level, white_level):
     black = np.asarray(black_level, np.float64)
     period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
     if black.shape not in ((), period):
-        raise BadData(f"black_level of a DNG: shape {black.shape}, wanted one number or {period}, the mosaic's period")
+        raise BadData(
+            f"black_level of a DNG: shape {black.shape}, wanted one number or {period}, the mosaic's period"
+        )
     if not (0 <= black.min() and black.max() < white_level <= 2**32 - 1):
-        raise OutOfRange("black_level, white_level", f"{black.min():g} .. {black.max():g}, {white_level}",
-                         "0 <= black < white <= 4294967295 DN")
+        raise OutOfRange(
+            "black_level, white_level",
+            f"{black.min():g} .. {black.max():g}, {white_level}",
+            "0 <= black < white <= 4294967295 DN",
+        )
     rows, cols = black.shape or (1, 1)
     values = np.repeat(black.ravel(), samples)
     whole = (values == np.rint(values)).all()
     return [
         (50713, "H", 2, (rows, cols), False),  # BlackLevelRepeatDim
-        (50714, "I", len(values), tuple(map(int, values)), False) if whole else
-        (50714, "2I", len(values), _fractions(values), False),  # BlackLevel
+        (50714, "I", len(values), tuple(map(int, values)), False)
+        if whole
+        else (50714, "2I", len(values), _fractions(values), False),  # BlackLevel
         (50717, "I", samples, (int(white_level),) * samples, False),  # WhiteLevel
     ]
 
 
 def _mosaic(path, cfa, channels):
     if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
-        raise BadData(f"{path}: cfa {cfa} wanted equally long rows of the letters {', '.join(channels)}")
+        raise BadData(
+            f"{path}: cfa {cfa} wanted equally long rows of the letters {', '.join(channels)}"
+        )
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
-        (33422, "B", len("".join(cfa)), bytes(FILTERS.index(letter) for letter in "".join(cfa)), False),  # CFAPattern
-        (50710, "B", len(channels), bytes(FILTERS.index(letter) for letter in channels), False),  # CFAPlaneColor
+        (
+            33422,
+            "B",
+            len("".join(cfa)),
+            bytes(FILTERS.index(letter) for letter in "".join(cfa)),
+            False,
+        ),  # CFAPattern
+        (
+            50710,
+            "B",
+            len(channels),
+            bytes(FILTERS.index(letter) for letter in channels),
+            False,
+        ),  # CFAPlaneColor
         (50711, "H", 1, 1, False),  # CFALayout: rows and columns
     ]
 
@@ -112,18 +176,30 @@ def _mosaic(path, cfa, channels):
 def _colors(path, planes, matrices, as_shot_neutral):
     """Tags by which a raw converter balances white and finds colours."""
     if not 1 <= len(matrices) <= 2 or not set(matrices) <= set(LIGHTS):
-        raise OutOfRange("matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}")
+        raise OutOfRange(
+            "matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}"
+        )
     neutral = _finite(path, "as_shot_neutral", as_shot_neutral, (planes,))
     if not (neutral > 0).all():
         raise OutOfRange("as_shot_neutral", neutral.tolist(), "> 0")
     tags = [(50728, "2I", planes, _fractions(neutral), False)]  # AsShotNeutral
     for place, (light, (color, forward)) in enumerate(matrices.items()):
         color = _finite(path, f"color matrix of {light}", color, (planes, 3))
-        tags += [(50721 + place, "2i", 3 * planes, _fractions(color.ravel()), False),  # ColorMatrix1, ColorMatrix2
-                 (50778 + place, "H", 1, LIGHTS[light], False)]  # CalibrationIlluminant1, CalibrationIlluminant2
+        tags += [
+            (
+                50721 + place,
+                "2i",
+                3 * planes,
+                _fractions(color.ravel()),
+                False,
+            ),  # ColorMatrix1, ColorMatrix2
+            (50778 + place, "H", 1, LIGHTS[light], False),
+        ]  # CalibrationIlluminant1, CalibrationIlluminant2
         if forward is not None:
             forward = _finite(path, f"forward matrix of {light}", forward, (3, planes))
-            tags.append((50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False))  # ForwardMatrix1, 2
+            tags.append(
+                (50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False)
+            )  # ForwardMatrix1, 2
     return tags
 
 
@@ -136,5 +212,10 @@ def _finite(path, key, values, shape):
 
 def _fractions(values):
     """Numerators and denominators in turn, as TIFF stores rational numbers: whole ones of 31 bits; to 1e-9 of 1."""
-    fractions = [Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1)) for value in values]
-    return tuple(number for fraction in fractions for number in (fraction.numerator, fraction.denominator))
+    fractions = [
+        Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1))
+        for value in values
+    ]
+    return tuple(
+        number for fraction in fractions for number in (fraction.numerator, fraction.denominator)
+    )

@@ -12,7 +12,12 @@ from gpusim.io.exr import write_rgb_exr
 from gpusim.io.frame.dng import check_dng, write_dng
 from gpusim.io.frame.images import write_png, write_tiff
 
-BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}  # the first is the default
+BITS = {
+    ".png": (8, 16),
+    ".tif": (16, 8, 32),
+    ".tiff": (16, 8, 32),
+    ".exr": (32, 16),
+}  # the first is the default
 FORMATS = (*BITS, ".dng", ".npz")
 
 
@@ -31,14 +36,19 @@ def check_format(path, camera, bits=None):
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
-        raise OutOfRange(f"bits of a {suffix} output", bits, " or ".join(map(str, sorted(BITS[suffix]))))
+        raise OutOfRange(
+            f"bits of a {suffix} output", bits, " or ".join(map(str, sorted(BITS[suffix])))
+        )
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
     check_dng(() if sensor.stacked or sensor.is_monochrome else sensor.cfa, sensor.channels)
     if not sensor.is_monochrome and table is not None and table.layout.outputs != sensor.channels:
-        raise OutOfRange("processor.table with a .dng output", f"filters that give {', '.join(table.layout.outputs)}",
-                         "those that give the camera's channels: a raw converter needs their white")
+        raise OutOfRange(
+            "processor.table with a .dng output",
+            f"filters that give {', '.join(table.layout.outputs)}",
+            "those that give the camera's channels: a raw converter needs their white",
+        )
 
 
 def write_frame(path, frame, bits=None):
@@ -65,10 +75,17 @@ def write_frame(path, frame, bits=None):
         _write_raw(path, frame)
     else:
         with atomic_path(path) as temporary:
-            np.savez_compressed(temporary, electrons=frame.mean, dn=frame.raw, cfa=np.array(sensor.cfa),
-                                channels=np.array(sensor.channels), exposure_time_s=frame.exposure_time,
-                                black_level=sensor.dark_level, white_level=sensor.white_level,
-                                gain_dn_per_e=sensor.gain_dn_per_electron)
+            np.savez_compressed(
+                temporary,
+                electrons=frame.mean,
+                dn=frame.raw,
+                cfa=np.array(sensor.cfa),
+                channels=np.array(sensor.channels),
+                exposure_time_s=frame.exposure_time,
+                black_level=sensor.dark_level,
+                white_level=sensor.white_level,
+                gain_dn_per_e=sensor.gain_dn_per_electron,
+            )
 
 
 def _write_raw(path, frame):
@@ -84,8 +101,21 @@ def _write_raw(path, frame):
     if sensor.bits != FLOAT_BITS:
         white = min(white, round(black + gain * sensor.saturation))
     noise = None
-    if frame.averaged is not None and sensor.noise.photon != "none":  # else no S > 0, which a DNG wants
+    if (
+        frame.averaged is not None and sensor.noise.photon != "none"
+    ):  # else no S > 0, which a DNG wants
         noise = RawNoise.of(sensor, frame.averaged).profile((white - black) / gain)
-    colors = (None, None) if sensor.is_monochrome else (frame.color_profile, frame.rendering.neutral)
-    write_dng(path, frame.raw, () if sensor.stacked or sensor.is_monochrome else sensor.cfa, black, white, *colors,
-              channels=sensor.channels, noise=noise, camera_name=f"gpusim {frame.camera.name}")
+    colors = (
+        (None, None) if sensor.is_monochrome else (frame.color_profile, frame.rendering.neutral)
+    )
+    write_dng(
+        path,
+        frame.raw,
+        () if sensor.stacked or sensor.is_monochrome else sensor.cfa,
+        black,
+        white,
+        *colors,
+        channels=sensor.channels,
+        noise=noise,
+        camera_name=f"gpusim {frame.camera.name}",
+    )

@@ -11,7 +11,9 @@ from gpusim.data.colorimetry import adaptation
 from gpusim.domain.display import Display
 
 VERSION = 0x04300000
-D50 = np.array([0xF6D6, 0x10000, 0xD32D]) / 65536  # XYZ of the profile connection space's white, 7.2.16
+D50 = (
+    np.array([0xF6D6, 0x10000, 0xD32D]) / 65536
+)  # XYZ of the profile connection space's white, 7.2.16
 DATE = (2026, 1, 1, 0, 0, 0)  # the same profile for the same display
 
 
@@ -22,9 +24,17 @@ def icc_profile(display: Display, linear: bool = False) -> bytes:
     colorants = adapt @ display.xyz_from_rgb
     name = f"gpusim {display.name}" + (", linear" if linear else "")
     curve = _curve(1.0 if linear else display.curve)
-    tags = {b"desc": _text(name), b"cprt": _text("No copyright, use freely"), b"wtpt": _xyz(D50),
-            b"chad": b"sf32\0\0\0\0" + _fixed(adapt.ravel()), b"lumi": _xyz((0, display.luminance, 0))}
-    tags |= {letter + b"XYZ": _xyz(column) for letter, column in zip((b"r", b"g", b"b"), colorants.T, strict=True)}
+    tags = {
+        b"desc": _text(name),
+        b"cprt": _text("No copyright, use freely"),
+        b"wtpt": _xyz(D50),
+        b"chad": b"sf32\0\0\0\0" + _fixed(adapt.ravel()),
+        b"lumi": _xyz((0, display.luminance, 0)),
+    }
+    tags |= {
+        letter + b"XYZ": _xyz(column)
+        for letter, column in zip((b"r", b"g", b"b"), colorants.T, strict=True)
+    }
     tags |= {letter + b"TRC": curve for letter in (b"r", b"g", b"b")}
     table, data = [], b""
     for kind, body in tags.items():
@@ -36,7 +46,9 @@ def icc_profile(display: Display, linear: bool = False) -> bytes:
 
 def _header(size):
     """Of a display's profile with relative colorimetric intent; neither its maker nor its program are named."""
-    start = struct.pack(">III4s4s4s6H4s24xI", size, 0, VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp", 1)
+    start = struct.pack(
+        ">III4s4s4s6H4s24xI", size, 0, VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp", 1
+    )
     return start + _fixed(D50) + bytes(48)
 
 
@@ -56,5 +68,7 @@ def _text(words):
 def _curve(curve):
     """A parametric curve: type 3 with IEC 61966-2-1's numbers, or type 0, an exponent."""
     if curve == "srgb":
-        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed((2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045))
+        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed(
+            (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+        )
     return struct.pack(">4sIHH", b"para", 0, 0, 0) + _fixed((curve,))

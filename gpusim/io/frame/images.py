@@ -28,10 +28,16 @@ def write_png(path, image, display=DISPLAYS["srgb"]):
 def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
     """The same as bytes; name: what an error says. Raises BadData."""
     image = np.ascontiguousarray(image)
-    if image.dtype not in (np.uint8, np.uint16) or image.shape[2:] not in ((), (3,)) or image.ndim < 2 \
-            or image.size == 0:
-        raise BadData(f"{name}: a PNG needs uint8 or uint16 of shape (rows, cols, 3) or (rows, cols), "
-                      f"got {image.dtype} {image.shape}")
+    if (
+        image.dtype not in (np.uint8, np.uint16)
+        or image.shape[2:] not in ((), (3,))
+        or image.ndim < 2
+        or image.size == 0
+    ):
+        raise BadData(
+            f"{name}: a PNG needs uint8 or uint16 of shape (rows, cols, 3) or (rows, cols), "
+            f"got {image.dtype} {image.shape}"
+        )
     return (_png8 if image.dtype == np.uint8 else _png16)(image, _chunks(display, image.ndim == 3))
 
 
@@ -58,7 +64,7 @@ def _png16(image, chunks):
     lines = image.astype(">u2").view(np.uint8).reshape(rows, -1)
     filtered = np.ones((rows, 1 + lines.shape[1]), np.uint8)
     filtered[:, 1:] = lines
-    filtered[:, 1 + 2 * channels:] -= lines[:, :-2 * channels]
+    filtered[:, 1 + 2 * channels :] -= lines[:, : -2 * channels]
     if b"iCCP" in chunks:
         chunks |= {b"iCCP": b"ICC profile\0\0" + zlib.compress(chunks[b"iCCP"])}
     header = Header(cols, rows, 16, 2 if channels == 3 else 0, interlaced=False)
@@ -68,8 +74,12 @@ def _png16(image, chunks):
 def _chunks(display, has_color):
     """The chunks that say what the codes mean, iCCP not yet compressed: PNG, third edition (W3C 2025), 11.3.2."""
     exponent = 2.2 if display.curve == "srgb" else display.curve
-    chunks = {b"gAMA": struct.pack(">I", round(1e5 / exponent)),
-              b"cHRM": struct.pack(">8I", *(round(1e5 * x) for x in np.ravel((display.white, *display.primaries))))}
+    chunks = {
+        b"gAMA": struct.pack(">I", round(1e5 / exponent)),
+        b"cHRM": struct.pack(
+            ">8I", *(round(1e5 * x) for x in np.ravel((display.white, *display.primaries)))
+        ),
+    }
     if display.encodes_like(DISPLAYS["srgb"]):
         return chunks | {b"sRGB": b"\1"}  # relative colorimetric
     if display.encodes_like(DISPLAYS["display-p3"]):
@@ -88,10 +98,18 @@ def write_tiff(path, image, display=DISPLAYS["srgb"]):
 
     image = np.asarray(image)
     if image.dtype not in TIFF_KINDS or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise BadData(f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows, cols, 3), got {image.dtype} "
-                      f"{image.shape}")
+        raise BadData(
+            f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows, cols, 3), got {image.dtype} "
+            f"{image.shape}"
+        )
     if not np.isfinite(image).all():
         raise BadData(f"{path}: NaN or infinite values")
     with atomic_path(path) as temporary:
-        tifffile.imwrite(temporary, image, photometric="rgb", metadata=None, software="gpusim",
-                         iccprofile=icc_profile(display, linear=image.dtype == np.float32))
+        tifffile.imwrite(
+            temporary,
+            image,
+            photometric="rgb",
+            metadata=None,
+            software="gpusim",
+            iccprofile=icc_profile(display, linear=image.dtype == np.float32),
+        )

@@ -13,7 +13,9 @@ def check_depth(along: str, fov: float | None):
     if along not in ALONG:
         raise UnknownName("depth", str(along), ALONG)
     if along == "ray" and not (fov is not None and 0 < fov < np.pi):
-        raise OutOfRange("fov", fov, 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"')
+        raise OutOfRange(
+            "fov", fov, 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
+        )
 
 
 def axial(path, channel: str, distances: np.ndarray, along: str, fov: float | None) -> np.ndarray:
@@ -23,8 +25,11 @@ def axial(path, channel: str, distances: np.ndarray, along: str, fov: float | No
     nothing is there. fov: horizontal [rad], for rays: square pixels, the axis in the middle. Raises BadFile.
     """
     if not distances.min() >= 0:  # NaN is refused as well
-        raise BadFile(path, f"channel {channel!r}: depth that is negative or NaN (lowest {distances.min():.3g}); "
-                            'wanted metres, or leave it with depth = "none"')
+        raise BadFile(
+            path,
+            f"channel {channel!r}: depth that is negative or NaN (lowest {distances.min():.3g}); "
+            'wanted metres, or leave it with depth = "none"',
+        )
     depth = distances.astype(np.float32)
     if along == "ray":
         assert fov is not None  # checked before the file was read

@@ -19,11 +19,36 @@ TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i
 COMPLEX = (6, 9)
 # axes of a file that are its bands, rows and columns
 AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
-DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")  # endings of data files beside a header
+DATA = (
+    "",
+    ".raw",
+    ".img",
+    ".dat",
+    ".bil",
+    ".bip",
+    ".bsq",
+    ".bin",
+    ".sli",
+)  # endings of data files beside a header
 LIBRARY = "envi spectral library"
-NANOMETRES = {"nanometers": 1, "nanometer": 1, "nanometres": 1, "nanometre": 1, "nm": 1, "micrometers": 1e3,
-              "micrometer": 1e3, "micrometres": 1e3, "micrometre": 1e3, "microns": 1e3, "micron": 1e3, "um": 1e3,
-              "µm": 1e3, "μm": 1e3, "angstroms": 0.1, "angstrom": 0.1}
+NANOMETRES = {
+    "nanometers": 1,
+    "nanometer": 1,
+    "nanometres": 1,
+    "nanometre": 1,
+    "nm": 1,
+    "micrometers": 1e3,
+    "micrometer": 1e3,
+    "micrometres": 1e3,
+    "micrometre": 1e3,
+    "microns": 1e3,
+    "micron": 1e3,
+    "um": 1e3,
+    "µm": 1e3,
+    "μm": 1e3,
+    "angstroms": 0.1,
+    "angstrom": 0.1,
+}
 UNSAID = ("", "unknown")
 LONGEST_UM = 100  # numbers below are micrometres where the unit is not said, those above nanometres
 SHORTEST, LONGEST = 100, 1e5  # [nm] of wavelengths that are believed
@@ -58,9 +83,15 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     header = _Header(path)
     header.refuse_others()
     library = header.text("file type", "").lower() == LIBRARY
-    rows, cols, bands = header.whole("lines"), header.whole("samples"), header.whole("bands", 1 if library else None)
+    rows, cols, bands = (
+        header.whole("lines"),
+        header.whole("samples"),
+        header.whole("bands", 1 if library else None),
+    )
     if library and bands != 1:
-        raise BadFile(path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line")
+        raise BadFile(
+            path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line"
+        )
     planes = cols if library else bands
     wavelengths, good, notes = _wavelengths(header, wavelengths, planes)
     dtype = header.dtype()
@@ -79,18 +110,28 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     with open_file(data) as file:
         there = file_size(file) - start
         if there < wanted:
-            raise BadFile(data, f"truncated: {path.name} wants {wanted} bytes from byte {start} on ({bands} bands, "
-                                f"{rows} lines, {cols} samples of {dtype.itemsize} bytes), {max(there, 0)} are there")
+            raise BadFile(
+                data,
+                f"truncated: {path.name} wants {wanted} bytes from byte {start} on ({bands} bands, "
+                f"{rows} lines, {cols} samples of {dtype.itemsize} bytes), {max(there, 0)} are there",
+            )
         if there > wanted:
-            notes.append(f"{data.name} has {there - wanted} bytes more than its header says; is that right?")
+            notes.append(
+                f"{data.name} has {there - wanted} bytes more than its header says; is that right?"
+            )
         with reading(data, "a file that can be mapped"):
             view = np.memmap(file, dtype, "r", start, tuple(shape)).transpose(axes)
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        values, more = read_planes(data, _Chosen(view, order), scale=factor, ignored=header.ignored(dtype),
-                                   gains=None if gains is None else gains[order],
-                                   offsets=None if offsets is None else offsets[order])
+        values, more = read_planes(
+            data,
+            _Chosen(view, order),
+            scale=factor,
+            ignored=header.ignored(dtype),
+            gains=None if gains is None else gains[order],
+            offsets=None if offsets is None else offsets[order],
+        )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
     return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *more))
@@ -100,7 +141,12 @@ class _Chosen:
     """Some planes of a mapped file in another order, of which nothing is read before it is asked for."""
 
     def __init__(self, view, order):
-        self.view, self.order, self.dtype, self.shape = view, order, view.dtype, (len(order), *view.shape[1:])
+        self.view, self.order, self.dtype, self.shape = (
+            view,
+            order,
+            view.dtype,
+            (len(order), *view.shape[1:]),
+        )
         self.size = len(order) * view[0].size
 
     def __getitem__(self, index):
@@ -129,7 +175,10 @@ class _Header:
                 while "}" not in parts[-1]:
                     more = next(lines, None)
                     if more is None:
-                        raise BadFile(path, f"{shown(key)} has no end: a brace is not closed; is it truncated?")
+                        raise BadFile(
+                            path,
+                            f"{shown(key)} has no end: a brace is not closed; is it truncated?",
+                        )
                     if not more.startswith(";"):
                         parts.append(more)
                 value = " ".join(parts)
@@ -149,7 +198,9 @@ class _Header:
         """A whole number."""
         text = self.text(key, None if default is None else str(default))
         if not re.fullmatch(r"\d{1,15}", text) or int(text) < least:
-            raise BadFile(self.path, f"{key} = {shown(text)}: wanted a whole number, {least} or more")
+            raise BadFile(
+                self.path, f"{key} = {shown(text)}: wanted a whole number, {least} or more"
+            )
         return int(text)
 
     def number(self, key) -> float:
@@ -165,18 +216,27 @@ class _Header:
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
-            raise BadFile(self.path, f"{key}: wanted numbers in braces, such as {{1, 2, 3}}") from None
+            raise BadFile(
+                self.path, f"{key}: wanted numbers in braces, such as {{1, 2, 3}}"
+            ) from None
         if len(values) != count or not np.isfinite(values).all():
-            raise BadFile(self.path, f"{key}: {len(values)} numbers, wanted {count} finite ones, one for each band")
+            raise BadFile(
+                self.path,
+                f"{key}: {len(values)} numbers, wanted {count} finite ones, one for each band",
+            )
         return values
 
     def refuse_others(self):
         """Raise BadFile for what is not read."""
         if self.text("file compression", "0") != "0":
-            raise BadFile(self.path, "file compression: compressed data are not read; write them uncompressed")
+            raise BadFile(
+                self.path, "file compression: compressed data are not read; write them uncompressed"
+            )
         for key in ("major frame offsets", "minor frame offsets"):
             if re.search("[1-9]", self.text(key, "")):
-                raise BadFile(self.path, f"{key}: bytes between lines are not read; write the data without")
+                raise BadFile(
+                    self.path, f"{key}: bytes between lines are not read; write the data without"
+                )
         if self.text("file type", "").lower() == "envi classification":
             raise BadFile(self.path, "file type = ENVI Classification: classes have no spectra")
 
@@ -184,36 +244,57 @@ class _Header:
         """Type of the samples, in their order of bytes."""
         code = self.whole("data type")
         if code in COMPLEX:
-            raise BadFile(self.path, f"data type = {code}: complex numbers are no light; wanted real ones")
+            raise BadFile(
+                self.path, f"data type = {code}: complex numbers are no light; wanted real ones"
+            )
         if code not in TYPES:
-            raise BadFile(self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}")
+            raise BadFile(
+                self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}"
+            )
         order = self.whole("byte order", 0 if TYPES[code] == "u1" else None, least=0)
         if order > 1:
-            raise BadFile(self.path, f"byte order = {order}: wanted 0 (the least significant byte first) or 1")
+            raise BadFile(
+                self.path, f"byte order = {order}: wanted 0 (the least significant byte first) or 1"
+            )
         return np.dtype("<>"[order] + TYPES[code])
 
     def kind(self) -> str:
         """What the samples are, as far as the header says it."""
-        reflectance = "reflectance scale factor" in self.fields or "data reflectance gain values" in self.fields
-        return "radiance" if "data gain values" in self.fields and not reflectance else "reflectance"
+        reflectance = (
+            "reflectance scale factor" in self.fields
+            or "data reflectance gain values" in self.fields
+        )
+        return (
+            "radiance" if "data gain values" in self.fields and not reflectance else "reflectance"
+        )
 
     def gains(self, kind, count):
         """Gains and offsets of each band, or None."""
         of = "data" if kind == "radiance" else "data reflectance"
-        return tuple(self.numbers(f"{of} {what} values", count) if f"{of} {what} values" in self.fields else None
-                     for what in ("gain", "offset"))
+        return tuple(
+            self.numbers(f"{of} {what} values", count)
+            if f"{of} {what} values" in self.fields
+            else None
+            for what in ("gain", "offset")
+        )
 
     def scale(self, kind, dtype, has_gains) -> float:
         """The number that stands for 1 [W m-2 sr-1 nm-1, of radiance], after the gains."""
         if kind == "reflectance" and "reflectance scale factor" in self.fields:
             scale = self.number("reflectance scale factor")
             if not 1e-30 <= scale <= 1e30:
-                raise BadFile(self.path, f"reflectance scale factor = {scale:g}: wanted the number that stands for 1")
+                raise BadFile(
+                    self.path,
+                    f"reflectance scale factor = {scale:g}: wanted the number that stands for 1",
+                )
             return scale
         if has_gains:
             return PER_NM if kind == "radiance" else 1.0
         if dtype.kind != "f":
-            raise BadFile(self.path, f"{kind} in whole numbers, of which the header gives no factor; {SAY_SCALE}")
+            raise BadFile(
+                self.path,
+                f"{kind} in whole numbers, of which the header gives no factor; {SAY_SCALE}",
+            )
         return 1.0
 
     def ignored(self, dtype):
@@ -224,10 +305,15 @@ class _Header:
         if dtype.kind == "f":
             with np.errstate(over="ignore"):
                 return dtype.type(self.number("data ignore value"))
-        value = int(text) if re.fullmatch(r"[+-]?\d{1,20}", text) else self.number("data ignore value")
+        value = (
+            int(text) if re.fullmatch(r"[+-]?\d{1,20}", text) else self.number("data ignore value")
+        )
         limits = np.iinfo(dtype)
-        return dtype.type(int(value)) if value == value and limits.min <= value <= limits.max and (
-            value == int(value)) else None
+        return (
+            dtype.type(int(value))
+            if value == value and limits.min <= value <= limits.max and (value == int(value))
+            else None
+        )
 
 
 def _wavelengths(header, given, count):
@@ -236,15 +322,20 @@ def _wavelengths(header, given, count):
     if given is not None:
         nm = given
         if len(nm) != count:
-            raise OutOfRange("wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}")
+            raise OutOfRange(
+                "wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}"
+            )
     elif "wavelength" in header.fields:
         nm = header.numbers("wavelength", count)
         unit = header.text("wavelength units", "").lower()
         if unit in NANOMETRES:
             nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is no binary number
         elif unit not in UNSAID:
-            raise BadFile(path, f"wavelength units = {shown(unit)}: wanted Nanometers or Micrometers; or "
-                                f"{SAY_WAVELENGTHS}")
+            raise BadFile(
+                path,
+                f"wavelength units = {shown(unit)}: wanted Nanometers or Micrometers; or "
+                f"{SAY_WAVELENGTHS}",
+            )
         elif nm.max() < LONGEST_UM:
             nm, notes = np.round(nm * 1e3, 6), ["wavelength units are not said: taken as um"]
         else:
@@ -258,10 +349,16 @@ def _wavelengths(header, given, count):
             notes.append(f"bands left out that bbl calls bad: {count - good.sum()} of {count}")
     kept = np.sort(nm[good])
     if not len(kept) or not (np.diff(kept) > 0).all():
-        raise BadFile(path, f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 1 or "
-                            "more, all different")
+        raise BadFile(
+            path,
+            f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 1 or "
+            "more, all different",
+        )
     if not SHORTEST <= kept[0] <= kept[-1] <= LONGEST:
-        raise BadFile(path, f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm, which cannot be right; {SAY_WAVELENGTHS}")
+        raise BadFile(
+            path,
+            f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm, which cannot be right; {SAY_WAVELENGTHS}",
+        )
     return nm, good, notes
 
 
@@ -276,10 +373,18 @@ def _data_file(path, wanted):
             continue
         if not other.is_dir() and other != path:
             found.setdefault((status.st_dev, status.st_ino), (other, status.st_size))
-    fitting = [file for file, size in found.values() if size == wanted] or [file for file, _ in found.values()]
+    fitting = [file for file, size in found.values() if size == wanted] or [
+        file for file, _ in found.values()
+    ]
     if not fitting:
-        raise BadFile(path, f"no data file beside it: wanted {base.name}, or that with one of {', '.join(DATA[1:])}")
+        raise BadFile(
+            path,
+            f"no data file beside it: wanted {base.name}, or that with one of {', '.join(DATA[1:])}",
+        )
     if len(fitting) > 1:
-        raise BadFile(path, f"several data files beside it: {', '.join(file.name for file in fitting)}; leave one, or "
-                            f"name the header {fitting[0].name}.hdr")
+        raise BadFile(
+            path,
+            f"several data files beside it: {', '.join(file.name for file in fitting)}; leave one, or "
+            f"name the header {fitting[0].name}.hdr",
+        )
     return fitting[0]

@@ -76,48 +76,77 @@ class _File:
 
     def only_object(self) -> Value:
         """The one struct with photons, whatever its name."""
-        found = {name: value for name in self.root.names if (value := self.root.get(name)) is not None
-                 and value.get("data", "photons") is not None}
+        found = {
+            name: value
+            for name in self.root.names
+            if (value := self.root.get(name)) is not None
+            and value.get("data", "photons") is not None
+        }
         if len(found) == 1:
             return found.popitem()[1]
-        raise BadFile(self.path, (f"several structs with data.photons ({', '.join(found)})" if found else
-                                  f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}")
-                      + f"; wanted one, {SAVE}, or a multispectral file")
+        raise BadFile(
+            self.path,
+            (
+                f"several structs with data.photons ({', '.join(found)})"
+                if found
+                else f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}"
+            )
+            + f"; wanted one, {SAVE}, or a multispectral file",
+        )
 
     def of_object(self, value, ray, no_depth):
         """A scene of ISETCam's scene or optical image."""
         if value is None or value.kind != "struct":
             what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
-            raise BadFile(self.path, f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}")
+            raise BadFile(
+                self.path, f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}"
+            )
         kind = self.text(value, "type", SCENE).lower()
         if kind not in (SCENE, OPTICAL_IMAGE):
-            raise BadFile(self.path, f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}")
+            raise BadFile(
+                self.path,
+                f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}",
+            )
         data = value.get("data")
         if data is None or data.get("photons") is None:
-            raise BadFile(self.path, f"{value.label}: no data.photons; wanted it computed before it is saved")
+            raise BadFile(
+                self.path, f"{value.label}: no data.photons; wanted it computed before it is saved"
+            )
         content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
         distances = None
         if kind == OPTICAL_IMAGE:
-            content, light = content.scaled(self.per_irradiance(value)), unit_light(content.wavelengths)
+            content, light = (
+                content.scaled(self.per_irradiance(value)),
+                unit_light(content.wavelengths),
+            )
         else:
             content, light = self.lit(content, value.get("illuminant"))
             distances = value.get("depthMap") if not no_depth else None
         if distances is not None:
-            distances = axial(self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray)
+            distances = axial(
+                self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray
+            )
         return self.made(content, light, value, value.get("wAngular"), distances)
 
     def per_irradiance(self, value):
         """Radiance over irradiance [sr-1] of the lens that made an optical image, focused at infinity."""
         number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
-            raise BadFile(self.path, f"{value.label}: an optical image without optics.fNumber, so that its irradiance "
-                                     "cannot be told as a scene's radiance; set it, or save the scene")
+            raise BadFile(
+                self.path,
+                f"{value.label}: an optical image without optics.fNumber, so that its irradiance "
+                "cannot be told as a scene's radiance; set it, or save the scene",
+            )
         number = self.single(number)
         if not 0 < number < 1e6:
-            raise BadFile(self.path, f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number")
-        self.notes.append(f"optical image: its irradiance as the radiance of which a lens of f/{number:.4g} makes it; "
-                          f'to blur and shade it no further: [optics] f_number = {number:.4g}, model = "none", '
-                          'relative_illumination = "none"')
+            raise BadFile(
+                self.path, f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number"
+            )
+        self.notes.append(
+            f"optical image: its irradiance as the radiance of which a lens of f/{number:.4g} makes it; "
+            f'to blur and shade it no further: [optics] f_number = {number:.4g}, model = "none", '
+            'relative_illumination = "none"'
+        )
         return (1 + 4 * number**2) / math.pi  # see Optics.irradiance_factor
 
     # ---- the parts
@@ -125,7 +154,9 @@ class _File:
     def single(self, value) -> float:
         numbers = value.numbers()
         if numbers.size != 1 or not np.isfinite(numbers).all():
-            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted one finite number")
+            raise BadFile(
+                self.path, f"{value.label}: shape {value.shape}, wanted one finite number"
+            )
         return float(numbers.item())
 
     def vector(self, value) -> np.ndarray:
@@ -138,10 +169,14 @@ class _File:
         """Wavelengths [nm] of a struct."""
         value = owner.get("wave") or owner.get("wavelength")
         if value is None:
-            raise BadFile(self.path, f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)")
+            raise BadFile(
+                self.path, f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)"
+            )
         wavelengths = self.vector(value)
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
-            raise BadFile(self.path, f"{value.label}: wanted wavelengths [nm] that increase strictly")
+            raise BadFile(
+                self.path, f"{value.label}: wanted wavelengths [nm] that increase strictly"
+            )
         return wavelengths
 
     def text(self, owner, key, other: str) -> str:
@@ -151,8 +186,14 @@ class _File:
 
     def made(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
-        return Scene(content, light, fov=fov, depth=depth, name=self.text(owner, "name", self.path.stem),
-                     notes=tuple(self.notes))
+        return Scene(
+            content,
+            light,
+            fov=fov,
+            depth=depth,
+            name=self.text(owner, "name", self.path.stem),
+            notes=tuple(self.notes),
+        )
 
     def cube(self, owner, key, wavelengths):
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))
@@ -164,8 +205,11 @@ class _File:
             raise BadFile(self.path, f"{owner.label}: no {key}")
         shape = (*value.shape, 1)[:3] if len(value.shape) == 2 else value.shape
         if len(shape) != 3 or shape[2] != count:
-            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), as many as "
-                                     "there are wavelengths or basis functions")
+            raise BadFile(
+                self.path,
+                f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), as many as "
+                "there are wavelengths or basis functions",
+            )
         array = value.numbers().reshape(shape)
         require_memory(f"{self.path}: {value.label}", 4 * array.size)
         low, step = 0.0, 1.0
@@ -174,19 +218,28 @@ class _File:
         planes = np.empty((count, *shape[:2]), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite then is refused
             for number in range(count):
-                planes[number] = array[..., number] if step == 1 else array[..., number] * step + low
+                planes[number] = (
+                    array[..., number] if step == 1 else array[..., number] * step + low
+                )
         if not np.isfinite([planes.min(initial=0), planes.max(initial=0)]).all():
-            raise BadFile(self.path, f"{value.label}: NaN or infinite numbers, or more than float32 holds")
+            raise BadFile(
+                self.path, f"{value.label}: NaN or infinite numbers, or more than float32 holds"
+            )
         return planes
 
     def codes(self, owner, value, dtype):
         """The least value and the step of whole numbers from 0 to the largest of their type."""
         low, high = owner.get("dmin") or owner.get("min"), owner.get("dmax") or owner.get("max")
         if dtype.kind != "u" or low is None or high is None:
-            raise BadFile(self.path, f"{value.label}: {dtype}, wanted floats, or uint16 with dmin and dmax")
+            raise BadFile(
+                self.path, f"{value.label}: {dtype}, wanted floats, or uint16 with dmin and dmax"
+            )
         low, high = self.single(low), self.single(high)
         if not high >= low:
-            raise BadFile(self.path, f"{owner.label}: dmin = {low:.4g}, dmax = {high:.4g}; wanted dmin <= dmax")
+            raise BadFile(
+                self.path,
+                f"{owner.label}: dmin = {low:.4g}, dmax = {high:.4g}; wanted dmin <= dmax",
+            )
         return low, (high - low) / np.iinfo(dtype).max
 
     def linear_model(self):
@@ -197,8 +250,11 @@ class _File:
         table = basis.get("basis") if basis.kind == "struct" else basis
         spectra = np.zeros((0, 0)) if table is None else table.numbers().astype(np.float64)
         if spectra.ndim != 2 or len(spectra) != len(wavelengths):
-            raise BadFile(self.path, f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}, functions), one row "
-                                     "for each wavelength")
+            raise BadFile(
+                self.path,
+                f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}, functions), one row "
+                "for each wavelength",
+            )
         planes, mean = self.planes(self.root, "mcCOEF", spectra.shape[1]), self.root.get("imgMean")
         if mean is not None:
             mean = self.vector(mean)
@@ -217,10 +273,17 @@ class _File:
         photons = data and (data.get("photons") if data.kind == "struct" else data)
         if photons is None:
             return content, unit_light(content.wavelengths)
-        own = illuminant.get("spectrum", "wave") or illuminant.get("wavelength") or illuminant.get("wave")
+        own = (
+            illuminant.get("spectrum", "wave")
+            or illuminant.get("wavelength")
+            or illuminant.get("wave")
+        )
         own = content.wavelengths if own is None else self.vector(own)
-        found = (self.lit_by_map(content, data, own) if math.prod(photons.shape) > max(photons.shape)
-                 else self.lit_by_one(content, illuminant, own))
+        found = (
+            self.lit_by_map(content, data, own)
+            if math.prod(photons.shape) > max(photons.shape)
+            else self.lit_by_one(content, illuminant, own)
+        )
         if found is None:
             self.notes.append("radiance is kept, and its light is not known")
             return content, unit_light(content.wavelengths)
@@ -230,12 +293,17 @@ class _File:
 
     def lit_by_one(self, content, illuminant, own):
         """Surfaces in one light, or None where it is dark."""
-        data, name = illuminant.get("data"), self.text(illuminant, "name", self.text(illuminant, "comment", "light"))
+        data, name = (
+            illuminant.get("data"),
+            self.text(illuminant, "name", self.text(illuminant, "comment", "light")),
+        )
         in_energy = data.kind != "struct"
         photons = data if in_energy else data.get("photons")
         values, kind = self.vector(photons), photons.numbers().dtype
         if len(values) != len(own):
-            raise BadFile(self.path, f"{photons.label}: {len(values)} numbers for {len(own)} wavelengths")
+            raise BadFile(
+                self.path, f"{photons.label}: {len(values)} numbers for {len(own)} wavelengths"
+            )
         if kind.kind != "f" and not in_energy:
             low, step = self.codes(data, photons, kind)
             values = low + step * values
@@ -249,11 +317,21 @@ class _File:
 
     def lit_by_map(self, content, data, own):
         """Surfaces in light that varies over the scene, or None where a few lights do not make it."""
-        if not isinstance(content, Cube) or data.kind != "struct" or not np.array_equal(own, content.wavelengths):
-            raise BadFile(self.path, "an illuminant that varies over the scene, wanted with photons at its wavelengths")
+        if (
+            not isinstance(content, Cube)
+            or data.kind != "struct"
+            or not np.array_equal(own, content.wavelengths)
+        ):
+            raise BadFile(
+                self.path,
+                "an illuminant that varies over the scene, wanted with photons at its wavelengths",
+            )
         light = self.planes(data, "photons", len(own))
         if light.shape != content.values.shape:
-            raise BadFile(self.path, f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of a scene")
+            raise BadFile(
+                self.path,
+                f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of a scene",
+            )
         require_memory(f"{self.path}: light that varies", 12 * light.nbytes)
         found = _mixed(light)
         if found is not None:
@@ -262,8 +340,10 @@ class _File:
             lit = (light > 0) & (made > 0)
             if not content.values[~lit].any():  # light from what is not lit is no reflectance
                 surfaces = np.divide(content.values, made, out=np.zeros_like(made), where=lit)
-                return (Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
-                        Spectrum(own, mean, "light that varies"))
+                return (
+                    Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
+                    Spectrum(own, mean, "light that varies"),
+                )
         self.notes.append(f"light varies over the scene, and is no mix of {MOST_LIGHTS} lights")
         return None
 
@@ -292,8 +372,13 @@ def _mixed(light):
         low = places[:, lit].min(axis=1)
         size = (places[:, lit].sum(axis=0) - low.sum()).max() or 1.0
         weights = np.maximum((places - low[:, None]) / size, 0)
-        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights]) * np.where(lit, total, 0)
-        corners = sums / (sums @ sums) + (plane @ np.column_stack([low, low[:, None] + size * np.eye(count - 1)])).T
+        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights]) * np.where(
+            lit, total, 0
+        )
+        corners = (
+            sums / (sums @ sums)
+            + (plane @ np.column_stack([low, low[:, None] + size * np.eye(count - 1)])).T
+        )
         lights = corners @ axis.T
         if (np.abs(lights.T @ maps - flat) <= LIGHT_ERROR * flat + LEAST_LIGHT).all():
             return mean, maps.reshape(count, *light.shape[1:]).astype(np.float32), lights

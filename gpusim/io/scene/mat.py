@@ -25,7 +25,18 @@ HEADER = 128  # [byte] of version 5
 MATRIX, COMPRESSED = 14, 15  # types of elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+CLASSES = {
+    6: "f8",
+    7: "f4",
+    8: "i1",
+    9: "u1",
+    10: "i2",
+    11: "u2",
+    12: "i4",
+    13: "u4",
+    14: "i8",
+    15: "u8",
+}
 STRUCT, CHAR = 2, 4
 OTHERS = {1: "a cell array", 5: "a sparse matrix", 16: "a function handle"}
 COMPLEX = 0x800  # flag
@@ -38,9 +49,9 @@ def open_mat(path) -> Iterator[Value]:
     with open_file(path) as file:
         with reading(path, WHAT):
             head = file.read(USER_BLOCK + len(HDF5))
-            if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
+            if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
                 root = _Root(path, file, head)
-        if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
+        if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
             yield _filled(root)
             return
     with open_hdf5(path) as variables:
@@ -57,22 +68,30 @@ class _Root(Value):
     """A file of version 5 as the struct of its variables."""
 
     def __init__(self, path, file, head):
-        self.order = {b"IM": "<", b"MI": ">"}.get(head[HEADER - 2:HEADER])
+        self.order = {b"IM": "<", b"MI": ">"}.get(head[HEADER - 2 : HEADER])
         if self.order is None or 0 in head[:4]:
-            raise BadFile(path, "not a MATLAB file of version 5 .. 7.3, the ones that hold structs; write it with "
-                                "save('scene.mat', 'scene', '-v7')")
+            raise BadFile(
+                path,
+                "not a MATLAB file of version 5 .. 7.3, the ones that hold structs; write it with "
+                "save('scene.mat', 'scene', '-v7')",
+            )
         self.file, self.size, self.places, start = file, file_size(file), {}, HEADER
         while start + 8 <= self.size:
             kind, length = struct.unpack(f"{self.order}II", self._stored(start, 8))
             if kind not in (MATRIX, COMPRESSED):
-                raise BadFile(path, f"truncated or damaged at byte {start}: a variable of type {kind}")
+                raise BadFile(
+                    path, f"truncated or damaged at byte {start}: a variable of type {kind}"
+                )
             place = (start + 8, length, kind == COMPRESSED)
             self.places[_head(self._variable(path, place, HEAD), self.order)[2]] = place
             if len(self.places) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} variables")
             start += 8 + length
         if start != self.size:
-            raise BadFile(path, f"truncated or damaged at byte {start}: {self.size - start} bytes left, no variable")
+            raise BadFile(
+                path,
+                f"truncated or damaged at byte {start}: {self.size - start} bytes left, no variable",
+            )
         super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
 
     def _field(self, name):
@@ -82,12 +101,17 @@ class _Root(Value):
         """The bytes of a variable, or the first `most` of them."""
         start, length, packed = place
         if start + length > self.size:
-            raise BadFile(path, f"truncated: {length} bytes from byte {start} on in a file of {self.size}")
+            raise BadFile(
+                path, f"truncated: {length} bytes from byte {start} on in a file of {self.size}"
+            )
         if packed:
             kind, unpacked = struct.unpack(f"{self.order}II", self._inflated(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
-                raise BadFile(path, f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
-                                    f"packed in {length}")
+                raise BadFile(
+                    path,
+                    f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
+                    f"packed in {length}",
+                )
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:
@@ -110,7 +134,7 @@ class _Root(Value):
             piece = stream.decompress(packed, min(PIECE, wanted - filled))
             if not piece and not packed:
                 raise EOFError("packed numbers end early")
-            whole[filled:filled + len(piece)] = piece
+            whole[filled : filled + len(piece)] = piece
             filled += len(piece)
         if to_end:  # where its check sum is
             stream.decompress(stream.unconsumed_tail + self.file.read(min(PIECE, length)), 1)
@@ -143,14 +167,14 @@ class _Matrix(Value):
     def _find_fields(self):
         _, length, at = _element(self.view, self.order, self.start)
         _, letters, at = _element(self.view, self.order, at)
-        wide, = struct.unpack(f"{self.order}i", length)
+        (wide,) = struct.unpack(f"{self.order}i", length)
         if not 0 < wide <= LONGEST_TEXT or len(letters) > MOST_NAMES * wide:
             raise ValueError("names of fields that are too long or too many")
         for first in range(0, len(letters), wide):
             kind, data, at = _element(self.view, self.order, at)
             if kind != MATRIX:
                 raise ValueError(f"a field of type {kind}")
-            self.places[_letters(letters[first:first + wide])] = data
+            self.places[_letters(letters[first : first + wide])] = data
 
     def _field(self, name):
         return _Matrix(self.path, f"{self.label}.{name}", self.places[name], self.order)
@@ -160,23 +184,26 @@ class _Matrix(Value):
 
     def _array(self):
         kind, data, _ = _element(self.view, self.order, self.start)
-        return np.frombuffer(data, self.order + TYPES[kind]).astype(CLASSES[self.type], copy=False).reshape(
-            self.shape, order="F")
+        return (
+            np.frombuffer(data, self.order + TYPES[kind])
+            .astype(CLASSES[self.type], copy=False)
+            .reshape(self.shape, order="F")
+        )
 
     def _text(self):
         kind, data, _ = _element(self.view, self.order, self.start)
         name = LETTERS[kind]
         ending = {"<": "-le", ">": "-be"}[self.order] if name in ("utf-16", "utf-32") else ""
-        return bytes(data[:4 * LONGEST_TEXT]).decode(name + ending, "replace")
+        return bytes(data[: 4 * LONGEST_TEXT]).decode(name + ending, "replace")
 
 
 def _element(view, order, at):
     """Type and bytes of the element that begins at `at`, and where the next one does."""
-    kind, = struct.unpack_from(f"{order}I", view, at)
+    (kind,) = struct.unpack_from(f"{order}I", view, at)
     if kind >> 16:  # a small element: its length in the upper half, its bytes at once
-        return kind & 0xFFFF, view[at + 4:at + 4 + min(kind >> 16, 4)], at + 8
-    length, = struct.unpack_from(f"{order}I", view, at + 4)
-    data = view[at + 8:at + 8 + length]
+        return kind & 0xFFFF, view[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
+    (length,) = struct.unpack_from(f"{order}I", view, at + 4)
+    data = view[at + 8 : at + 8 + length]
     if len(data) < length:
         raise EOFError(f"an element of {length} bytes in {len(view) - at - 8}")
     return kind, data, at + 8 + length + -length % 8

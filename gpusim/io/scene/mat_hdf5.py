@@ -19,7 +19,11 @@ CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
 LARGEST_HEAP = 2**20  # [byte] of a group's names
 MOST_AXES = 4  # of numbers
-FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
+FILTERS = (
+    1,
+    2,
+    3,
+)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
 
 
 @contextmanager
@@ -28,9 +32,16 @@ def open_hdf5(path) -> Iterator[Value]:
     try:
         import h5py
     except ImportError:
-        raise BadFile(path, "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or the file "
-                            "written by save('scene.mat', 'scene', '-v7')") from None
-    with open_file(path) as whole, reading(path, WHAT), mmap.mmap(whole.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        raise BadFile(
+            path,
+            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or the file "
+            "written by save('scene.mat', 'scene', '-v7')",
+        ) from None
+    with (
+        open_file(path) as whole,
+        reading(path, WHAT),
+        mmap.mmap(whole.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
         _check_ends(data)
     with reading(path, WHAT):
         file = h5py.File(path, "r", locking=False)
@@ -53,10 +64,17 @@ class _Item(Value):
         if isinstance(item, h5py.Group):
             if len(item) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} names in {label}")
-            names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]  # bytes: not UTF-8
+            names = [
+                str(name, "latin-1") if isinstance(name, bytes) else name for name in item
+            ]  # bytes: not UTF-8
             names = [name for name in names if not name.startswith(HIDDEN)]
             kind = "struct" if of in ("struct", "") else f"no plain array of class {of}"
-            if of == "struct" and names and self._is_of_references(names[0]) and item[names[0]].size > 1:
+            if (
+                of == "struct"
+                and names
+                and self._is_of_references(names[0])
+                and item[names[0]].size > 1
+            ):
                 kind = "a struct array"
             super().__init__(path, label, kind, (1, 1), tuple(names) if kind == "struct" else ())
             return
@@ -68,7 +86,11 @@ class _Item(Value):
         elif of == "cell":
             kind = "a cell array"
         else:
-            kind = "numbers" if item.dtype.kind in "iuf" and item.dtype.itemsize <= 8 else f"an array of {item.dtype}"
+            kind = (
+                "numbers"
+                if item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
+                else f"an array of {item.dtype}"
+            )
         super().__init__(path, label, kind, shape)
 
     def _linked(self, name):
@@ -84,22 +106,31 @@ class _Item(Value):
         import h5py
 
         item = self._linked(name)
-        return (isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference
-                and not _class(item))
+        return (
+            isinstance(item, h5py.Dataset)
+            and h5py.check_ref_dtype(item.dtype) is h5py.Reference
+            and not _class(item)
+        )
 
     def _field(self, name):
         item = self._linked(name)
         if self._is_of_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
             item = self.item.file[np.asarray(item[()]).item()]
-        return _Item(self.path, f"{self.label}.{name}" if self.label != "the file" else name, item, self.size)
+        return _Item(
+            self.path, f"{self.label}.{name}" if self.label != "the file" else name, item, self.size
+        )
 
     def _check(self):
         _check(self.path, self.label, self.item, self.size)
 
     def _array(self):
         array = self.item[()]
-        return np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False).T.reshape(self.shape)
+        return (
+            np.asarray(array)
+            .astype(array.dtype.newbyteorder("="), copy=False)
+            .T.reshape(self.shape)
+        )
 
     def _text(self):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")
@@ -111,10 +142,10 @@ def _check_ends(data):
     HDF5's library (2.0) follows the free blocks of a heap in a circle until memory ends, and nodes of a tree until its
     stack does. All other circles that were tried it finds. Source: HDF5 File Format Specification 3.0, III.A, III.D.
     """
-    base = 0 if data[:len(HDF5)] == HDF5 else USER_BLOCK
+    base = 0 if data[: len(HDF5)] == HDF5 else USER_BLOCK
     version = data[base + len(HDF5)]
     at = base + (13 if version < 2 else 9)
-    if data[at:at + 2] != b"\x08\x08":
+    if data[at : at + 2] != b"\x08\x08":
         raise ValueError("addresses that are not of 8 bytes")
     for at in _places(data, b"HEAP\0\0\0\0"):
         size, block, start = struct.unpack_from("<QQQ", data, at + 8)
@@ -129,7 +160,11 @@ def _check_ends(data):
         # keys are names in groups; sizes and places of pieces, of any number of axes, in data sets
         for wide in (8,) if kind == 0 else range(24, 24 + 8 * MOST_AXES, 8):
             first = base + at + 24 + wide
-            for child in range(first, min(first + entries * (wide + 8), len(data) - 7), wide + 8) if level else ():
+            for child in (
+                range(first, min(first + entries * (wide + 8), len(data) - 7), wide + 8)
+                if level
+                else ()
+            ):
                 if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
                     raise ValueError("a tree that holds itself")
 
@@ -146,19 +181,32 @@ def _check(path, label, item, size):
     """Raise BadFile where the file does not hold what a data set declares."""
     import h5py
 
-    made, stored, nbytes = item.id.get_create_plist(), item.id.get_storage_size(), item.size * item.dtype.itemsize
+    made, stored, nbytes = (
+        item.id.get_create_plist(),
+        item.id.get_storage_size(),
+        item.size * item.dtype.itemsize,
+    )
     layout = made.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
-    if layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or made.get_external_count():
+    if (
+        layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
+        or made.get_external_count()
+    ):
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
     filters = [made.get_filter(number)[0] for number in range(made.get_nfilters())]
     if not set(filters) <= set(FILTERS):
         raise BadFile(path, f"{label}: packed by another method than MATLAB's")
-    largest = max(nbytes, math.prod(made.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0)
+    largest = max(
+        nbytes,
+        math.prod(made.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
+    )
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
-        raise BadFile(path, f"{label}, truncated or damaged: {largest} bytes cannot come of {stored} in a "
-                            f"file of {size}")
+        raise BadFile(
+            path,
+            f"{label}, truncated or damaged: {largest} bytes cannot come of {stored} in a "
+            f"file of {size}",
+        )
 
 
 def _class(item) -> str:

@@ -22,7 +22,9 @@ class Value:
     fields of a struct.
     """
 
-    def __init__(self, path, label: str, kind: str, shape: tuple[int, ...], names: tuple[str, ...] = ()):
+    def __init__(
+        self, path, label: str, kind: str, shape: tuple[int, ...], names: tuple[str, ...] = ()
+    ):
         self.path, self.label, self.kind, self.shape, self.names = path, label, kind, shape, names
 
     def get(self, *names: str) -> "Value | None":
@@ -49,7 +51,12 @@ class Value:
 
     def text(self) -> str | None:
         """What a text of one line says; None of anything else. Raises BadFile."""
-        if self.kind != "text" or len(self.shape) != 2 or self.shape[0] != 1 or self.shape[1] > LONGEST_TEXT:
+        if (
+            self.kind != "text"
+            or len(self.shape) != 2
+            or self.shape[0] != 1
+            or self.shape[1] > LONGEST_TEXT
+        ):
             return None
         with reading(self.path, WHAT):
             self._check()

@@ -26,19 +26,30 @@ def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, 
         if dtype.kind not in NUMBERS or dtype.subdtype or dtype.itemsize > 8:
             raise BadFile(path, f"{dtype}: wanted real numbers of up to 64 bits")
         if len(shape) != 3 or min(shape) < 1 or count not in (shape[0], shape[-1]):
-            raise BadFile(path, f"shape {shape} for {count} wavelengths; wanted ({count}, rows, cols) or (rows, cols, "
-                                f"{count})")
+            raise BadFile(
+                path,
+                f"shape {shape} for {count} wavelengths; wanted ({count}, rows, cols) or (rows, cols, "
+                f"{count})",
+            )
         if shape[0] == shape[-1]:
-            raise BadFile(path, f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)? "
-                                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key says which")
+            raise BadFile(
+                path,
+                f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)? "
+                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key says which",
+            )
         wanted = shape[0] * shape[1] * shape[2] * dtype.itemsize
         if size - start != wanted:
-            raise BadFile(path, f"truncated or damaged: {wanted} bytes of numbers are wanted, {size - start} are there")
+            raise BadFile(
+                path,
+                f"truncated or damaged: {wanted} bytes of numbers are wanted, {size - start} are there",
+            )
         if scale is None:
             scale = _scale(path, dtype)
         with reading(path, "a file that can be mapped"):
             mapped = np.memmap(file, dtype, "r", start, shape, "F" if fortran else "C")
-        return read_planes(path, mapped if shape[0] == count else mapped.transpose(2, 0, 1), scale=scale)
+        return read_planes(
+            path, mapped if shape[0] == count else mapped.transpose(2, 0, 1), scale=scale
+        )
 
 
 def _scale(path, dtype) -> float:

@@ -31,7 +31,13 @@ from gpusim.io.atomic import atomic_path
 from gpusim.io.files import named
 
 COPIES = 1.0  # of the numbers: as float32, and divided by the light
-FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says what an archive holds
+FORMS = (
+    "cube",
+    "coefficients",
+    "ids",
+    "photons",
+    "coef",
+)  # the key that says what an archive holds
 
 
 def write_npz(path, scene: Scene):
@@ -39,11 +45,18 @@ def write_npz(path, scene: Scene):
     check_whole(path, scene)
     content = scene.content.on_host()
     arrays: dict = {"wavelengths_nm": content.wavelengths}
-    arrays |= {"cube" if name == "values" else name: getattr(content, name)
-               for name in (*content.samples, *content.shared)}
-    arrays |= {"illuminant_wavelengths_nm": scene.illuminant.wavelengths, "illuminant": scene.illuminant.values,
-               "border": scene.border, "margin": scene.margin, "name": scene.name,
-               "samples_per_pixel": scene.samples_per_pixel}
+    arrays |= {
+        "cube" if name == "values" else name: getattr(content, name)
+        for name in (*content.samples, *content.shared)
+    }
+    arrays |= {
+        "illuminant_wavelengths_nm": scene.illuminant.wavelengths,
+        "illuminant": scene.illuminant.values,
+        "border": scene.border,
+        "margin": scene.margin,
+        "name": scene.name,
+        "samples_per_pixel": scene.samples_per_pixel,
+    }
     if scene.fov is not None:
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
@@ -55,9 +68,15 @@ def write_npz(path, scene: Scene):
 def check_whole(path, scene: Scene):
     """Raise BadFile where a scene is more than one picture and its depth, which is what files hold."""
     if not scene.view.is_plain:
-        raise BadFile(path, f"a view of {scene.name}, of which a file would hold the whole: write it without view")
+        raise BadFile(
+            path,
+            f"a view of {scene.name}, of which a file would hold the whole: write it without view",
+        )
     if scene.layers:
-        raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: a file holds one picture and its depth")
+        raise BadFile(
+            path,
+            f"{len(scene.layers)} layers of {scene.name}: a file holds one picture and its depth",
+        )
 
 
 def read_npz(path, white: Spectrum) -> Scene:
@@ -104,15 +123,27 @@ class _Archive:
         value = self.stored[key].item()
         try:
             return type(default)(value)
-        except (ValueError, OverflowError):  # not a number, or infinite, where a whole one is wanted
-            raise BadFile(self.path, f"{key}: wanted one {type(default).__name__}, got {shown(value)}") from None
+        except (
+            ValueError,
+            OverflowError,
+        ):  # not a number, or infinite, where a whole one is wanted
+            raise BadFile(
+                self.path, f"{key}: wanted one {type(default).__name__}, got {shown(value)}"
+            ) from None
 
     def scene(self, white):
         """Return what the archive holds as a scene."""
         forms = [key for key in FORMS if key in self.stored]
         if len(forms) != 1:
-            raise BadFile(self.path, f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}")
-        key = "wave" if "wave" in self.stored and "wavelengths_nm" not in self.stored else "wavelengths_nm"
+            raise BadFile(
+                self.path,
+                f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}",
+            )
+        key = (
+            "wave"
+            if "wave" in self.stored and "wavelengths_nm" not in self.stored
+            else "wavelengths_nm"
+        )
         wavelengths = self.array(key, None).astype(np.float64)
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
             raise BadFile(self.path, f"{key}: needs wavelengths that increase strictly")
@@ -120,8 +151,16 @@ class _Archive:
         content, illuminant = self.lit(content, white)
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
         fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
-        return Scene(content, illuminant, self.single("border", "edge"), self.single("margin", 0), fov, depth,
-                     self.single("name", self.path.stem), self.single("samples_per_pixel", 1.0))
+        return Scene(
+            content,
+            illuminant,
+            self.single("border", "edge"),
+            self.single("margin", 0),
+            fov,
+            depth,
+            self.single("name", self.path.stem),
+            self.single("samples_per_pixel", 1.0),
+        )
 
     def content(self, form, wavelengths):
         """Return the pixels, still in the unit of the file."""
@@ -133,16 +172,24 @@ class _Archive:
         if form == "ids":
             ids, spectra = self.array("ids", None, None), self.array("spectra", None, bands)
             if ids.dtype.kind == "f" or ids.max() > 65535:
-                raise BadFile(self.path, f"ids: {ids.dtype} up to {ids.max()}, wanted integers up to 65535")
-            return Materials(wavelengths, ids.astype(np.uint8 if ids.max() < 256 else np.uint16),
-                             self.planes("shading", *ids.shape), spectra.astype(np.float64))
+                raise BadFile(
+                    self.path, f"ids: {ids.dtype} up to {ids.max()}, wanted integers up to 65535"
+                )
+            return Materials(
+                wavelengths,
+                ids.astype(np.uint8 if ids.max() < 256 else np.uint16),
+                self.planes("shading", *ids.shape),
+                spectra.astype(np.float64),
+            )
         basis = self.array("basis", None, bands, negative=True).astype(np.float64)
         shape = (None, None, len(basis)) if form == "coef" else (len(basis), None, None)
         planes = self.planes(form, *shape, pixel_major=form == "coef", negative=True)
         if "maps" not in self.stored:
             return Basis(wavelengths, planes, basis)
         lights = self.array("lights", None, bands, negative=True).astype(np.float64)
-        return Illuminated(wavelengths, self.planes("maps", len(lights), *planes.shape[1:]), planes, basis, lights)
+        return Illuminated(
+            wavelengths, self.planes("maps", len(lights), *planes.shape[1:]), planes, basis, lights
+        )
 
     def lit(self, content, white):
         """Return reflectance and light where the light is known, else radiance and an illuminant of 1."""

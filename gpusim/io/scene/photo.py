@@ -40,7 +40,12 @@ def read_photo(path) -> Basis | Materials:
         if linear.shape[-1] == 1:
             shading = linear[..., 0].astype(np.float32)
             wavelengths = srgb_primaries().wavelengths
-            return Materials(wavelengths, np.zeros(shading.shape, np.uint8), shading, np.ones((1, len(wavelengths))))
+            return Materials(
+                wavelengths,
+                np.zeros(shading.shape, np.uint8),
+                shading,
+                np.ones((1, len(wavelengths))),
+            )
         return lift(np.moveaxis(linear, -1, 0))
 
 
@@ -52,7 +57,9 @@ def read_cutout(path) -> tuple[Basis, np.ndarray]:
     with named(path):
         linear, alpha = _decoded(read_samples(path))
         covers = np.ones(linear.shape[:2]) if alpha is None else alpha
-        return lift(np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)), covers.astype(np.float32)
+        return lift(
+            np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)
+        ), covers.astype(np.float32)
 
 
 def damage(path) -> tuple[str, ...]:
@@ -69,7 +76,9 @@ def damage(path) -> tuple[str, ...]:
     except ImportError:
         return ()
     try:
-        simplejpeg.decode_jpeg(data, "GRAY", fastdct=True, min_factor=8)  # reads all, and computes one pixel in 64
+        simplejpeg.decode_jpeg(
+            data, "GRAY", fastdct=True, min_factor=8
+        )  # reads all, and computes one pixel in 64
     except ValueError as error:
         return (f"damaged, and read as far as libjpeg can: {error}",)
     return ()
@@ -77,7 +86,7 @@ def damage(path) -> tuple[str, ...]:
 
 def _decoded(samples):
     """Linear light (rows, cols, 1 or 3), white 1, and alpha (rows, cols) or None, of samples of `read_samples`."""
-    colours, white = samples[..., :3 if samples.shape[-1] > 2 else 1], 1
+    colours, white = samples[..., : 3 if samples.shape[-1] > 2 else 1], 1
     if samples.dtype.kind == "u":
         white = np.iinfo(samples.dtype).max
         colours = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[colours]
@@ -104,7 +113,9 @@ def read_samples(path) -> np.ndarray:
     if Path(path).suffix.lower() in TIFF:
         return read_picture(path)
     with open_file(path) as file, reading(path, "a PNG or JPEG"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of large pictures: they are checked against memory below; of EXIF data
+        warnings.simplefilter(
+            "ignore"
+        )  # of large pictures: they are checked against memory below; of EXIF data
         require_memory(f"{path}: a file", file_size(file))
         data = file.read()
         try:
@@ -113,8 +124,11 @@ def read_samples(path) -> np.ndarray:
             raise BadFile(path, f"too large: {error}") from error
         cols, rows = image.size
         if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
-            raise BadFile(path, f"truncated or damaged: a JPEG of {cols} x {rows} pixels takes more than {len(data)} "
-                                "bytes")
+            raise BadFile(
+                path,
+                f"truncated or damaged: a JPEG of {cols} x {rows} pixels takes more than {len(data)} "
+                "bytes",
+            )
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
         samples = _decode(path, data, image)
     return samples if samples.ndim == 3 else samples[..., None]
@@ -149,8 +163,14 @@ def _decode_png16(header, lines):
     """
     from PIL import Image
 
-    rows = np.frombuffer(lines, np.uint8).reshape(header.rows, 1 + 2 * header.cols * CHANNELS[header.colour])
+    rows = np.frombuffer(lines, np.uint8).reshape(
+        header.rows, 1 + 2 * header.cols * CHANNELS[header.colour]
+    )
     small = dataclasses.replace(header, bits=8)
-    high, low = (np.asarray(Image.open(io.BytesIO(png(small, zlib.compress(np.hstack([rows[:, :1], half]), 1)))))
-                 for half in (rows[:, 1::2], rows[:, 2::2]))
+    high, low = (
+        np.asarray(
+            Image.open(io.BytesIO(png(small, zlib.compress(np.hstack([rows[:, :1], half]), 1))))
+        )
+        for half in (rows[:, 1::2], rows[:, 2::2])
+    )
     return high.astype(np.uint16) * 256 + low

@@ -52,9 +52,12 @@ def taken(name, options: tuple[str, ...], given: dict) -> dict:
     for option, value in given.items():
         if option not in (*options, "no_depth"):
             takers = (["charts"] if option in CHARTS_TAKE else []) + [
-                suffix for suffix, reader in READERS.items() if option in reader.options]
+                suffix for suffix, reader in READERS.items() if option in reader.options
+            ]
             key, value = ("depth", '"ray"') if option == "ray" else (option, shown(value))
-            raise OutOfRange(key, value, f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}")
+            raise OutOfRange(
+                key, value, f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}"
+            )
     return {option: value for option, value in given.items() if option in options}
 
 
@@ -104,7 +107,9 @@ def _tiff(path, white, wavelengths=None, kind=None, scale=None):
         values = read_stack(path, len(wavelengths), checked_scale(scale))
         return of_planes(path, white, wavelengths, values, checked_kind(kind))
     if kind is not None or scale is not None:
-        raise OutOfRange(*(("scale", scale) if kind is None else ("kind", kind)), "with wavelengths only")
+        raise OutOfRange(
+            *(("scale", scale) if kind is None else ("kind", kind)), "with wavelengths only"
+        )
     return _photo(path, white)
 
 
@@ -114,14 +119,23 @@ def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
     if held.values.ndim == 2:
         return of_spectra(path, white, held.wavelengths, held.values.T, held.kind, size, held.notes)
     if size is not None:
-        raise OutOfRange("size", shown(size), f"for charts and libraries of spectra; {path} has its own size")
+        raise OutOfRange(
+            "size", shown(size), f"for charts and libraries of spectra; {path} has its own size"
+        )
     return of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 
 
 def _npy(path, white, wavelengths=None, kind=None, scale=None):
     if wavelengths is None:
-        raise BadFile(path, "an array does not say its wavelengths; say them [nm], such as --wavelengths 400:700:10")
-    wavelengths, kind, scale = checked_wavelengths(wavelengths), checked_kind(kind), checked_scale(scale)
+        raise BadFile(
+            path,
+            "an array does not say its wavelengths; say them [nm], such as --wavelengths 400:700:10",
+        )
+    wavelengths, kind, scale = (
+        checked_wavelengths(wavelengths),
+        checked_kind(kind),
+        checked_scale(scale),
+    )
     values, notes = read_npy(path, len(wavelengths), scale)
     if kind == "reflectance" and scale is None:
         check_reflectances(path, values)
@@ -145,9 +159,15 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
         wavelengths = np.asarray(wavelengths, np.float64)
     except (TypeError, ValueError):
         wavelengths = np.empty((0, 0))
-    if wavelengths.ndim != 1 or not len(wavelengths) or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
-            wavelengths[-1] < np.inf):
-        raise OutOfRange("wavelengths", wavelengths.tolist(), "1 or more [nm], positive and strictly ascending")
+    if (
+        wavelengths.ndim != 1
+        or not len(wavelengths)
+        or not (np.diff(wavelengths, prepend=0) > 0).all()
+        or not (wavelengths[-1] < np.inf)
+    ):
+        raise OutOfRange(
+            "wavelengths", wavelengths.tolist(), "1 or more [nm], positive and strictly ascending"
+        )
     return wavelengths
 
 
@@ -179,16 +199,24 @@ def of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) -> Scene
 
 CHARTS_TAKE = ("size",)
 PLANES = ("wavelengths", "kind", "scale")
-READERS = {".exr": Reader(_exr, ("bands", "ray", "no_depth")), ".npz": Reader(_npz, ("no_depth",)),
-           ".mat": Reader(_iset, ("ray", "no_depth")),
-           **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)), **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
-           ".hdr": Reader(_envi, (*PLANES, "size")), ".npy": Reader(_npy, PLANES),
-           ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False)}
+READERS = {
+    ".exr": Reader(_exr, ("bands", "ray", "no_depth")),
+    ".npz": Reader(_npz, ("no_depth",)),
+    ".mat": Reader(_iset, ("ray", "no_depth")),
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
+    **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
+    ".hdr": Reader(_envi, (*PLANES, "size")),
+    ".npy": Reader(_npy, PLANES),
+    ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False),
+}
 SUFFIXES = tuple(READERS)
 IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_folders)
 
 
 def scene_files(folder: Path) -> list[Path]:
     """Return a folder's scene files in the order of their names; hidden ones, such as temporary files, are none."""
-    return sorted(path for path in folder.iterdir()
-                  if path.suffix.lower() in IN_FOLDERS and not path.name.startswith(".") and path.is_file())
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IN_FOLDERS and not path.name.startswith(".") and path.is_file()
+    )

@@ -18,7 +18,13 @@ from gpusim.io.files import named, reading
 from gpusim.io.scene.npz import check_whole
 
 ATTRIBUTE, DEPTH = "gpusimScene", "Z"
-PARTS = {"border": str, "margin": int, "fov": float, "name": str, "samples_per_pixel": float}  # beside light and depth
+PARTS = {
+    "border": str,
+    "margin": int,
+    "fov": float,
+    "name": str,
+    "samples_per_pixel": float,
+}  # beside light and depth
 COPIES = 2  # of the cube: samples, and the same in the unit of the file
 ROWS = 64  # that become spectra in float64 at once
 
@@ -28,23 +34,40 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
     check_whole(path, scene)
     content, reflectance = scene.content.on_host(), scene.light_is_known and not radiance
     if reflectance and isinstance(content, Illuminated):
-        raise BadFile(path, f"the light of {scene.name} varies over the scene, which reflectances cannot say: write "
-                            "radiance=True, or an .npz")
-    light = np.ones(len(scene.wavelengths)) if reflectance else scene.illuminant.at(scene.wavelengths)
+        raise BadFile(
+            path,
+            f"the light of {scene.name} varies over the scene, which reflectances cannot say: write "
+            "radiance=True, or an .npz",
+        )
+    light = (
+        np.ones(len(scene.wavelengths)) if reflectance else scene.illuminant.at(scene.wavelengths)
+    )
     values = np.empty((len(light), *content.shape), np.float32)
-    require_memory(f"{path}: {len(light)} channels of {content.shape[1]} x {content.shape[0]} samples",
-                   COPIES * values.nbytes)
+    require_memory(
+        f"{path}: {len(light)} channels of {content.shape[1]} x {content.shape[0]} samples",
+        COPIES * values.nbytes,
+    )
     for start in range(0, content.shape[0], ROWS):
         rows = slice(start, start + ROWS)
         values[:, rows] = np.maximum(content.bands_at(rows) * light[:, None, None], 0)
     parts = {key: getattr(scene, key) for key in PARTS if getattr(scene, key) is not None}
     if reflectance:
         own = scene.illuminant
-        parts["illuminant"] = {"name": own.name, "wavelengths_nm": own.wavelengths.tolist(),
-                               "values": own.values.tolist()}
+        parts["illuminant"] = {
+            "name": own.name,
+            "wavelengths_nm": own.wavelengths.tolist(),
+            "values": own.values.tolist(),
+        }
     depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
-    write_spectral_exr(path, scene.wavelengths, values, reflectance=reflectance, half=half, more=depth,
-                       **{ATTRIBUTE: json.dumps(parts)})
+    write_spectral_exr(
+        path,
+        scene.wavelengths,
+        values,
+        reflectance=reflectance,
+        half=half,
+        more=depth,
+        **{ATTRIBUTE: json.dumps(parts)},
+    )
 
 
 def scene_parts(path) -> dict:
@@ -64,6 +87,9 @@ def scene_parts(path) -> dict:
         parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
         if "illuminant" in stored:
             light = stored["illuminant"]
-            parts["illuminant"] = Spectrum(np.asarray(light["wavelengths_nm"], np.float64),
-                                           np.asarray(light["values"], np.float64), str(light["name"]))
+            parts["illuminant"] = Spectrum(
+                np.asarray(light["wavelengths_nm"], np.float64),
+                np.asarray(light["values"], np.float64),
+                str(light["name"]),
+            )
         return parts

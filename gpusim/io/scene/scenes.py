@@ -26,9 +26,24 @@ from gpusim.io.scene.scene_exr import write_scene_exr
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
 
 
-@np.errstate(divide="ignore", over="ignore", invalid="ignore")  # of damaged files; what is then no number is refused
-def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
-               samples_per_pixel=None, depth="axis", wavelengths=None, kind=None, scale=None) -> Scene:
+@np.errstate(
+    divide="ignore", over="ignore", invalid="ignore"
+)  # of damaged files; what is then no number is refused
+def open_scene(
+    name_or_path,
+    *,
+    size=None,
+    light=None,
+    luminance=None,
+    bands=None,
+    border=None,
+    fov=None,
+    samples_per_pixel=None,
+    depth="axis",
+    wavelengths=None,
+    kind=None,
+    scale=None,
+) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
     Files are .exr, .npz, ENVI's .hdr (beside its raw file), ISETCam's .mat, a photograph .png, .jpg or .tif, planes
@@ -54,27 +69,48 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     Raises BadData, BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
     if not isinstance(name_or_path, str | os.PathLike):
-        raise BadData(f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; gpusim.scene_from "
-                      "makes a scene of an array")
+        raise BadData(
+            f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; gpusim.scene_from "
+            "makes a scene of an array"
+        )
     path = Path(name_or_path)
     check_depth(depth, fov)
-    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind, "scale": scale,
-             "ray": fov if depth == "ray" else None, "no_depth": depth == "none" or None}
+    given = {
+        "size": size,
+        "bands": bands or None,
+        "wavelengths": wavelengths,
+        "kind": kind,
+        "scale": scale,
+        "ray": fov if depth == "ray" else None,
+        "no_depth": depth == "none" or None,
+    }
     given = {name: value for name, value in given.items() if value is not None}
     if str(name_or_path) in CHARTS:
-        scene = chart(str(name_or_path), light=light or LIGHT, luminance=LUMINANCE if luminance is None else luminance,
-                      samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
-                      **taken(name_or_path, CHARTS_TAKE, given))
+        scene = chart(
+            str(name_or_path),
+            light=light or LIGHT,
+            luminance=LUMINANCE if luminance is None else luminance,
+            samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
+            **taken(name_or_path, CHARTS_TAKE, given),
+        )
     elif path.suffix.lower() in SUFFIXES:
-        white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
+        white = white_radiance(
+            illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance
+        )
         scene = relit(path, read_scene(path, white, given), light, luminance)
     else:
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):
-                raise BadFile(path, f"the samples of an ENVI file; open its header, {Path(header).name}")
-        raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
+                raise BadFile(
+                    path, f"the samples of an ENVI file; open its header, {Path(header).name}"
+                )
+        raise UnknownName(
+            "scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
+        )
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
-    return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
+    return dataclasses.replace(
+        scene, **{key: value for key, value in changes.items() if value is not None}
+    )
 
 
 def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False) -> None:
@@ -94,12 +130,16 @@ def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False
     elif suffix != ".npz":
         raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
     elif radiance or half:
-        raise OutOfRange("radiance, half", "given for .npz", "for .exr alone: an .npz holds a scene as it is")
+        raise OutOfRange(
+            "radiance, half", "given for .npz", "for .exr alone: an .npz holds a scene as it is"
+        )
     else:
         write_npz(path, scene)
 
 
-def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options) -> Scene:
+def picture(
+    codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options
+) -> Scene:
     """Lift encoded pixels, such as a video's frame, to reflectances as `open_scene` does a photograph's.
 
     codes: uint8 or uint16, RGB (rows, cols, 3) or grey (rows, cols), in host memory or a device's (see `Picture`). They
@@ -114,7 +154,12 @@ def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="pictur
     if curve is None:
         curve = DISPLAYS["srgb"].table(type_of(codes))
     basis = primaries.values if len(codes.shape) != 2 else np.ones((1, len(primaries.wavelengths)))
-    return Scene(Picture(primaries.wavelengths, codes, basis, curve), _white(light, luminance), name=name, **options)
+    return Scene(
+        Picture(primaries.wavelengths, codes, basis, curve),
+        _white(light, luminance),
+        name=name,
+        **options,
+    )
 
 
 @functools.lru_cache(maxsize=16)
@@ -130,18 +175,26 @@ def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Sce
     if light is None and luminance is None:
         return scene
     if light and isinstance(scene.content, Illuminated):
-        raise BadFile(path, f"light {light!r} asked for, but the file's light varies over the scene; wanted luminance "
-                            "alone, or gpusim.illuminated")
+        raise BadFile(
+            path,
+            f"light {light!r} asked for, but the file's light varies over the scene; wanted luminance "
+            "alone, or gpusim.illuminated",
+        )
     if scene.light_is_known:
         own = energy_from_photons(scene.illuminant)
         radiance = white_radiance(illuminant(light) if light else own, luminance or xyz(own)[1])
         return dataclasses.replace(scene, illuminant=radiance)
     if light:
-        raise BadFile(path, f"light {light!r} asked for, but the file holds radiance: its own light is not known")
+        raise BadFile(
+            path,
+            f"light {light!r} asked for, but the file holds radiance: its own light is not known",
+        )
     assert luminance is not None  # no light
     mean = mean_luminance(scene)
     if not mean > 0:
-        raise BadFile(path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}")
+        raise BadFile(
+            path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
+        )
     return dataclasses.replace(scene, content=scene.content.scaled(luminance / mean))
 
 

@@ -19,8 +19,10 @@ BYTES_PER_SAMPLE = 24  # of ids and shading as they are drawn
 SHORTEST, LONGEST = 100, 1e5  # [nm] of what is believed to be wavelengths
 COLUMN = re.compile(r"wave|lambda|\bnm\b|um\b|[µμ]m", re.I)  # of a heading above wavelengths
 MICROMETRES = re.compile(r"um\b|_um|[µμ]m|micro", re.I)
-WANTED = ("wanted a table of numbers, wavelengths [nm] in the first column and a spectrum in each other one, or "
-          "wavelengths in the first line and a spectrum in each other one")
+WANTED = (
+    "wanted a table of numbers, wavelengths [nm] in the first column and a spectrum in each other one, or "
+    "wavelengths in the first line and a spectrum in each other one"
+)
 
 
 def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
@@ -40,8 +42,11 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
     found = [table for table in tables if table]
     if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
-        raise BadFile(path, ("both the first column and the first line could be wavelengths; " if found else "")
-                      + WANTED)
+        raise BadFile(
+            path,
+            ("both the first column and the first line could be wavelengths; " if found else "")
+            + WANTED,
+        )
     nm, spectra = found[0]
     if not np.isfinite(spectra).all():
         spectrum, band = np.argwhere(~np.isfinite(spectra))[0]
@@ -69,7 +74,11 @@ def _spectra(words, numbers):
     nm = numbers[headings:, 0] * (1e3 if MICROMETRES.search(" ".join(words[:headings])) else 1.0)
     steps = np.diff(nm)
     ordered = len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all())
-    return (nm, numbers[headings:, 1:].T) if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST else None
+    return (
+        (nm, numbers[headings:, 1:].T)
+        if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST
+        else None
+    )
 
 
 def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
@@ -85,13 +94,19 @@ def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
     if count > MOST:
         raise BadFile(path, f"{count} spectra; at most {MOST} make a scene")
     if across > cols or down > rows:
-        raise OutOfRange("size", f"{cols} x {rows}", f"at least {across} x {down} pixels, one for each spectrum")
+        raise OutOfRange(
+            "size", f"{cols} x {rows}", f"at least {across} x {down} pixels, one for each spectrum"
+        )
     require_memory(f"{path}: a picture of {cols} x {rows} pixels", BYTES_PER_SAMPLE * cols * rows)
     ids = (np.arange(rows) * down // rows)[:, None] * across + np.arange(cols) * across // cols
     np.minimum(ids, count, out=ids)
     spectra = np.vstack([spectra, np.zeros((int(across * down > count), len(wavelengths)))])
     said = f"{count} spectra as patches, {across} x {down}, row by row"
     with named(path):
-        content = Materials(wavelengths, ids.astype(np.uint8 if len(spectra) < 257 else np.uint16),
-                            np.ones(ids.shape, np.float32), spectra)
+        content = Materials(
+            wavelengths,
+            ids.astype(np.uint8 if len(spectra) < 257 else np.uint16),
+            np.ones(ids.shape, np.float32),
+            spectra,
+        )
         return Scene(content, light, name=path.stem, notes=(said, *notes))

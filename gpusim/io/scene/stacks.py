@@ -25,7 +25,9 @@ def checked_scale(scale) -> float | None:
     return value
 
 
-def read_planes(path, view, *, scale: float, gains=None, offsets=None, ignored=None) -> tuple[np.ndarray, list[str]]:
+def read_planes(
+    path, view, *, scale: float, gains=None, offsets=None, ignored=None
+) -> tuple[np.ndarray, list[str]]:
     """Planes float32 (L, rows, cols), not negative, and notes of what was not taken as it is.
 
     view: the numbers, (L, rows, cols) of any real type, such as of a mapped file. They become (gain number + offset) /
@@ -34,13 +36,15 @@ def read_planes(path, view, *, scale: float, gains=None, offsets=None, ignored=N
     """
     count, rows, cols = view.shape
     step = max(1, PIECE // (count * cols * view.dtype.itemsize))
-    require_memory(f"{path}: {count} planes of {cols} x {rows} samples",
-                   4 * view.size + COPIES * count * min(step, rows) * cols * max(4, view.dtype.itemsize))
+    require_memory(
+        f"{path}: {count} planes of {cols} x {rows} samples",
+        4 * view.size + COPIES * count * min(step, rows) * cols * max(4, view.dtype.itemsize),
+    )
     values, without = np.empty(view.shape, np.float32), 0
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite or NaN then is refused
         for start in range(0, rows, step):
-            stored = np.asarray(view[:, start:start + step])
-            planes = values[:, start:start + step]
+            stored = np.asarray(view[:, start : start + step])
+            planes = values[:, start : start + step]
             planes[:] = stored
             if gains is not None:
                 planes *= gains[:, None, None].astype(np.float32)
@@ -64,19 +68,24 @@ def cut_noise(path, values) -> list[str]:
     if not np.isfinite([low, high]).all():
         raise BadFile(path, "NaN or infinite values, or more than float32 holds")
     if low < -NEGATIVE * max(high, 0):
-        raise BadFile(path, f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
-                            "with samples without data left out or named by the header")
+        raise BadFile(
+            path,
+            f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
+            "with samples without data left out or named by the header",
+        )
     if low >= 0:
         return []
     below = 0
     for plane in values:
         below += int(np.count_nonzero(plane < 0))
         np.maximum(plane, 0, out=plane)
-    return [f"negative values, {100 * below / values.size:.2g} % of them, lowest {low:.3g}: taken as 0"]
+    return [
+        f"negative values, {100 * below / values.size:.2g} % of them, lowest {low:.3g}: taken as 0"
+    ]
 
 
 def check_reflectances(path, values):
     """Raise BadFile where the mean is far above that of reflectances: the number that stands for 1 is another."""
     mean = float(values.mean(dtype=np.float64))
     if mean > BRIGHTEST:
-        raise BadFile(path, f"reflectances of mean {mean:.3g}; {SAY_SCALE}, or kind = \"radiance\"")
+        raise BadFile(path, f'reflectances of mean {mean:.3g}; {SAY_SCALE}, or kind = "radiance"')

@@ -25,8 +25,18 @@ def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]
         case = CASES[number]
         try:
             got, limit, why = case.run(device)
-        except Exception as error:  # whatever a driver raises, the row says it and the other cases go on
+        except (
+            Exception
+        ) as error:  # whatever a driver raises, the row says it and the other cases go on
             got, limit, why = float("inf"), 0.0, f"{type(error).__name__}: {error}".splitlines()[0]
         got = float(got) if got == got else float("inf")
-        yield {"number": number, "name": case.name, "device": device.name, "asked": case.asked, "got": got,
-               "limit": float(limit), "ok": bool(got <= limit), "why": why}
+        yield {
+            "number": number,
+            "name": case.name,
+            "device": device.name,
+            "asked": case.asked,
+            "got": got,
+            "limit": float(limit),
+            "ok": bool(got <= limit),
+            "why": why,
+        }

@@ -11,7 +11,16 @@ from scipy.special import ndtri
 
 ALPHA = 1e-6
 SIGMAS = float(-ndtri(ALPHA / 2))  # 4.9
-LAGS = (0, 1), (1, 0), (1, 1), (0, 2), (0, 8), (0, 16), (16, 0), (0, 128)  # vectors of 8, groups of 16 of them
+LAGS = (
+    (0, 1),
+    (1, 0),
+    (1, 1),
+    (0, 2),
+    (0, 8),
+    (0, 16),
+    (16, 0),
+    (0, 128),
+)  # vectors of 8, groups of 16 of them
 FEW = 20  # a product of two numbers of mean m has skewness 1 / (m sqrt n) over n; this makes it exp(1) at SIGMAS
 
 
@@ -52,16 +61,22 @@ def p_values(k, mean) -> dict[str, float]:
     limits = [1, 2, *(stats.poisson.isf(tail, mean) for tail in (1e-3, 1e-5))]
     for limit in limits:
         p = stats.poisson.sf(limit, mean)
-        result[f"k > {limit:.0f}"] = stats.binomtest(int(counts[values > limit].sum()), n, p).pvalue if p > 0 else 1.0
+        result[f"k > {limit:.0f}"] = (
+            stats.binomtest(int(counts[values > limit].sum()), n, p).pvalue if p > 0 else 1.0
+        )
     x = (k - mean) / np.sqrt(mean)
     for down, right in LAGS:
         first, second = x[down:, right:], x[: x.shape[0] - down, : x.shape[1] - right]
         result[f"lag {down},{right}"] = correlation(first, second, mean)
-    if n * mean > 1e4:  # the central limit theorem at SIGMAS; skewness of both below is (n mean)^-1/2
+    if (
+        n * mean > 1e4
+    ):  # the central limit theorem at SIGMAS; skewness of both below is (n mean)^-1/2
         # central moments of Poisson: mu4 = m + 3 m^2, mu6 = m + 25 m^2 + 15 m^3
         square, cube = np.einsum("ij,ij", x, x) / n, np.einsum("ij,ij,ij", x, x, x) / n
         result["dispersion"] = two_sided((square - 1) / np.sqrt((2 + 1 / mean) / n))
-        result["skewness"] = two_sided((cube - mean**-0.5) / np.sqrt((15 + 24 / mean + mean**-2) / n))
+        result["skewness"] = two_sided(
+            (cube - mean**-0.5) / np.sqrt((15 + 24 / mean + mean**-2) / n)
+        )
     return result
 
 
@@ -95,6 +110,7 @@ def suite(draw, mean) -> dict[str, float]:
 
     draw: (seed=1, frame=0) -> counts (rows, cols). Frames, seeds and the colours of a mosaic must be independent too.
     """
+
     def normalised(k):
         return (k.astype(np.float64) - mean) / np.sqrt(mean)
 
@@ -102,8 +118,12 @@ def suite(draw, mean) -> dict[str, float]:
     p = p_values(k, mean)
     if mean:
         x = normalised(k)
-        for name, other in (("next frame", draw(frame=1)), ("far frame", draw(frame=2**31)), ("seed", draw(seed=2)),
-                            ("high half of the seed", draw(seed=1 + 2**32))):
+        for name, other in (
+            ("next frame", draw(frame=1)),
+            ("far frame", draw(frame=2**31)),
+            ("seed", draw(seed=2)),
+            ("high half of the seed", draw(seed=1 + 2**32)),
+        ):
             p[name] = correlation(x, normalised(other), mean)
         colours = {f"{i}{j}": x[i::2, j::2] for i in (0, 1) for j in (0, 1)}
         for one, other in combinations(colours, 2):

@@ -30,9 +30,11 @@ CASES: dict[int, Case] = {}
 
 def case(number: int, name: str, asked: str):
     """Make a function (device) -> Found the case of this number."""
+
     def add(run):
         CASES[number] = Case(number, name, asked, run)
         return run
+
     return add
 
 
@@ -41,10 +43,13 @@ def worst(*found: Found) -> Found:
 
     A limit of 0 allows nothing: any more is infinitely far beyond.
     """
+
     def ratio(one):
         share = one.got / one.limit if one.limit else (0.0 if one.got <= 0 else float("inf"))
         return share if share == share else float("inf")
 
     most = max(found, key=ratio)
-    others = "; ".join(f"{one.words}: {one.got:.2g} of {one.limit:.2g}" for one in found if one is not most)
+    others = "; ".join(
+        f"{one.words}: {one.got:.2g} of {one.limit:.2g}" for one in found if one is not most
+    )
     return Found(most.got, most.limit, most.words + (f"; {others}" if others else ""))

@@ -20,24 +20,49 @@ from gpusim.optics.lengths import transform_lengths
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 
-PLANS: dict[str, dict] = {"exact": {}, "fused to 1e-2": {"tolerance": Tolerance(rms=1e-2)},
-         "fused to 1e-4": {"tolerance": Tolerance(rms=1e-4)},
-         "guaranteed": {"tolerance": Tolerance(rms=1e-2), "guaranteed": True}}
+PLANS: dict[str, dict] = {
+    "exact": {},
+    "fused to 1e-2": {"tolerance": Tolerance(rms=1e-2)},
+    "fused to 1e-4": {"tolerance": Tolerance(rms=1e-4)},
+    "guaranteed": {"tolerance": Tolerance(rms=1e-2), "guaranteed": True},
+}
 
 
-@case(4, "flat fields", "any spectrum: electrons to 1e-6 in every plan, truncated kernels too; sums of energy to 1e-6")
+@case(
+    4,
+    "flat fields",
+    "any spectrum: electrons to 1e-6 in every plan, truncated kernels too; sums of energy to 1e-6",
+)
 def flat_fields(device):
     """Relative to a pixel's light in all channels: one may be all but blind to a line.
 
     Energy is summed over a whole period, from which nothing is lost.
     """
     random = np.random.default_rng(4)
-    fields = {"white": np.ones(31), "blue line": np.eye(31)[4], "red line": np.eye(31)[24], "noise": random.random(31)}
-    found = [Found(_flat(Simulator(CAMERA, device=device, **options), WAVELENGTHS, fields.values()), 1e-6,
-                   f"flat, {plan}") for plan, options in PLANS.items()]
-    coma = replace(CAMERA, optics=replace(CAMERA.optics, wavefront=Wavefront(seidel=(0.0, 0.7, 0.5, 0.4, 0.0))))
-    found.append(Found(_flat(Simulator(coma, device=device), WAVELENGTHS[::10], [random.random(4)]), 1e-6,
-                       "flat, varying over the field"))
+    fields = {
+        "white": np.ones(31),
+        "blue line": np.eye(31)[4],
+        "red line": np.eye(31)[24],
+        "noise": random.random(31),
+    }
+    found = [
+        Found(
+            _flat(Simulator(CAMERA, device=device, **options), WAVELENGTHS, fields.values()),
+            1e-6,
+            f"flat, {plan}",
+        )
+        for plan, options in PLANS.items()
+    ]
+    coma = replace(
+        CAMERA, optics=replace(CAMERA.optics, wavefront=Wavefront(seidel=(0.0, 0.7, 0.5, 0.4, 0.0)))
+    )
+    found.append(
+        Found(
+            _flat(Simulator(coma, device=device), WAVELENGTHS[::10], [random.random(4)]),
+            1e-6,
+            "flat, varying over the field",
+        )
+    )
     for plan, options in PLANS.items():
         found.append(Found(_energy(device, options), 1e-6, f"energy, {plan}"))
     return worst(*found)
@@ -66,8 +91,11 @@ def _energy(device, options):
     return np.abs(found / (weights @ values.astype(float).sum(axis=(1, 2))) - 1).max()
 
 
-@case(9, "moved points, coarse pixels", "f/1.8, 4 um (Q = 0.25), 9 sub-pixel places: flux to 1e-4 at all, kernels <= "
-      "1e-3 of the peak")
+@case(
+    9,
+    "moved points, coarse pixels",
+    "f/1.8, 4 um (Q = 0.25), 9 sub-pixel places: flux to 1e-4 at all, kernels <= 1e-3 of the peak",
+)
 def moved_points(device):
     """The point is moved by a wavefront's slope, -2 Q of it, before the pixels integrate."""
     q, period, size = 550e-9 * 1.8 / 4e-6, (96, 96), 9
@@ -81,12 +109,18 @@ def moved_points(device):
     wrong, at = 0.0, np.arange(size) - size // 2
     for (dy, dx), table in zip(moves, tables, strict=True):
         image = blur(light, table[None, None], np.ones((1, 1)), "zero", period, device=device)[0]
-        exact = truth.in_pixels(lambda radius: truth.airy(radius, q), at - dy, at - dx, 24)  # 7 nodes to a ring
+        exact = truth.in_pixels(
+            lambda radius: truth.airy(radius, q), at - dy, at - dx, 24
+        )  # 7 nodes to a ring
         wrong = max(wrong, np.abs(image - exact).max() / exact.max())
     return worst(Found(flux, 1e-4, "flux"), Found(wrong, 1e-3, "kernel, of its peak"))
 
 
-@case(10, "blur wider than a tile", "f/16, 1.0 um (Q = 6 .. 11): tiles of 24 pixels equal the untiled frame to 1e-5")
+@case(
+    10,
+    "blur wider than a tile",
+    "f/16, 1.0 um (Q = 6 .. 11): tiles of 24 pixels equal the untiled frame to 1e-5",
+)
 def wider_than_a_tile(device):
     """Tiles are cut with the surroundings that they see, which hold all of the scene, at another place of the period.
 
@@ -94,19 +128,35 @@ def wider_than_a_tile(device):
     """
     planes, lines = natural((72, 72)).content.values[[5, 15, 25]], WAVELENGTHS[[5, 15, 25]]
     margin, period, mix = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
-    tables = np.stack([truth.folded_otf(one * 1e-9 * 16 / 1e-6, period)[:109, :109] for one in lines])
+    tables = np.stack(
+        [truth.folded_otf(one * 1e-9 * 16 / 1e-6, period)[:109, :109] for one in lines]
+    )
     tables = tables[None].astype(np.float32)
     whole = blur(planes, tables, mix, "zero", period, device=device)
     around = np.pad(planes, ((0, 0), (margin, margin), (margin, margin)))
     tiled = np.zeros_like(whole)
     for y in range(0, 72, 24):
         for x in range(0, 72, 24):
-            window = np.ascontiguousarray(around[:, y : y + 24 + 2 * margin, x : x + 24 + 2 * margin])
-            tiled[:, y : y + 24, x : x + 24] = blur(window, tables, mix, "zero", period, margin, device=device)
-    alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device)
-    seen = np.abs(alone - whole[:, :24, :24]).max() / whole.max()  # what a tile misses without its surroundings
-    return worst(Found(np.abs(tiled - whole).max() / whole.max(), 1e-5, "largest difference over the brightest pixel"),
-                 Found(0.05 / seen, 1.0, "0.05 over what a tile alone misses"))
+            window = np.ascontiguousarray(
+                around[:, y : y + 24 + 2 * margin, x : x + 24 + 2 * margin]
+            )
+            tiled[:, y : y + 24, x : x + 24] = blur(
+                window, tables, mix, "zero", period, margin, device=device
+            )
+    alone = blur(
+        np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device
+    )
+    seen = (
+        np.abs(alone - whole[:, :24, :24]).max() / whole.max()
+    )  # what a tile misses without its surroundings
+    return worst(
+        Found(
+            np.abs(tiled - whole).max() / whole.max(),
+            1e-5,
+            "largest difference over the brightest pixel",
+        ),
+        Found(0.05 / seen, 1.0, "0.05 over what a tile alone misses"),
+    )
 
 
 ANGLE = np.radians(5)
@@ -124,8 +174,12 @@ def slanted_edge(rows: int, cols: int) -> np.ndarray:
     y, x = np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1])[:, None, None] / 2
     distance = a * x + b * y
     # area of {a u + b v > -distance} in the unit square about 0: positive parts squared over 2 a b, at its corners
-    corners = [(1, distance + (a + b) / 2), (-1, distance + (a - b) / 2), (-1, distance - (a - b) / 2),
-               (1, distance - (a + b) / 2)]
+    corners = [
+        (1, distance + (a + b) / 2),
+        (-1, distance + (a - b) / 2),
+        (-1, distance - (a - b) / 2),
+        (1, distance - (a + b) / 2),
+    ]
     return sum(sign * np.maximum(at, 0) ** 2 for sign, at in corners) / (2 * a * b)
 
 
@@ -161,7 +215,9 @@ def mtf50(image) -> tuple[float, float]:
     order = order[np.abs(distance[order]) < reach]
     edge, place = image.ravel()[order], distance[order]
     line, middle = np.diff(edge) / (edge[-1] - edge[0]), (place[1:] + place[:-1]) / 2
-    return brentq(lambda f: abs((line * np.exp(-2j * np.pi * f * middle)).sum()) - 0.5, 0.02, 0.7), tilt
+    return brentq(
+        lambda f: abs((line * np.exp(-2j * np.pi * f * middle)).sum()) - 0.5, 0.02, 0.7
+    ), tilt
 
 
 def system_mtf50(q: float, aperture: float, fine: float) -> float:
@@ -177,9 +233,17 @@ def system_mtf50(q: float, aperture: float, fine: float) -> float:
     def mtf(f):
         x, y = f * a, f * b
         replicas = fine * np.arange(-3, 4) if fine < np.inf else (0,)  # 1 / q + 1 <= 3
-        return np.sinc(x / fine) * np.sinc(y / fine) * sum(
-            airy_otf(q * np.hypot(x + i, y + j)) * np.sinc(aperture * (x + i)) * np.sinc(aperture * (y + j))
-            for i in replicas for j in replicas)
+        return (
+            np.sinc(x / fine)
+            * np.sinc(y / fine)
+            * sum(
+                airy_otf(q * np.hypot(x + i, y + j))
+                * np.sinc(aperture * (x + i))
+                * np.sinc(aperture * (y + j))
+                for i in replicas
+                for j in replicas
+            )
+        )
 
     return brentq(lambda f: mtf(f) - 0.5, 0.01, 0.9)
 
@@ -189,12 +253,21 @@ def picture(q: float, fill: float, fine: int, device) -> tuple[np.ndarray, float
     camera = open_camera("mono")
     sensor = replace(camera.sensor, fill_factor=fill)
     f_number = q * sensor.pixel_pitch / 550e-9
-    camera = replace(camera, sensor=sensor, optics=replace(camera.optics, f_number=f_number,
-                                                           relative_illumination="none"))
+    camera = replace(
+        camera,
+        sensor=sensor,
+        optics=replace(camera.optics, f_number=f_number, relative_illumination="none"),
+    )
     share = slanted_edge(fine * (160 + 2 * MARGIN), fine * (420 + 2 * MARGIN))
     values = np.zeros((3, *share.shape), np.float32)
     values[1] = DARK + (BRIGHT - DARK) * share
-    scene = Scene(Cube(LINES, values), unit_light(LINES), "scene", margin=fine * MARGIN, samples_per_pixel=fine)
+    scene = Scene(
+        Cube(LINES, values),
+        unit_light(LINES),
+        "scene",
+        margin=fine * MARGIN,
+        samples_per_pixel=fine,
+    )
     simulator = Simulator(camera, device=device)
     exposure = simulator.expose(scene, 1.0)
     image = simulator.device.numpy(exposure.mean).astype(np.float64) / exposure.plan.weights[0, 1]
@@ -210,8 +283,10 @@ def overshoot(image) -> float:
 def edge(device):
     """A scene of samples is a comb behind a box: the transfer function folded by the comb is what is asked."""
     image, q = picture(1.1, 1.0, 1, device)
-    return worst(Found(abs(mtf50(image)[0] / system_mtf50(q, 1.0, 1) - 1), 5e-3, "MTF50"),
-                 Found(overshoot(image), 1e-4, "overshoot"))
+    return worst(
+        Found(abs(mtf50(image)[0] / system_mtf50(q, 1.0, 1) - 1), 5e-3, "MTF50"),
+        Found(overshoot(image), 1e-4, "overshoot"),
+    )
 
 
 @lru_cache(maxsize=1)
@@ -220,7 +295,11 @@ def _folded_input():
     return random.random((4, 53, 61)).astype(np.float32), np.linspace(0.8, 1.4, 12)
 
 
-@case(17, "folded mosaic", "odd sizes, four Bayer phases: the folded frame equals the full one, sampled, to 1e-6")
+@case(
+    17,
+    "folded mosaic",
+    "odd sizes, four Bayer phases: the folded frame equals the full one, sampled, to 1e-6",
+)
 def folded(device):
     found = []
     light, q = _folded_input()
@@ -240,12 +319,33 @@ def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
     period, is_folded = transform_lengths((rows + 32, cols + 32), np.shape(cfa))
     tables = np.stack([truth.folded_otf(float(one), period) for one in q]).reshape(3, 4, *period)
     before = [(length - n) // 2 for length, n in zip(period, (rows, cols), strict=True)]
-    wide = np.pad(planes.astype(float), ((0, 0), *((first, length - n - first) for first, length, n in zip(
-        before, period, (rows, cols), strict=True))), mode="edge")
+    wide = np.pad(
+        planes.astype(float),
+        (
+            (0, 0),
+            *(
+                (first, length - n - first)
+                for first, length, n in zip(before, period, (rows, cols), strict=True)
+            ),
+        ),
+        mode="edge",
+    )
     quarter = tables[:, :, : period[0] // 2 + 1, : period[1] // 2 + 1].astype(np.float32)
     full = np.fft.ifft2((tables * np.fft.fft2(wide)).sum(axis=1)).real
-    full = full[:, before[0] + margin : before[0] + rows - margin, before[1] + margin : before[1] + cols - margin]
-    result = mosaic(np.ascontiguousarray(planes), quarter, np.ones((3, 4)), np.array(cfa), "edge", period, margin,
-                    device=device)
+    full = full[
+        :,
+        before[0] + margin : before[0] + rows - margin,
+        before[1] + margin : before[1] + cols - margin,
+    ]
+    result = mosaic(
+        np.ascontiguousarray(planes),
+        quarter,
+        np.ones((3, 4)),
+        np.array(cfa),
+        "edge",
+        period,
+        margin,
+        device=device,
+    )
     wanted = truth.mosaic_of(full, cfa)
     return np.abs(result - wanted).max() / np.abs(wanted).max(), is_folded

@@ -30,40 +30,84 @@ BANDS = np.array([450.0, 550.0, 650.0])
 
 def blurred(plane, blur, device, border="reflect", **more):
     """The stage `optics.field` on one plane."""
-    inputs = {"planes": plane[None].astype(np.float32), "mix": ONE, "border": border, **blur.stage_inputs, **more}
+    inputs = {
+        "planes": plane[None].astype(np.float32),
+        "mix": ONE,
+        "border": border,
+        **blur.stage_inputs,
+        **more,
+    }
     return field(**inputs, device=device)[0]
 
 
-@case(13, "lateral and axial colour", "3 pixels at the corner, and axial: <= 1e-3, or refused, or the report says NOT "
-      "met; never silent")
+@case(
+    13,
+    "lateral and axial colour",
+    "3 pixels at the corner, and axial: <= 1e-3, or refused, or the report says NOT "
+    "met; never silent",
+)
 def colour(device):
     """Of a frame of 320 x 240, and of half its size, where a kernel is sheared by twice as much: at f/8 and f/4."""
-    return worst(_colour_of((240, 320), 8.0, device), _colour_of((120, 160), 8.0, device),
-                 _colour_of((120, 160), 4.0, device))
+    return worst(
+        _colour_of((240, 320), 8.0, device),
+        _colour_of((120, 160), 8.0, device),
+        _colour_of((120, 160), 4.0, device),
+    )
 
 
 def _colour_of(shape, f_number, device):
     """Truth at some pixels: light at s lands at s (1 + e), spread by the defocused pattern of its wavelength."""
     camera = open_camera("mono")
     lateral = Spectrum(np.array([450.0, 650.0]), np.array([-3.0, 3.0]) / (np.hypot(*shape) / 2))
-    axial = Spectrum(np.array([450.0, 650.0]), np.array([-1, 1]) * (80e-6 if f_number > 5 else 30e-6))
-    camera = replace(camera, sensor=replace(camera.sensor, fill_factor=1.0), optics=replace(
-        camera.optics, f_number=f_number, lateral_color=lateral, defocus=axial, relative_illumination="none"))
+    axial = Spectrum(
+        np.array([450.0, 650.0]), np.array([-1, 1]) * (80e-6 if f_number > 5 else 30e-6)
+    )
+    camera = replace(
+        camera,
+        sensor=replace(camera.sensor, fill_factor=1.0),
+        optics=replace(
+            camera.optics,
+            f_number=f_number,
+            lateral_color=lateral,
+            defocus=axial,
+            relative_illumination="none",
+        ),
+    )
     values = np.stack([textured(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
-    simulator, words = Simulator(camera, device=device, tolerance="1e-3"), f"{shape[1]} x {shape[0]}, f/{f_number:g}"
+    simulator, words = (
+        Simulator(camera, device=device, tolerance="1e-3"),
+        f"{shape[1]} x {shape[0]}, f/{f_number:g}",
+    )
     try:
         program = simulator.program(scene, 1.0)
         frame = program.frame()
     except OutOfRange as refusal:
         return Found(0.0, 1e-3, f"{words} refused: {refusal}")
-    places = [(int(shape[0] * v), int(shape[1] * u)) for v, u in (
-        (0.29, 0.25), (0.33, 0.753), (0.504, 0.52), (0.7, 0.206), (0.733, 0.775), (0.458, 0.406))]
-    exact = np.array([_coloured(values, camera, program.plan.weights[0], place) for place in places])
+    places = [
+        (int(shape[0] * v), int(shape[1] * u))
+        for v, u in (
+            (0.29, 0.25),
+            (0.33, 0.753),
+            (0.504, 0.52),
+            (0.7, 0.206),
+            (0.733, 0.775),
+            (0.458, 0.406),
+        )
+    ]
+    exact = np.array(
+        [_coloured(values, camera, program.plan.weights[0], place) for place in places]
+    )
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not frame.report.verdict.met:
-        return Found(0.0, 1e-3, f"{words}: the report says {frame.report.verdict}; error {error:.1e}")
-    return Found(error, 1e-3, f"relative rms of six pixels, {words}; predicted {frame.report.account.total.rms:.1e}")
+        return Found(
+            0.0, 1e-3, f"{words}: the report says {frame.report.verdict}; error {error:.1e}"
+        )
+    return Found(
+        error,
+        1e-3,
+        f"relative rms of six pixels, {words}; predicted {frame.report.account.total.rms:.1e}",
+    )
 
 
 def _coloured(values, camera, weights, place, reach=60):
@@ -77,9 +121,13 @@ def _coloured(values, camera, weights, place, reach=60):
         shift = optics.defocus.at(np.array([line]))[0]
         waves = shift / (8 * optics.f_number**2) / (line * 1e-9)
         # from the image of the light at each place to the pixel: the middle of the frame is the axis
-        dy, dx = (at - middle - (away - middle) * (1 + excess) for at, away, middle in
-                  ((place[0], y, (rows - 1) / 2), (place[1], x, (cols - 1) / 2)))
-        pattern = truth.in_pixels(_defocused(q, round(waves, 9), 1.5 * reach + 4), dy, dx, int(np.ceil(6 + 3 / q)))
+        dy, dx = (
+            at - middle - (away - middle) * (1 + excess)
+            for at, away, middle in ((place[0], y, (rows - 1) / 2), (place[1], x, (cols - 1) / 2))
+        )
+        pattern = truth.in_pixels(
+            _defocused(q, round(waves, 9), 1.5 * reach + 4), dy, dx, int(np.ceil(6 + 3 / q))
+        )
         patch = plane[np.clip(y, 0, rows - 1)[:, None], np.clip(x, 0, cols - 1)]
         # a point keeps its light, and the light of a flat field lies on (1 + excess)^2 of the area
         total += weight * (pattern * patch).sum() / (pattern.sum() * (1 + excess) ** 2)
@@ -94,12 +142,20 @@ def measured_lens(shape, waves, count, size):
     """The lens of `seidel_lens` from point spreads at `count` field heights, four samples to a pixel, 199 a side."""
     heights, pitch = np.linspace(0, 1, count), 550e-9 * 2.8 / Q
     values = np.stack([spread(h, 0.0, waves, 199) for h in heights])[:, None]
-    psf = PointSpread([550.0], np.maximum(values, 0), pitch / 4, heights=heights)  # rounding leaves some at -1e-20
+    psf = PointSpread(
+        [550.0], np.maximum(values, 0), pitch / 4, heights=heights
+    )  # rounding leaves some at -1e-20
     lens = open_lens(Optics(2.8, 4e-3, model="measured", psf=psf), pitch, 1.0, shape)
-    middle, corner, cut = (np.array(shape) - 1) / 2, np.hypot(*shape) / 2, (lens.least_size - size + 1) // 2
+    middle, corner, cut = (
+        (np.array(shape) - 1) / 2,
+        np.hypot(*shape) / 2,
+        (lens.least_size - size + 1) // 2,
+    )
 
     def kernels(places):
-        made = np.stack([lens.kernels([550.0], place, size + 2 * cut) for place in (places - middle) / corner])
+        made = np.stack(
+            [lens.kernels([550.0], place, size + 2 * cut) for place in (places - middle) / corner]
+        )
         made = made[..., cut:-cut, cut:-cut]
         return made / made.sum(axis=(2, 3), keepdims=True)
 
@@ -112,7 +168,11 @@ def coma_by_field_height(shape, size):
     return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9))
 
 
-@case(14, "coma in four quadrants", "corner points: centroids within 0.02 pixel, mirror images to 1e-5 (float32)")
+@case(
+    14,
+    "coma in four quadrants",
+    "corner points: centroids within 0.02 pixel, mirror images to 1e-5 (float32)",
+)
 def quadrants(device):
     """Spreads by field height, turned; of the largest value of a point's image."""
     shape, size = (121, 161), 25
@@ -124,7 +184,9 @@ def quadrants(device):
         image = blurred(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
         wanted = exact(np.array([[y, x]]))[0, 0]
         for axis in (0, 1):
-            centroid, true = ((one.sum(axis=1 - axis) * offsets).sum() / one.sum() for one in (image, wanted))
+            centroid, true = (
+                (one.sum(axis=1 - axis) * offsets).sum() / one.sum() for one in (image, wanted)
+            )
             off = max(off, abs(centroid - true))
         images.append(image[:: -1 if y > 60 else 1, :: -1 if x > 80 else 1])
     mirror = max(np.abs(image - images[0]).max() for image in images[1:]) / images[0].max()
@@ -139,7 +201,10 @@ def seam(shape, blur, device) -> float:
         image = blurred(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
         for axis in (0, 1):
             second = np.diff(image, 2, axis=axis)
-            largest = max(largest, np.abs(second / image.take(range(1, image.shape[axis] - 1), axis=axis)).max())
+            largest = max(
+                largest,
+                np.abs(second / image.take(range(1, image.shape[axis] - 1), axis=axis)).max(),
+            )
     return largest
 
 
@@ -147,18 +212,31 @@ def seam(shape, blur, device) -> float:
 def of_mild_lens(method, shape=(180, 320)):
     """Its blur by eigen-kernels ("eigen") or by overlap-add in windows of a name; so small a frame varies fast."""
     lens = seidel_lens(shape, MILD, SIZE)
-    return eigen_kernels(lens, shape, terms=12) if method == "eigen" else overlap_add(lens, shape, (9, 13),
-                                                                                     window=method)
+    return (
+        eigen_kernels(lens, shape, terms=12)
+        if method == "eigen"
+        else overlap_add(lens, shape, (9, 13), window=method)
+    )
 
 
-@case(15, "patch seams", "flat field and 1 % ramp: second differences <= 1e-4, for every way that the planner takes")
+@case(
+    15,
+    "patch seams",
+    "flat field and 1 % ramp: second differences <= 1e-4, for every way that the planner takes",
+)
 def seams(device):
-    return worst(*(Found(seam((180, 320), of_mild_lens(method), device), 1e-4, method)
-                   for method in ("quadratic", "eigen")))
+    return worst(
+        *(
+            Found(seam((180, 320), of_mild_lens(method), device), 1e-4, method)
+            for method in ("quadratic", "eigen")
+        )
+    )
 
 
 DEPTH_PITCH = 2e-6
-DEPTH_LENS = Optics(f_number=2.0, focal_length=5e-3, object_distance=0.4, relative_illumination="none")
+DEPTH_LENS = Optics(
+    f_number=2.0, focal_length=5e-3, object_distance=0.4, relative_illumination="none"
+)
 DEPTH_LINES = np.array([540.0, 550.0, 560.0])
 
 
@@ -171,36 +249,59 @@ def _distance(confusion):
     return 1 / (1 / f - 1 / image)
 
 
-@case(16, "depth edge", "circle of confusion 8 pixels, both orders: with layers <= 1e-3, without them reported as >= "
-      "1e-2")
+@case(
+    16,
+    "depth edge",
+    "circle of confusion 8 pixels, both orders: with layers <= 1e-3, without them reported as >= "
+    "1e-2",
+)
 def depth_edge(device):
     """One line of light. One side is in focus, where the sum of blurred layers is exact.
 
     Patterns are those of a defocused pupil in space; beyond 60 pixels of 8 is 1e-4 of a point's light, taken as even.
     """
     camera = open_camera("mono")
-    camera = replace(camera, optics=DEPTH_LENS, sensor=replace(camera.sensor, pixel_pitch=DEPTH_PITCH))
+    camera = replace(
+        camera, optics=DEPTH_LENS, sensor=replace(camera.sensor, pixel_pitch=DEPTH_PITCH)
+    )
     size, found = 96, []
     y, x = np.indices((size, size))
     disc = (np.hypot(y - size / 2 + 0.3, x - size / 2) < 26).astype(float)
     front, back = 0.5 * textured((size, size), 1), textured((size, size), 2)
     for order, (near, far) in {"near sharp": (0.0, 8.0), "far sharp": (-8.0, 0.0)}.items():
         distances = _distance(near), _distance(far)
-        behind = Scene(_one_line(back), unit_light(DEPTH_LINES), depth=np.full(back.shape, distances[1]),
-                       layers=(Layer(_one_line(front), disc.astype(np.float32), distances[0]),))
+        behind = Scene(
+            _one_line(back),
+            unit_light(DEPTH_LINES),
+            depth=np.full(back.shape, distances[1]),
+            layers=(Layer(_one_line(front), disc.astype(np.float32), distances[0]),),
+        )
         simulator = Simulator(camera, device=device)
         exposure = simulator.expose(behind, 1.0)
         mean = simulator.device.numpy(exposure.mean).astype(float) / exposure.plan.weights[0, 1]
         share = _out_of_focus(disc, near)
         exact = _out_of_focus(disc * front.astype(np.float32), near) + (1 - share) * _out_of_focus(
-            back.astype(np.float32), far)
+            back.astype(np.float32), far
+        )
         found.append(Found(truth.relative(mean, exact), 1e-3, f"with layers, {order}"))
-        picture = Scene(_one_line(np.where(disc > 0, front, back)), unit_light(DEPTH_LINES),
-                        depth=np.where(disc > 0, *distances))
+        picture = Scene(
+            _one_line(np.where(disc > 0, front, back)),
+            unit_light(DEPTH_LINES),
+            depth=np.where(disc > 0, *distances),
+        )
         report = simulator(picture).report
         told = report.beside | {name: bound.rms for name, bound in report.account.bounds.items()}
-        told = max(told.get(name, 0.0) for name in ("depth, if without layers", "depth, occlusion left out"))
-        found.append(Found(1e-2 / max(told, 1e-300), 1.0, f"1e-2 over {told:.2g}, reported without layers, {order}"))
+        told = max(
+            told.get(name, 0.0)
+            for name in ("depth, if without layers", "depth, occlusion left out")
+        )
+        found.append(
+            Found(
+                1e-2 / max(told, 1e-300),
+                1.0,
+                f"1e-2 over {told:.2g}, reported without layers, {order}",
+            )
+        )
     return worst(*found)
 
 
@@ -216,7 +317,9 @@ def _out_of_focus(plane, confusion, reach=60):
 
     q = 550e-9 * DEPTH_LENS.working_f_number / DEPTH_PITCH
     kernel = _pattern(q, abs(confusion) / (8 * q), reach)
-    return fftconvolve(np.pad(plane.astype(float), reach, mode="edge"), kernel / kernel.sum(), "valid")
+    return fftconvolve(
+        np.pad(plane.astype(float), reach, mode="edge"), kernel / kernel.sum(), "valid"
+    )
 
 
 @cache
@@ -226,8 +329,11 @@ def _pattern(q, waves, reach):
     return truth.whole(truth.in_pixels(light, at, at, int(np.ceil(6 + 3 / q))))
 
 
-@case(30, "cos^4 and distortion", "100 degrees: energy per solid angle to 1e-3, no holes, more than 2 samples a pixel "
-      "reported")
+@case(
+    30,
+    "cos^4 and distortion",
+    "100 degrees: energy per solid angle to 1e-3, no holes, more than 2 samples a pixel reported",
+)
 def wide_angle(device):
     """An even sphere through a lens of equal areas: energy pi f^2 sin^2(theta) within theta, ring by ring.
 
@@ -238,8 +344,11 @@ def wide_angle(device):
     lens = RadialTable(np.tan(angles) * focal, 2 * focal * np.sin(angles / 2))
     pitch = 2 * 2 * focal * np.sin(half / 2) / (np.sqrt(2) * n)  # 100 degrees from corner to corner
     camera = open_camera("mono")
-    camera = replace(camera, sensor=replace(camera.sensor, pixel_pitch=pitch, fill_factor=1.0), optics=replace(
-        camera.optics, model="none", distortion=lens, relative_illumination="cos4"))
+    camera = replace(
+        camera,
+        sensor=replace(camera.sensor, pixel_pitch=pitch, fill_factor=1.0),
+        optics=replace(camera.optics, model="none", distortion=lens, relative_illumination="cos4"),
+    )
     scene = Scene(Cube(BANDS, np.ones((3, n, n), np.float32)), unit_light(BANDS))
     simulator = Simulator(camera, device=device)
     mean = mean_of(simulator, scene) / simulator.plan(scene).weights.sum()
@@ -253,5 +362,8 @@ def wide_angle(device):
         wrong = max(wrong, abs(ring[0] / ring[1] - 1))
     squeezed = distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=0.4), (64, 64), 1.4e-6)
     is_told = squeezed.ratio[1] > 2 and "more than 2 samples per pixel" in squeezed.report
-    return worst(Found(wrong, 1e-3, "energy of a ring of angles"), Found(np.count_nonzero(mean <= 0), 0, "holes"),
-                 Found(0.0 if is_told else 1.0, 0, "2.5 samples a pixel not reported"))
+    return worst(
+        Found(wrong, 1e-3, "energy of a ring of angles"),
+        Found(np.count_nonzero(mean <= 0), 0, "holes"),
+        Found(0.0 if is_told else 1.0, 0, "2.5 samples a pixel not reported"),
+    )

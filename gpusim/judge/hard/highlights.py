@@ -36,11 +36,16 @@ def by_hand(values, scene) -> np.ndarray:
     """
     values = values.astype(float)
     base, weights = np.median(values, axis=(1, 2)), electrons_per_content(scene, CAMERA)
-    return (truth.even(base, weights, values.shape[1:], CFA)
-            + truth.of_points(values, base, q_of(scene.wavelengths), weights, CFA))
+    return truth.even(base, weights, values.shape[1:], CFA) + truth.of_points(
+        values, base, q_of(scene.wavelengths), weights, CFA
+    )
 
 
-@case(1, "highlight in the dark", "1e6 and 1e9 on 1e-3, f/2.8, float32: local error <= 1e-3 everywhere, none negative")
+@case(
+    1,
+    "highlight in the dark",
+    "1e6 and 1e9 on 1e-3, f/2.8, float32: local error <= 1e-3 everywhere, none negative",
+)
 def in_the_dark(device):
     found = []
     for level in (1e6, 1e9):
@@ -49,20 +54,31 @@ def in_the_dark(device):
         exact = by_hand(values, scene)
         for tolerance in (None, Tolerance(rms=1e-4)):
             mean = electrons(scene, device, tolerance=tolerance)
-            found += [Found(np.abs(mean / exact - 1).max(), 1e-3, f"local error, {level:.0e}"
-                            + (", planes fused" if tolerance else "")),
-                      Found(np.count_nonzero(mean < 0), 0, "negative pixels")]
+            found += [
+                Found(
+                    np.abs(mean / exact - 1).max(),
+                    1e-3,
+                    f"local error, {level:.0e}" + (", planes fused" if tolerance else ""),
+                ),
+                Found(np.count_nonzero(mean < 0), 0, "negative pixels"),
+            ]
     return worst(*found)
 
 
-@case(2, "coloured highlights", "20 narrow-band points of 1e4 .. 1e6, natural background: <= 0.1 sigma at 2000 e-")
+@case(
+    2,
+    "coloured highlights",
+    "20 narrow-band points of 1e4 .. 1e6, natural background: <= 0.1 sigma at 2000 e-",
+)
 def coloured(device):
     scene = replace(natural((160, 112), surfaces="munsell"), border="zero")
     random = np.random.default_rng(3)
     places = np.stack([random.integers(0, 112, 20), random.integers(0, 160, 20)], axis=1)
     values = scene.content.values.astype(float)
     median = np.median(values)
-    for (y, x), level, line in zip(places, np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20), strict=True):
+    for (y, x), level, line in zip(
+        places, np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20), strict=True
+    ):
         values[line, y, x] += level * median
     bright = replace(scene, content=replace(scene.content, values=values.astype(np.float32)))
     weights, q = electrons_per_content(scene, CAMERA), q_of(WAVELENGTHS)
@@ -72,7 +88,11 @@ def coloured(device):
     found = []
     for tolerance in (None, "metrology"):
         wrong = np.abs(electrons(bright, device, tolerance=tolerance) - exact)
-        found.append(Found((wrong * scale / np.sqrt(exact * scale)).max(), 0.1, f"sigma, tolerance {tolerance}"))
+        found.append(
+            Found(
+                (wrong * scale / np.sqrt(exact * scale)).max(), 0.1, f"sigma, tolerance {tolerance}"
+            )
+        )
     return worst(*found)
 
 
@@ -83,8 +103,12 @@ def far_sides(place, shape):
     return (rows, slice(None)), (slice(None), cols)
 
 
-@case(3, "highlight at the corner", "at the corner, 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), "
-      "the declared border obeyed")
+@case(
+    3,
+    "highlight at the corner",
+    "at the corner, 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), "
+    "the declared border obeyed",
+)
 def at_the_corner(device):
     """What a highlight adds, against its pattern in space; opposite is 1e5 times its pattern less than the dark.
 
@@ -93,8 +117,13 @@ def at_the_corner(device):
     """
     lines, shape, found = np.array([420.0, 500.0, 550.0, 600.0, 680.0]), (200, 260), []
     q = q_of(lines)
-    for border, margin, place in (("zero", 0, (0, 0)), ("zero", 0, (199, 130)), ("reflect", 0, (0, 0)),
-                                  ("scene", 8, (-1, -1)), ("scene", 8, (-1, 120))):
+    for border, margin, place in (
+        ("zero", 0, (0, 0)),
+        ("zero", 0, (199, 130)),
+        ("reflect", 0, (0, 0)),
+        ("scene", 8, (-1, -1)),
+        ("scene", 8, (-1, 120)),
+    ):
         whole = tuple(n + 2 * margin for n in shape)
         values = np.full((len(lines), *whole), 1e-3, np.float32)
         dark = Scene(Cube(lines, values.copy()), LIGHT, border, margin)
@@ -103,11 +132,23 @@ def at_the_corner(device):
         simulator = Simulator(CAMERA, device=device)
         before, after = mean_of(simulator, dark), mean_of(simulator, lit)
         mirrored = border == "reflect"
-        images = [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}] if mirrored else [place]
-        weights, more = electrons_per_content(lit, CAMERA), np.float64(np.float32(100.0)) - np.float32(1e-3)
-        adds = sum(np.multiply.outer(weights[:, band] * more, truth.point(float(one), np.arange(shape[0]) - y,
-                                                                         np.arange(shape[1]) - x))
-                   for band, one in enumerate(q) for y, x in images)
+        images = (
+            [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}]
+            if mirrored
+            else [place]
+        )
+        weights, more = (
+            electrons_per_content(lit, CAMERA),
+            np.float64(np.float32(100.0)) - np.float32(1e-3),
+        )
+        adds = sum(
+            np.multiply.outer(
+                weights[:, band] * more,
+                truth.point(float(one), np.arange(shape[0]) - y, np.arange(shape[1]) - x),
+            )
+            for band, one in enumerate(q)
+            for y, x in images
+        )
         adds = truth.mosaic_of(adds, CFA)
         level = truth.even(np.full(len(lines), 1e-3), weights, shape, CFA)
         wrong = np.abs(after - before - adds) / (level + adds)
@@ -121,7 +162,11 @@ def at_the_corner(device):
     return worst(*found)
 
 
-@case(24, "thirteen decades", "planes of 1e-7 .. 1e6: no infinity, dark pixels <= 1e-3; float16 too, or refused")
+@case(
+    24,
+    "thirteen decades",
+    "planes of 1e-7 .. 1e6: no infinity, dark pixels <= 1e-3; float16 too, or refused",
+)
 def thirteen_decades(device):
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
     scene = Scene(Cube(WAVELENGTHS, values), unit_light(WAVELENGTHS))
@@ -129,19 +174,26 @@ def thirteen_decades(device):
     try:  # as numbers of float16, 1e6 is infinite
         with np.errstate(over="ignore"):
             half = values.astype(np.float16)
-        found.append(_dark("float16, 1e-7 .. 1e6", values, replace(scene, content=Cube(WAVELENGTHS, half)), device))
+        found.append(
+            _dark(
+                "float16, 1e-7 .. 1e6",
+                values,
+                replace(scene, content=Cube(WAVELENGTHS, half)),
+                device,
+            )
+        )
         how = "taken"
     except GpusimError:
         how = "refused"
     # what float16 can hold: the nine decades below its largest number, rounded by 2^-11 = 4.9e-4
     held = with_points(np.full((40, 60), 1e-4), [(11, 13), (30, 44)], [6e4, 6e4], [None, 20])
     half = Scene(Cube(WAVELENGTHS, held.astype(np.float16)), unit_light(WAVELENGTHS))
-    return worst(*found, _dark(f"float16, 1e-4 .. 6e4 (1e6 in float16 is {how})", held, half, device))
+    return worst(
+        *found, _dark(f"float16, 1e-4 .. 6e4 (1e6 in float16 is {how})", held, half, device)
+    )
 
 
 def _dark(words, values, scene, device):
     mean, exact = electrons(scene, device), by_hand(values, scene)
     wrong = np.abs(mean / exact - 1).max() if np.isfinite(mean).all() else np.inf
     return Found(wrong, 1e-3, f"local error, {words}")
-
-

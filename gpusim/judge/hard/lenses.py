@@ -5,7 +5,10 @@ import functools
 import numpy as np
 
 Q = 550e-9 * 2.8 / 1.4e-6  # f/2.8, 1.4 um, 550 nm
-MILD, STRONG = (0.7, 0.5, 0.4), (2.5, 2.0, 1.2)  # coma, astigmatism, field curvature at the corner [wave]
+MILD, STRONG = (
+    (0.7, 0.5, 0.4),
+    (2.5, 2.0, 1.2),
+)  # coma, astigmatism, field curvature at the corner [wave]
 PIXELS = 64  # of the window that a point's light is computed in
 
 
@@ -16,13 +19,19 @@ def spectrum(height, angle, waves, oversampling):
     tilt, as in Zernike's: where light goes is the distortion's part, how it spreads the blur's.
     """
     samples = PIXELS * oversampling
-    f = np.fft.fftshift(np.fft.fftfreq(samples)) * 2 * Q * oversampling  # pupil radius: half of 1/Q cycles per pixel
+    f = (
+        np.fft.fftshift(np.fft.fftfreq(samples)) * 2 * Q * oversampling
+    )  # pupil radius: half of 1/Q cycles per pixel
     y, x = f[:, None], f
     rho2 = x * x + y * y
     inside = np.clip((1 - np.sqrt(rho2)) / (f[1] - f[0]) + 0.5, 0, 1)
     along = x * np.cos(angle) + y * np.sin(angle)
     coma, astigmatism, curvature = waves
-    path = coma * height * (rho2 - 2 / 3) * along + astigmatism * height**2 * along**2 + curvature * height**2 * rho2
+    path = (
+        coma * height * (rho2 - 2 / 3) * along
+        + astigmatism * height**2 * along**2
+        + curvature * height**2 * rho2
+    )
     intensity = np.abs(np.fft.ifft2(np.fft.ifftshift(inside * np.exp(2j * np.pi * path)))) ** 2
     return np.fft.fft2(intensity / intensity.sum())
 
@@ -54,8 +63,12 @@ def seidel_lens(shape, waves, size):
 
     def lens(places):
         away = np.asarray(places, np.float64) - middle  # the other quadrants are mirror images
-        return np.stack([quadrant(abs(y), abs(x))[:: -1 if y < 0 else 1, :: -1 if x < 0 else 1] for y, x in away]
-                        )[:, None]
+        return np.stack(
+            [
+                quadrant(abs(y), abs(x))[:: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
+                for y, x in away
+            ]
+        )[:, None]
 
     return lens
 
@@ -76,9 +89,13 @@ def scattered(plane, lens, border):
     rows, cols = plane.shape
     size = lens(np.zeros((1, 2))).shape[-1]
     half = size // 2
-    source = np.pad(plane, half, mode={"zero": "constant", "edge": "edge", "reflect": "symmetric"}[border])
+    source = np.pad(
+        plane, half, mode={"zero": "constant", "edge": "edge", "reflect": "symmetric"}[border]
+    )
     out = np.zeros((rows + 4 * half, cols + 4 * half))
-    kernels = lens(np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), -1).reshape(-1, 2))[:, 0]
+    kernels = lens(
+        np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), -1).reshape(-1, 2)
+    )[:, 0]
     for y in range(rows + 2 * half):
         for x in range(cols + 2 * half):
             if source[y, x]:
@@ -100,6 +117,8 @@ def scattered_at(plane, lens, points):
     for k, (y, x) in enumerate(points):
         patch = plane[y - half : y + half + 1, x - half : x + half + 1]
         own = lens([(y + a, x + b) for a in (-half, 0, half) for b in (-half, 0, half)])[:, 0]
-        own = own.reshape(3, 3, *own.shape[1:])[:, :, ::-1, ::-1]  # the source at s gives its entry x - s
+        own = own.reshape(3, 3, *own.shape[1:])[
+            :, :, ::-1, ::-1
+        ]  # the source at s gives its entry x - s
         out[k] = np.einsum("ai,bj,abij,ij->", hats, hats, own, patch)
     return out

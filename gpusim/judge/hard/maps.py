@@ -29,6 +29,7 @@ def crossing(predicate, low, high, shape):
     Bisection over the floats themselves; the result is halfway between the last false and the first true one, which is
     where a real number is rounded to the latter.
     """
+
     def floats(order):
         return np.where(order >= 0, order, 2**31 - order).astype(np.uint32).view(f32)
 
@@ -66,7 +67,9 @@ def search_probabilities(mean):
     k = np.arange(1, MOST_BY_SEARCH + 1)
     means = np.full(k.shape, mean, f32)
     tail = crossing(lambda u: poisson_by_search(means, u) < k, 0.0, 2.0, k.shape)  # k falls with u
-    return np.arange(MOST_BY_SEARCH + 1), -np.diff(np.concatenate([[1.0], np.minimum(tail, 1), [0.0]]))
+    return np.arange(MOST_BY_SEARCH + 1), -np.diff(
+        np.concatenate([[1.0], np.minimum(tail, 1), [0.0]])
+    )
 
 
 def expansion_probabilities(mean):
@@ -83,7 +86,9 @@ def exact_search_probabilities(mean):
     k = np.arange(1, EXACT_MOST_BY_SEARCH + 1)
     means = np.full(k.shape, mean)
     tail = step(lambda u: exact_by_search(means, u) < k, k.shape)
-    return np.arange(EXACT_MOST_BY_SEARCH + 1), -np.diff(np.concatenate([[STEPS], tail, [0]])) / STEPS
+    return np.arange(EXACT_MOST_BY_SEARCH + 1), -np.diff(
+        np.concatenate([[STEPS], tail, [0]])
+    ) / STEPS
 
 
 def exact_expansion_probabilities(mean):

@@ -20,11 +20,35 @@ from gpusim.pipeline.readout import Readout
 f32 = np.float32
 MEANS = [0, 1e-8, 1e-3, 0.5, 5, 19.9, 20.1, 87, 88, 104, 1e3, 1e5, 1e7, 2.0**24 + 1]
 IDEAL = {"full_well": np.inf, "gain": 1.0, "white_level": 65535}
-SENSOR = replace(open_camera("mono").sensor, bits=16, full_well=1e5, gain=0.5, analog_gain=4.0, analog_offset=50.0,
-                 black_level=400, noise=Noise())
-WITHOUT_CONVERTER = replace(SENSOR, bits=32, full_well=1e9, gain=1.0, analog_gain=1.0, analog_offset=0.0, black_level=0)
-CHIP = Noise(dark_current=3.0, read=2.0, row=0.3, column=0.2, prnu=0.02, row_prnu=0.01, dsnu=1.0, hot_pixels=0.01,
-             hot_current=30.0, dead_pixels=0.01, telegraph_pixels=0.1, telegraph=10.0, telegraph_switching=0.3, seed=4)
+SENSOR = replace(
+    open_camera("mono").sensor,
+    bits=16,
+    full_well=1e5,
+    gain=0.5,
+    analog_gain=4.0,
+    analog_offset=50.0,
+    black_level=400,
+    noise=Noise(),
+)
+WITHOUT_CONVERTER = replace(
+    SENSOR, bits=32, full_well=1e9, gain=1.0, analog_gain=1.0, analog_offset=0.0, black_level=0
+)
+CHIP = Noise(
+    dark_current=3.0,
+    read=2.0,
+    row=0.3,
+    column=0.2,
+    prnu=0.02,
+    row_prnu=0.01,
+    dsnu=1.0,
+    hot_pixels=0.01,
+    hot_current=30.0,
+    dead_pixels=0.01,
+    telegraph_pixels=0.1,
+    telegraph=10.0,
+    telegraph_switching=0.3,
+    seed=4,
+)
 
 
 def electrons(mean, device, **changed) -> np.ndarray:
@@ -35,12 +59,24 @@ def electrons(mean, device, **changed) -> np.ndarray:
 def everything(rows, cols, photon) -> dict:
     """Inputs of the stage with all kinds of noise at once, means from rare photons to 1e8 e-, in no order."""
     random = np.random.default_rng(3)
-    return {"expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
-            "offset": random.normal(0, 1, (rows, cols)).astype(f32),
-            "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32), "dark_electrons": 1e-3,
-            "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "telegraph_switching": 0.3, "full_well": 1e8,
-            "gain": 0.5, "black_level": 64.0, "white_level": 65535, "photon": photon, "seed": 2**40 + 3, "frame": 9,
-            "electrons": photon == "exact"}  # one of them with, one without a converter
+    return {
+        "expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
+        "offset": random.normal(0, 1, (rows, cols)).astype(f32),
+        "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32),
+        "dark_electrons": 1e-3,
+        "read_noise": 2.0,
+        "row_noise": 0.3,
+        "column_noise": 0.2,
+        "telegraph_switching": 0.3,
+        "full_well": 1e8,
+        "gain": 0.5,
+        "black_level": 64.0,
+        "white_level": 65535,
+        "photon": photon,
+        "seed": 2**40 + 3,
+        "frame": 9,
+        "electrons": photon == "exact",
+    }  # one of them with, one without a converter
 
 
 def kinds(device) -> list[str]:
@@ -50,7 +86,9 @@ def kinds(device) -> list[str]:
 
 def differing(device, photon, mean) -> int:
     """Pixels whose counts are not those of the reference."""
-    found, wanted = (electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy")))
+    found, wanted = (
+        electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy"))
+    )
     return int(np.count_nonzero(found != wanted))
 
 
@@ -63,10 +101,18 @@ def poisson(device, photon, mean, size, statistics=suite) -> Found:
 
     p = statistics(draw, float(f32(mean)))
     name = min(p, key=lambda one: p[one] if p[one] == p[one] else -1.0)
-    return Found(ALPHA / max(p[name], 1e-300), 1.0, f"1e-6 over the least p-value, {photon}, mean {mean:g}, {name}")
+    return Found(
+        ALPHA / max(p[name], 1e-300),
+        1.0,
+        f"1e-6 over the least p-value, {photon}, mean {mean:g}, {name}",
+    )
 
 
-@case(19, "Poisson numbers", "means 0 .. 2^24 + 1, n = 2^22: all p-values >= 1e-6; one photon at 1e-8 within 1 %")
+@case(
+    19,
+    "Poisson numbers",
+    "means 0 .. 2^24 + 1, n = 2^22: all p-values >= 1e-6; one photon at 1e-8 within 1 %",
+)
 def poisson_numbers(device):
     """The suite at 2^22 with the default sampler, at 2^18 with the exact one.
 
@@ -74,12 +120,26 @@ def poisson_numbers(device):
     """
     found = []
     for photon in kinds(device):
-        found.append(max((poisson(device, photon, mean, 2**11 if photon == "fast" else 2**9) for mean in MEANS),
-                         key=lambda one: one.got))
+        found.append(
+            max(
+                (
+                    poisson(device, photon, mean, 2**11 if photon == "fast" else 2**9)
+                    for mean in MEANS
+                ),
+                key=lambda one: one.got,
+            )
+        )
         rare = probabilities(1e-8, photon)[1][1:].sum()
-        found += [Found(abs(rare / -np.expm1(-float(f32(1e-8))) - 1), 1e-2, f"P(photon) at 1e-8, {photon}"),
-                  Found(differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)), 0,
-                        "counts that are not the reference's")]
+        found += [
+            Found(
+                abs(rare / -np.expm1(-float(f32(1e-8))) - 1), 1e-2, f"P(photon) at 1e-8, {photon}"
+            ),
+            Found(
+                differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)),
+                0,
+                "counts that are not the reference's",
+            ),
+        ]
     return worst(*found)
 
 
@@ -93,8 +153,12 @@ def with_impossible(mean):
     return mean, good
 
 
-@case(20, "impossible means", "NaN, +-infinity, -1e-6, -1: as documented (NaN, full well, 0, 0, 0; DN 0, white), "
-      "neighbours unchanged")
+@case(
+    20,
+    "impossible means",
+    "NaN, +-infinity, -1e-6, -1: as documented (NaN, full well, 0, 0, 0; DN 0, white), "
+    "neighbours unchanged",
+)
 def impossible_means(device):
     wrong = 0
     for photon in kinds(device):
@@ -102,7 +166,9 @@ def impossible_means(device):
         plain, settings = np.full((4, 12), 20.0), {"full_well": 1e4, "photon": photon}
         mean, good = with_impossible(plain)
         e = electrons(mean, device, **settings)
-        wrong += np.count_nonzero(~np.isclose(e[~good], [np.nan, 1e4, 0, 0, 0], rtol=0, atol=0, equal_nan=True))
+        wrong += np.count_nonzero(
+            ~np.isclose(e[~good], [np.nan, 1e4, 0, 0, 0], rtol=0, atol=0, equal_nan=True)
+        )
         wrong += np.count_nonzero(e[good] != electrons(plain, device, **settings)[good])
         bad, good = with_impossible(inputs["expected"])
         dn = noise(**inputs | {"expected": bad}, device=device)
@@ -115,7 +181,9 @@ def impossible_means(device):
 def steps(photon):
     """Largest step of mean [sigma] and dispersion on a ramp of 41 means across the sampler's switch point."""
     switch, errors = MAPS[photon][2], []
-    for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(np.float64):  # the switch itself is one of them
+    for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(
+        np.float64
+    ):  # the switch itself is one of them
         k, p = probabilities(mean, photon)
         found = (k * p).sum()
         errors.append((found / mean**0.5 - mean**0.5, ((k - found) ** 2 * p).sum() / mean - 1))
@@ -128,19 +196,30 @@ def ramp(device):
     found = []
     for photon in kinds(device):
         plane = np.tile(MAPS[photon][2] + np.linspace(-0.5, 0.5, 256), (128, 1))
-        found += [Found(steps(photon), 3e-4, f"largest step, {photon}"),
-                  Found(differing(device, photon, plane), 0, "counts that are not the reference's")]
+        found += [
+            Found(steps(photon), 3e-4, f"largest step, {photon}"),
+            Found(differing(device, photon, plane), 0, "counts that are not the reference's"),
+        ]
     return worst(*found)
 
 
-@case(22, "seeds", "the same bits for any tile, device, order and batch; frames and channels |rho| < 5 / sqrt(n)")
+@case(
+    22,
+    "seeds",
+    "the same bits for any tile, device, order and batch; frames and channels |rho| < 5 / sqrt(n)",
+)
 def seeds(device):
     wrong = 0
     for photon in kinds(device):
         inputs = everything(130, 301, photon)
         frame = noise(**inputs, device=open_device("numpy"))
         wrong += np.count_nonzero(noise(**inputs, device=device) != frame)
-        for top, bottom, left, right in ((0, 1, 0, 301), (1, 130, 0, 7), (1, 130, 7, 201), (1, 130, 201, 301)):
+        for top, bottom, left, right in (
+            (0, 1, 0, 301),
+            (1, 130, 0, 7),
+            (1, 130, 7, 201),
+            (1, 130, 201, 301),
+        ):
             part = np.s_[top:bottom, left:right]
             planes = {name: inputs[name][part] for name in ("expected", "offset", "amplitude")}
             tile = noise(**{**inputs, **planes}, first=(top, left), frame_cols=301, device=device)
@@ -150,7 +229,10 @@ def seeds(device):
         readout = Readout(replace(SENSOR, noise=CHIP), one)
         expected = readout.chip_mean(one.array(mean), 0.5)
         drawn.append(np.array(one.numpy(readout.draw(expected, 0.5, seed=7, frame=20, frames=3))))
-        backwards = [np.array(one.numpy(readout.draw(expected, 0.5, seed=7, frame=frame))) for frame in (22, 21, 20)]
+        backwards = [
+            np.array(one.numpy(readout.draw(expected, 0.5, seed=7, frame=frame)))
+            for frame in (22, 21, 20)
+        ]
         wrong += np.count_nonzero(drawn[-1] != np.stack(backwards[::-1]))
     wrong += np.count_nonzero(drawn[0] != drawn[1])
     return worst(Found(wrong, 0, "pixels that differ"), _correlation(device))
@@ -159,8 +241,12 @@ def seeds(device):
 def _correlation(device):
     """Largest correlation of two frames' and four channels' pixels, over its limit."""
     readout = Readout(replace(WITHOUT_CONVERTER, noise=Noise(read=2.0)), device)
-    x = device.numpy(readout.draw(device.array(np.full((1024, 1024), 30.0, f32)), 1.0, seed=3, frames=2))
-    planes = [frame[i::2, j::2].ravel() for frame in x.astype(np.float64) for i in (0, 1) for j in (0, 1)]
+    x = device.numpy(
+        readout.draw(device.array(np.full((1024, 1024), 30.0, f32)), 1.0, seed=3, frames=2)
+    )
+    planes = [
+        frame[i::2, j::2].ravel() for frame in x.astype(np.float64) for i in (0, 1) for j in (0, 1)
+    ]
     rho = max(abs(np.corrcoef(one, other)[0, 1]) for one, other in combinations(planes, 2))
     return Found(rho, 5 / np.sqrt(planes[0].size), "correlation of frames and channels")
 
@@ -191,14 +277,17 @@ def relaxed(device):
 @case(23, "fast mathematics", "flush to zero and fast math on and off: the suite passes on both")
 def fast_mathematics(device):
     """exp(-m) is denormal from 88 on and 0 from 104; means of 1e-40 and 1e-37 are, or are near, denormal numbers."""
+
     def of(one, words):
         found = []
         for photon in kinds(one):
             for mean in (1e-3, 0.5, 9, 24, 87, 88, 104, 1e4):
                 tried = poisson(one, photon, mean, 2**9, lambda draw, m: p_values(draw(), m))
                 found.append(tried._replace(words=f"{tried.words}, {words}"))
-            dark = sum(np.count_nonzero(electrons(np.full((64, 64), mean), one, photon=photon))
-                       for mean in (0, 1e-40, 1e-37))
+            dark = sum(
+                np.count_nonzero(electrons(np.full((64, 64), mean), one, photon=photon))
+                for mean in (0, 1e-40, 1e-37)
+            )
             found.append(Found(dark, 0, f"photons of denormal means, {photon}, {words}"))
         return found
 
@@ -206,5 +295,7 @@ def fast_mathematics(device):
     with relaxed(device) as other:
         words = "" if other else "; no other build, the kernels state their compiler's options"
         found += of(other, "fast math") if other else []
-    most = max(found, key=lambda one: one.got / one.limit if one.limit else (np.inf if one.got else 0))
+    most = max(
+        found, key=lambda one: one.got / one.limit if one.limit else (np.inf if one.got else 0)
+    )
     return most._replace(words=most.words + words)

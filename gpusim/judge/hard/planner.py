@@ -25,7 +25,9 @@ from gpusim.planner.plan import plan
 def response_of(made) -> Response:
     """The response of a plan's camera, its pixels' apertures square."""
     sensor = made.camera.sensor
-    tables = airy(made.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD, device="numpy")
+    tables = airy(
+        made.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD, device="numpy"
+    )
     return Response.of(made.weights, tables, sensor.cfa_indices)
 
 
@@ -46,13 +48,22 @@ def of_rank(operator, rank, values, made, device) -> np.ndarray:
 @cache
 def red_and_blue():
     """A plan, spectra (L, rows, cols) and mosaic of red beside blue, 2000 e- in green on both sides."""
-    red, blue = (1 / (1 + np.exp(-sign * (WAVELENGTHS - at) / 12)) + 0.02 for sign, at in ((1, 590), (-1, 490)))
+    red, blue = (
+        1 / (1 + np.exp(-sign * (WAVELENGTHS - at) / 12)) + 0.02
+        for sign, at in ((1, 590), (-1, 490))
+    )
     values = np.empty((31, 64, 96), np.float32)
-    weights = electrons_per_content(Scene(Cube(WAVELENGTHS, np.ones((31, 4, 4), np.float32)), LIGHT), CAMERA)
+    weights = electrons_per_content(
+        Scene(Cube(WAVELENGTHS, np.ones((31, 4, 4), np.float32)), LIGHT), CAMERA
+    )
     values[:, :, :48] = (2000 * red / (weights[1] @ red))[:, None, None]
     values[:, :, 48:] = (2000 * blue / (weights[1] @ blue))[:, None, None]
     made = plan(Scene(Cube(WAVELENGTHS, values), LIGHT), CAMERA)
-    return made, values, truth.mosaic_of(truth.repeated(values.astype(float), made.q, weights, made.period), CFA)
+    return (
+        made,
+        values,
+        truth.mosaic_of(truth.repeated(values.astype(float), made.q, weights, made.period), CFA),
+    )
 
 
 @case(12, "red and blue edge", "equal electrons in green: <= 0.05 sigma at rank 6")
@@ -67,26 +78,44 @@ def grey_edge():
     """A scene of one reflectance, its plan, spectra and mosaic."""
     scene = as_cube(chart("slanted-edge", size=(72, 48)))
     made, values = plan(scene, CAMERA), scene.content.bands_at(slice(None))
-    return scene, made, values, truth.mosaic_of(truth.repeated(values, made.q, made.weights, made.period), CFA)
+    return (
+        scene,
+        made,
+        values,
+        truth.mosaic_of(truth.repeated(values, made.q, made.weights, made.period), CFA),
+    )
 
 
-@case(18, "rank above the numerical rank", "a grey edge, ranks to the last: the error never rises (beyond float32's "
-      "1e-6), planes of condition < 1e10")
+@case(
+    18,
+    "rank above the numerical rank",
+    "a grey edge, ranks to the last: the error never rises (beyond float32's "
+    "1e-6), planes of condition < 1e10",
+)
 def numerical_rank(device):
     """Priors of rank 1, the scene's own, and of 31 with moments down to 1e-8."""
     scene, made, values, exact = grey_edge()
     found = []
     for name, prior in (("scene", Spectra.of(scene.content).values), ("library", library())):
         operator = joint_operator(response_of(made), prior)
-        errors = [truth.relative(of_rank(operator, rank, values, made, device), exact) for rank in operator.ranks]
+        errors = [
+            truth.relative(of_rank(operator, rank, values, made, device), exact)
+            for rank in operator.ranks
+        ]
         rise = max(np.array(errors) - np.minimum.accumulate(errors))
-        found += [Found(rise, 1e-6, f"rise up to rank {operator.ranks[-1]}, prior of the {name}"),
-                  Found(np.linalg.cond(operator.w_in), 1e10, "condition of the planes")]
+        found += [
+            Found(rise, 1e-6, f"rise up to rank {operator.ranks[-1]}, prior of the {name}"),
+            Found(np.linalg.cond(operator.w_in), 1e10, "condition of the planes"),
+        ]
     return worst(*found)
 
 
-@case(29, "error in one 8 x 8 tile", "lines of other wavelengths in one tile of an even frame: the check sees >= 50 % "
-      "of the largest error")
+@case(
+    29,
+    "error in one 8 x 8 tile",
+    "lines of other wavelengths in one tile of an even frame: the check sees >= 50 % "
+    "of the largest error",
+)
 def one_tile(device):
     """The check is the largest error in sigma that is predicted, of planes that are fused to 1e-3 of the frame."""
     random = np.random.default_rng(29)
@@ -99,7 +128,12 @@ def one_tile(device):
     weights = 0.01 * electrons_per_content(scene, camera)
     base, q = np.full(31, 0.5), WAVELENGTHS * 1e-9 * 2.8 / 1.4e-6
     exact = truth.even(base, weights, (96, 128), CFA) + truth.mosaic_of(
-        truth.spread(values.astype(float) - 0.5, q, weights), CFA)
+        truth.spread(values.astype(float) - 0.5, q, weights), CFA
+    )
     sigma = np.abs(frame.mean - exact) / np.sqrt(np.maximum(exact + camera.sensor.read_sigma**2, 1))
     seen = frame.report.account.total.max_sigma
-    return Found(sigma.max() / seen, 2.0, f"true maximum, {sigma.max():.2g} sigma, over the one seen, {seen:.2g}")
+    return Found(
+        sigma.max() / seen,
+        2.0,
+        f"true maximum, {sigma.max():.2g} sigma, over the one seen, {seen:.2g}",
+    )

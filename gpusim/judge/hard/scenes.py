@@ -19,7 +19,9 @@ LIGHT = white_radiance(illuminant("D65"), 100.0)
 def at_f_number(name: str, f_number: float) -> Camera:
     """A built-in camera at another f-number, without fall-off."""
     camera = open_camera(name)
-    return replace(camera, optics=replace(camera.optics, f_number=f_number, relative_illumination="none"))
+    return replace(
+        camera, optics=replace(camera.optics, f_number=f_number, relative_illumination="none")
+    )
 
 
 CAMERA = at_f_number("phone", 2.8)  # 1.4 um pixels: the camera of the accuracy figures

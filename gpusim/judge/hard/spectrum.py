@@ -19,8 +19,22 @@ from gpusim.pipeline.simulator import Simulator
 
 PATCHES = reflectances("colorchecker")  # 24, at every 5 nm
 # a compact fluorescent lamp: mercury and rare earths, wavelength [nm] and power of each line
-FLUORESCENT = ((404.7, 0.25), (435.8, 0.7), (487.7, 0.35), (492.5, 0.15), (542.4, 0.7), (546.1, 1.0), (577.0, 0.15),
-               (579.1, 0.15), (585.0, 0.2), (587.6, 0.2), (593.5, 0.2), (599.0, 0.15), (611.6, 1.1), (631.1, 0.25))
+FLUORESCENT = (
+    (404.7, 0.25),
+    (435.8, 0.7),
+    (487.7, 0.35),
+    (492.5, 0.15),
+    (542.4, 0.7),
+    (546.1, 1.0),
+    (577.0, 0.15),
+    (579.1, 0.15),
+    (585.0, 0.2),
+    (587.6, 0.2),
+    (593.5, 0.2),
+    (599.0, 0.15),
+    (611.6, 1.1),
+    (631.1, 0.25),
+)
 LASERS = ((447.3, 1.0), (523.7, 1.0), (638.1, 1.0))
 SODIUM = ((589.0, 2.0), (589.6, 1.0))
 
@@ -36,8 +50,12 @@ def lines(powers, width: float, pedestal: float = 0.0) -> Spectrum:
 def open_to_all(camera=CAMERA):
     """The camera without blur, every pixel with all channels: electrons are the spectral integrals alone."""
     sensor: Sensor = replace(camera.sensor, stacked=True)
-    return replace(camera, sensor=sensor, optics=replace(camera.optics, model="none"),
-                   processor=replace(camera.processor, color="none"))  # one line alone has no colours
+    return replace(
+        camera,
+        sensor=sensor,
+        optics=replace(camera.optics, model="none"),
+        processor=replace(camera.processor, color="none"),
+    )  # one line alone has no colours
 
 
 def integrals(light: Spectrum) -> np.ndarray:
@@ -49,7 +67,11 @@ def integrals(light: Spectrum) -> np.ndarray:
     from scipy.interpolate import make_interp_spline
 
     sensor, optics = CAMERA.sensor, CAMERA.optics
-    ends = np.unique(np.concatenate([light.wavelengths, sensor.qe.wavelengths, PATCHES.wavelengths, [400.0, 700.0]]))
+    ends = np.unique(
+        np.concatenate(
+            [light.wavelengths, sensor.qe.wavelengths, PATCHES.wavelengths, [400.0, 700.0]]
+        )
+    )
     ends = ends[(ends >= 400) & (ends <= 700)]
     nodes, mass = np.polynomial.legendre.leggauss(6)
     half = np.diff(ends)[:, None] / 2
@@ -64,39 +86,65 @@ def counted(light: Spectrum, count: int, device) -> np.ndarray:
     """The same by the simulator, of a scene with `count` samples of the spectrum."""
     nodes = np.linspace(400, 700, count)
     values = PATCHES.at(nodes).T.reshape(count, 4, 6).astype(np.float32)
-    return mean_of(Simulator(open_to_all(), device=device), Scene(Cube(nodes, values), light)).reshape(-1, 24)
+    return mean_of(
+        Simulator(open_to_all(), device=device), Scene(Cube(nodes, values), light)
+    ).reshape(-1, 24)
 
 
 def _largest(light, count, device):
     return np.abs(counted(light, count, device) / integrals(light) - 1).max()
 
 
-@case(5, "fluorescent lamp", "lines of 1 nm: 31 samples <= 0.5 % at most, 16 <= 2 %, 24 patches, all channels")
+@case(
+    5,
+    "fluorescent lamp",
+    "lines of 1 nm: 31 samples <= 0.5 % at most, 16 <= 2 %, 24 patches, all channels",
+)
 def fluorescent(device):
     light = lines(FLUORESCENT, 1.0, 0.01)
-    return worst(Found(_largest(light, 31, device), 5e-3, "31 samples"),
-                 Found(_largest(light, 16, device), 2e-2, "16 samples"))
+    return worst(
+        Found(_largest(light, 31, device), 5e-3, "31 samples"),
+        Found(_largest(light, 16, device), 2e-2, "16 samples"),
+    )
 
 
-@case(6, "lasers between samples", "light of 2 nm lines at 447.3, 523.7, 638.1 nm: <= 0.5 %, 24 patches, all channels")
+@case(
+    6,
+    "lasers between samples",
+    "light of 2 nm lines at 447.3, 523.7, 638.1 nm: <= 0.5 %, 24 patches, all channels",
+)
 def lasers(device):
-    alone = ", ".join(f"{one[0]} nm {_largest(lines([one], 2.0), 31, device):.1e}" for one in LASERS)
-    return Found(_largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser alone: {alone})")
+    alone = ", ".join(
+        f"{one[0]} nm {_largest(lines([one], 2.0), 31, device):.1e}" for one in LASERS
+    )
+    return Found(
+        _largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser alone: {alone})"
+    )
 
 
 @case(7, "low-pressure sodium", "589.0 and 589.6 nm: R/G within 1 % of the truth, 24 patches")
 def sodium(device):
     light = lines(SODIUM, 0.02)
     found, exact = counted(light, 31, device), integrals(light)
-    return Found(np.abs((found[0] / found[1]) / (exact[0] / exact[1]) - 1).max(), 1e-2, "R/G, 31 samples")
+    return Found(
+        np.abs((found[0] / found[1]) / (exact[0] / exact[1]) - 1).max(), 1e-2, "R/G, 31 samples"
+    )
 
 
-CELL, HALF, ACROSS = 16, 7, 35  # [pixel] from point to point of the sweep, around each that count; points in a row
+CELL, HALF, ACROSS = (
+    16,
+    7,
+    35,
+)  # [pixel] from point to point of the sweep, around each that count; points in a row
 SWEEP = np.arange(400.0, 701.0)
 
 
-@case(8, "monochromatic sweep", "points of 400 .. 700 nm by 1 nm: guaranteed mode <= 1e-3; without it the report says "
-      "where spectra are outside of what is likely")
+@case(
+    8,
+    "monochromatic sweep",
+    "points of 400 .. 700 nm by 1 nm: guaranteed mode <= 1e-3; without it the report says "
+    "where spectra are outside of what is likely",
+)
 def sweep(device):
     """Four points of each line, one in each phase of the mosaic; what the camera sees less than 1e-3 of is below noise.
 
@@ -109,10 +157,14 @@ def sweep(device):
     errors = np.zeros(301)
     for k in np.flatnonzero(seen):
         cells = [np.s_[y - HALF : y + HALF + 1, x - HALF : x + HALF + 1] for y, x in places[k]]
-        errors[k] = truth.relative(np.array([mean[cell] - exact[cell] for cell in cells]) + own[k], own[k])
+        errors[k] = truth.relative(
+            np.array([mean[cell] - exact[cell] for cell in cells]) + own[k], own[k]
+        )
     at = errors.argmax()
-    return worst(Found(errors[at], 1e-3, f"guaranteed, {seen.sum()} lines, worst at {SWEEP[at]:g} nm"),
-                 *_outside_of_the_likely(device))
+    return worst(
+        Found(errors[at], 1e-3, f"guaranteed, {seen.sum()} lines, worst at {SWEEP[at]:g} nm"),
+        *_outside_of_the_likely(device),
+    )
 
 
 @lru_cache(maxsize=1)
@@ -125,7 +177,12 @@ def _sweep():
     seen = strength > 1e-3 * strength.max()
     levels = np.where(seen, 1 / np.maximum(strength, 1e-300), 0)
     table = np.vstack([np.diag(levels), np.where(SWEEP == 550, levels / 30, 0)])
-    return Scene(replace(content, spectra=table), LIGHT), seen, places, *_truth_of_points(places, weights, levels)
+    return (
+        Scene(replace(content, spectra=table), LIGHT),
+        seen,
+        places,
+        *_truth_of_points(places, weights, levels),
+    )
 
 
 def _points():
@@ -147,7 +204,10 @@ def _truth_of_points(places, weights, levels, near=40, far=160):
     at = np.arange(-far, far + 1)
     cfa, cell = np.tile(CFA, (size // 2, size // 2)), slice(far - HALF, far + HALF + 1)
     radius, inner = np.maximum(np.hypot(at[:, None], at), 1), slice(far - near, far + near + 1)
-    total, own = np.zeros((3, size + 2 * far, size + 2 * far)), np.zeros((301, 4, 2 * HALF + 1, 2 * HALF + 1))
+    total, own = (
+        np.zeros((3, size + 2 * far, size + 2 * far)),
+        np.zeros((301, 4, 2 * HALF + 1, 2 * HALF + 1)),
+    )
 
     def pattern(k):
         q = SWEEP[k] * 1e-9 * 2.8 / 1.4e-6
@@ -162,7 +222,9 @@ def _truth_of_points(places, weights, levels, near=40, far=160):
             window = np.s_[y : y + 2 * far + 1, x : x + 2 * far + 1]
             for c in range(3):
                 total[c][window] += weights[c, k] * made - weights[c, ground] * gap
-            own[k, number] = weights[cfa[y - HALF : y + HALF + 1, x - HALF : x + HALF + 1], k] * made[cell, cell]
+            own[k, number] = (
+                weights[cfa[y - HALF : y + HALF + 1, x - HALF : x + HALF + 1], k] * made[cell, cell]
+            )
     total = total[:, far:-far, far:-far] + (weights[:, ground] * levels[ground] / 30)[:, None, None]
     return truth.mosaic_of(total, CFA), own
 
@@ -177,14 +239,22 @@ def _outside_of_the_likely(device):
     lit = Scene(Cube(WAVELENGTHS, values), LIGHT, "zero")
     simulator = Simulator(CAMERA, device=device, tolerance=Tolerance(rms=1e-3))
     weights = electrons_per_content(lit, CAMERA)
-    exact = truth.mosaic_of(truth.spread(values.astype(float), WAVELENGTHS * 1e-9 * 2.8 / 1.4e-6, weights), CFA)
+    exact = truth.mosaic_of(
+        truth.spread(values.astype(float), WAVELENGTHS * 1e-9 * 2.8 / 1.4e-6, weights), CFA
+    )
     program = simulator.program(replace(natural((96, 64)), border="zero"), 1.0)
     program.frame()
-    for words, frame in (("planned for", simulator.program(lit, 1.0).frame()),
-                         ("after a natural scene", program.update(scene=lit).frame())):
+    for words, frame in (
+        ("planned for", simulator.program(lit, 1.0).frame()),
+        ("after a natural scene", program.update(scene=lit).frame()),
+    ):
         report = frame.report
         error = truth.relative(frame.mean.astype(float), exact)
         told = report.account.total.rms
         shown = max(1e-3, 2.5 * told) if report.verdict.met else np.inf
-        yield Found(error / shown, 1.0, f"lines {words}: error {error:.1e} over what the report tells, {told:.1e}"
-                    + ("" if report.verdict.met else ", NOT met"))
+        yield Found(
+            error / shown,
+            1.0,
+            f"lines {words}: error {error:.1e} over what the report tells, {told:.1e}"
+            + ("" if report.verdict.met else ", NOT met"),
+        )

@@ -29,7 +29,9 @@ def defocused(q: float, waves: float, reach: float):
     nodes, mass = np.polynomial.legendre.leggauss(int(np.pi * reach / q / 2 + 8 * abs(waves) + 40))
     rho = (1 + nodes) / 2
     pupil = mass / 2 * rho * np.exp(2j * np.pi * waves * rho**2)
-    field = np.concatenate([j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(radius, 64)])
+    field = np.concatenate(
+        [j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(radius, 64)]
+    )
     return CubicSpline(radius, np.pi / (q * q) * np.abs(field) ** 2)
 
 
@@ -94,7 +96,8 @@ def of_points(values, base, q, weights, cfa) -> np.ndarray:
         more = values[:, y, x] - base
         for band in np.flatnonzero(more):
             total += (weights[:, band] * more[band])[:, None, None] * point(
-                float(q[band]), np.arange(rows) - y, np.arange(cols) - x)
+                float(q[band]), np.arange(rows) - y, np.arange(cols) - x
+            )
     return mosaic_of(total, cfa)
 
 
@@ -125,9 +128,14 @@ def repeated(values, q, weights, period) -> np.ndarray:
     For what is said of such a world: stages that transform take the period as it is.
     """
     shape = values.shape[1:]
-    pad = [((length - n) // 2, length - n - (length - n) // 2) for length, n in zip(period, shape, strict=True)]
+    pad = [
+        ((length - n) // 2, length - n - (length - n) // 2)
+        for length, n in zip(period, shape, strict=True)
+    ]
     total = np.zeros((len(weights), *period), complex)
     for plane, one, weight in zip(values, q, weights.T, strict=True):
-        total += weight[:, None, None] * (folded_otf(float(one), period) * np.fft.fft2(np.pad(plane, pad, mode="edge")))
+        total += weight[:, None, None] * (
+            folded_otf(float(one), period) * np.fft.fft2(np.pad(plane, pad, mode="edge"))
+        )
     (top, _), (left, _) = pad
     return np.fft.ifft2(total).real[:, top : top + shape[0], left : left + shape[1]]

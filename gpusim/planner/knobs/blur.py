@@ -10,8 +10,11 @@ from gpusim.planner.notes import Notes
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Question, displaced
 
-ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.blur": "",
-           "optics.tiles": ", by tiles"}
+ENDINGS = {
+    "optics.mosaic": ", folded into the mosaic",
+    "optics.blur": "",
+    "optics.tiles": ", by tiles",
+}
 
 
 def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
@@ -20,8 +23,16 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
     around: what takes part. Layers by depth are laid over one another channel by channel.
     """
     optics, sensor = question.optics, question.sensor
-    folded = (around.folds and question.ratio == 1 and not sensor.is_monochrome and not sensor.stacked
-              and optics.is_symmetric and not optics.varies and not any(question.moved) and depth is None)
+    folded = (
+        around.folds
+        and question.ratio == 1
+        and not sensor.is_monochrome
+        and not sensor.stacked
+        and optics.is_symmetric
+        and not optics.varies
+        and not any(question.moved)
+        and depth is None
+    )
     if around.tiling is not None:
         return "optics.tiles", folded
     return "optics.mosaic" if folded else "optics.blur", folded
@@ -45,9 +56,16 @@ def _must_stay(question, picture):
     points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
     found to need it.
     """
-    return (question.least or question.period or question.reach or question.guaranteed
-            or question.facts.depth is not None or question.optics.varies or picture.highlights is not None
-            or (question.more and question.ratio == 1))
+    return (
+        question.least
+        or question.period
+        or question.reach
+        or question.guaranteed
+        or question.facts.depth is not None
+        or question.optics.varies
+        or picture.highlights is not None
+        or (question.more and question.ratio == 1)
+    )
 
 
 def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:

@@ -31,9 +31,18 @@ from gpusim.planner.knobs.rings import ring_errors
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 
-FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
+FAR_REACHES = (
+    16,
+    32,
+    64,
+    128,
+    256,
+)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
-EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
+EVEN = (
+    2.0,
+    2.5,
+)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
 BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
@@ -65,8 +74,16 @@ class Surroundings:
         """Error of what is not seen, or seen on the wrong side."""
         if self.tiling is not None and self.far is not None:
             rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
-            return total([Bound(rings.rms, rings.p999_sigma * sqrt(self.level), rings.max_sigma * sqrt(self.level)),
-                          self.splines])
+            return total(
+                [
+                    Bound(
+                        rings.rms,
+                        rings.p999_sigma * sqrt(self.level),
+                        rings.max_sigma * sqrt(self.level),
+                    ),
+                    self.splines,
+                ]
+            )
         if self.far is not None:
             rms = seam_error(self.outside, self.question, self.period)
             return self._even(rms)
@@ -82,14 +99,18 @@ class Surroundings:
     def _even(self, rms):
         """An error that is everywhere alike."""
         p999, most = self.outside.darkest
-        return Bound(rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most)
+        return Bound(
+            rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most
+        )
 
     @property
     def spare(self) -> int:
         """Samples around the scene's own that can be blurred, too."""
         if self.tiling is not None and self.far is not None:
             return int(self.far.sigmas[0] / self.far.spacings)
-        return min((length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True))
+        return min(
+            (length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True)
+        )
 
     @cached_property
     def brighter(self) -> float:
@@ -101,21 +122,33 @@ class Surroundings:
         reach = min(self.reaches)
         if self.far is not None:
             notes.bounds["border"] = self.bound
-            beyond = (f"{self.reach} pixels outside the frame" if self.tiling is None else
-                      f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}")
-            notes.models["optics.far"] = f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
+            beyond = (
+                f"{self.reach} pixels outside the frame"
+                if self.tiling is None
+                else f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}"
+            )
+            notes.models["optics.far"] = (
+                f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
+            )
             notes.models["optics.near"] = "transfer functions less those of the Gaussians"
             return
         notes.bounds["border"] = self.bound
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
-            notes.leave_out(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
-                            "transforms repeat it", self.bound, "border")
+            notes.leave_out(
+                f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
+                "transforms repeat it",
+                self.bound,
+                "border",
+            )
         if question.optics.is_ideal:
-            notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
+            notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(
+                reach, question.q.max()
+            )
 
 
-def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
-                 level: float) -> Iterator[list[Surroundings]]:
+def surroundings(
+    question: Question, picture: Picture, depth: DepthPlan | None, level: float
+) -> Iterator[list[Surroundings]]:
     """As much as is asked for alone; or BORDER_REACH, and for a tolerance other ways, more in each list to come.
 
     Those are less or more of it with a world without end beyond, by Gaussians, where the lens is such that they can;
@@ -123,17 +156,26 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
     they fit into its transforms at all. level: electrons of the frame's root mean square.
     """
     outside, ratio = _outside(question, picture, depth, level), question.ratio
-    beside = (ceil(depth.reach) if depth else 0) + question.more  # samples that take part beside the reach
+    beside = (
+        ceil(depth.reach) if depth else 0
+    ) + question.more  # samples that take part beside the reach
     shape, reach = outside.image.shape, question.reach
 
     def around(reach, far=None):
         more = ceil(reach * ratio) + beside
-        reaches = [max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape]
-        period, folds = _lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+        reaches = [
+            max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape
+        ]
+        period, folds = _lengths(
+            question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
+        )
         if None in period:
             rows, cols = question.size
-            raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
-                             "samples", "what the transforms take: a smaller scene, reach or aperture")
+            raise OutOfRange(
+                "scene size with surroundings",
+                f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
+                "what the transforms take: a smaller scene, reach or aperture",
+            )
         return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
 
     def in_tiles(overlap):
@@ -141,8 +183,17 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         reach, period, made = found.overlap, (found.side, found.side), None
         for spacings in TILES_SPACINGS:  # the fewest that are no matter
             field = far_field(question, tails, reach, found.side, spacings)
-            made = field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field,
-                                          found, question)
+            made = field and Surroundings(
+                ceil(reach / ratio),
+                [reach, reach],
+                period,
+                folds,
+                outside,
+                level,
+                field,
+                found,
+                question,
+            )
             if made is None or made.splines.ratio(question.tolerance) <= SMALL:
                 break
         return made
@@ -150,7 +201,9 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
     if reach is not None:
         yield [around(reach)]
         return
-    fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+    fits = (
+        question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+    )
     reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
     first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
     if question.tolerance is None:
@@ -160,7 +213,11 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         tails = tails_of(question)
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, tails, reach * ratio) for reach in reaches]
-        found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
+        found = [
+            around(reach, field)
+            for reach, field in zip(reaches, fields, strict=True)
+            if field is not None
+        ]
         tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
         yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
         yield from ([one] for one in found if one.reach > BORDER_REACH)
@@ -171,13 +228,31 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         yield [around(reach)]
 
 
-def surroundings_of(question: Question, picture: Picture, level: float, period: tuple[int, int],
-                    far: FarField | None, made: Tiling | None) -> Surroundings:
+def surroundings_of(
+    question: Question,
+    picture: Picture,
+    level: float,
+    period: tuple[int, int],
+    far: FarField | None,
+    made: Tiling | None,
+) -> Surroundings:
     """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
-    reaches = [made.overlap] * 2 if made is not None else [
-        (length - n) // 2 for length, n in zip(period, question.size, strict=True)]
-    return Surroundings(ceil(min(reaches) / question.ratio), reaches, period, False,
-                        _outside(question, picture, None, level), level, far, made, question)
+    reaches = (
+        [made.overlap] * 2
+        if made is not None
+        else [(length - n) // 2 for length, n in zip(period, question.size, strict=True)]
+    )
+    return Surroundings(
+        ceil(min(reaches) / question.ratio),
+        reaches,
+        period,
+        False,
+        _outside(question, picture, None, level),
+        level,
+        far,
+        made,
+        question,
+    )
 
 
 def _lengths(question, least):
@@ -197,10 +272,20 @@ def _outside(question, picture, depth, level):
     if picture.level > BRIGHT:  # all that is told is over the level
         light, power = in_range(light)
         unit = 2.0**-power
-    return Outside(light, scene.border, scene.margin, tail, spread, picture.level * unit,
-                   max(question.sensor.read_sigma**2, 1) / level, missing * unit,
-                   min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ((), 0.0)),
-                   question.deviation, not scene.view.is_plain)
+    return Outside(
+        light,
+        scene.border,
+        scene.margin,
+        tail,
+        spread,
+        picture.level * unit,
+        max(question.sensor.read_sigma**2, 1) / level,
+        missing * unit,
+        min(round(question.deviation), MOST_AROUND),
+        *(straight_tail(optics) if tail else ((), 0.0)),
+        question.deviation,
+        not scene.view.is_plain,
+    )
 
 
 def _energy_beyond(radius, q):

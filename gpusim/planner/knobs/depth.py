@@ -24,20 +24,39 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
         return None
-    for why, is_so in (("there is no blur", optics.model == "none"), ("the lens was measured at one", optics.psf),
-                       ("the blur varies over the field", optics.varies), ("there is distortion", optics.distortion)):
+    for why, is_so in (
+        ("there is no blur", optics.model == "none"),
+        ("the lens was measured at one", optics.psf),
+        ("the blur varies over the field", optics.varies),
+        ("there is distortion", optics.distortion),
+    ):
         if is_so:
-            bound = DECLARED if optics.model == "none" and not scene.layers else _one_distance(question, probes)
-            notes.leave_out(f"depth: {why}, so the blur is the same at all distances", bound, "depth left out")
+            bound = (
+                DECLARED
+                if optics.model == "none" and not scene.layers
+                else _one_distance(question, probes)
+            )
+            notes.leave_out(
+                f"depth: {why}, so the blur is the same at all distances", bound, "depth left out"
+            )
             return None
-    made = plan_depth(optics, question.pitch, facts.depth, facts.brightness(question.light), question.limit,
-                      scene=scene)
+    made = plan_depth(
+        optics,
+        question.pitch,
+        facts.depth,
+        facts.brightness(question.light),
+        question.limit,
+        scene=scene,
+    )
     for distance in made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
         except OutOfRange as error:
-            raise OutOfRange("depth", f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
-                             f"nearer to the focus, or a smaller aperture: {error}") from None
+            raise OutOfRange(
+                "depth",
+                f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
+                f"nearer to the focus, or a smaller aperture: {error}",
+            ) from None
     if made.sheets:
         made.predicted["depth, light behind the edges of layers"] = _behind_edges(question, made)
     return made
@@ -50,15 +69,28 @@ def _behind_edges(question, depth):
     circular pupil and the pixel, at the mean wavelength in a mirrored world. Each has first the blur of its own
     distance, a disc of diameter c: a Gaussian of standard deviation c / 4 stands for it.
     """
-    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)  # of the cosines of a mirrored world
+    fy, fx = (
+        np.arange(n)[:, None] / (2 * n) for n in question.size
+    )  # of the cosines of a mirrored world
     s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
-    seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(fy * question.cell[0]) * np.sinc(
-        fx.T * question.cell[1])
+    seen = (
+        2
+        / np.pi
+        * (np.arccos(s) - s * np.sqrt(1 - s * s))
+        * np.sinc(fy * question.cell[0])
+        * np.sinc(fx.T * question.cell[1])
+    )
     light, own, wrong = None, 0.0, 0.0
     for content, alpha, confusion in reversed(depth.sheets):
-        front, width = content.on_host().brightness(question.light).astype(np.float64), np.abs(confusion).mean() / 4
+        front, width = (
+            content.on_host().brightness(question.light).astype(np.float64),
+            np.abs(confusion).mean() / 4,
+        )
         if light is not None:
-            cover, behind = gaussian_filter(np.asarray(alpha, np.float64), width), gaussian_filter(light, own)
+            cover, behind = (
+                gaussian_filter(np.asarray(alpha, np.float64), width),
+                gaussian_filter(light, own),
+            )
             apart = [idctn(dctn(one) * seen) for one in (cover * behind, cover, behind)]
             wrong += float(np.mean((apart[0] - apart[1] * apart[2]) ** 2))
         light = front if light is None else alpha * front + (1 - alpha) * light
@@ -74,14 +106,23 @@ def _one_distance(question, probes):
     differ by at most 2 pi W in phase, so no transfer function changes by more than that, nor by more than 2. Farther
     than the probes' rim they do not tell. Layers that cover a part of a sample cannot be shown without being composed.
     """
-    optics, scene, depth = question.optics, question.scene, np.asarray(question.facts.depth, np.float64)
-    if any(np.any((np.asarray(layer.alpha) > 0) & (np.asarray(layer.alpha) < 1)) for layer in scene.layers):
+    optics, scene, depth = (
+        question.optics,
+        question.scene,
+        np.asarray(question.facts.depth, np.float64),
+    )
+    if any(
+        np.any((np.asarray(layer.alpha) > 0) & (np.asarray(layer.alpha) < 1))
+        for layer in scene.layers
+    ):
         return UNKNOWN
     if not question.is_blurred:
         return DECLARED
     if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
         return UNKNOWN
-    shift = np.abs(optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)).max()  # of the sensor [m]
+    shift = np.abs(
+        optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)
+    ).max()  # of the sensor [m]
     if shift / optics.working_f_number / 2 > RIM * question.pitch:
         return UNKNOWN
     waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
@@ -100,8 +141,14 @@ def describe(depth: DepthPlan | None, notes: Notes):
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model
-    notes.beside |= {name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)}
+    notes.beside |= {
+        name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)
+    }
     if depth.layers > 1 and not depth.sheets:
         name = next(name for name in depth.predicted if name.startswith("depth, in layers"))
-        notes.leave_out("surfaces that nearer things hide: one picture does not show them, so the picture next to them "
-                        "goes on there", notes.bounds.get(name) or Bound(depth.predicted[name]), name)
+        notes.leave_out(
+            "surfaces that nearer things hide: one picture does not show them, so the picture next to them "
+            "goes on there",
+            notes.bounds.get(name) or Bound(depth.predicted[name]),
+            name,
+        )

@@ -13,28 +13,49 @@ from gpusim.planner.question import Question
 NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 
 
-def falloff_of(question: Question, probes: Probes | None, notes: Notes) -> tuple[np.ndarray | None, float]:
+def falloff_of(
+    question: Question, probes: Probes | None, notes: Notes
+) -> tuple[np.ndarray | None, float]:
     """Fall-off of every pixel, None where the cos^4 law is all; the tangent of the field angle per pixel, 0 without it.
 
     probes: of the scene, where there is a tolerance. Raises BadData, OutOfRange.
     """
-    sensor, shape, displacement = question.sensor, question.scene.shape, question.sensor.displacement
+    sensor, shape, displacement = (
+        question.sensor,
+        question.scene.shape,
+        question.sensor.displacement,
+    )
     parts, slope = _lens(question, notes)
     if sensor.microlens is not None:
-        parts["microlenses"] = microlens_gain(sensor.microlens, shape, sensor.pixel_pitch,
-                                              question.optics.image_distance, question.from_axis)
+        parts["microlenses"] = microlens_gain(
+            sensor.microlens,
+            shape,
+            sensor.pixel_pitch,
+            question.optics.image_distance,
+            question.from_axis,
+        )
     if sensor.vignetting is not None:
         parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
     gains = np.prod(list(parts.values()), axis=0) if parts else None
-    if gains is not None and probes is not None and (most := float(np.abs(gains - 1).max())) < NEGLIGIBLE:
+    if (
+        gains is not None
+        and probes is not None
+        and (most := float(np.abs(gains - 1).max())) < NEGLIGIBLE
+    ):
         assert question.tolerance is not None
         bound = probes.even_error(most)
         if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
-            notes.leave_out(f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out")
+            notes.leave_out(
+                f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out"
+            )
             gains = None
     if gains is not None:
         notes.models["optics.falloff"] = " and ".join(parts)
-    layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
+    layout = (
+        f"stacked {', '.join(sensor.channels)}"
+        if sensor.stacked
+        else f"mosaic of {'/'.join(sensor.cfa)}"
+    )
     notes.models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
     return gains, float(slope)
 
@@ -44,20 +65,37 @@ def _lens(question, notes):
     optics, sensor, scene = question.optics, question.sensor, question.scene
     displacement = sensor.displacement
     if optics.relative_illumination == "cos4":
-        slope = (2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1] if scene.fov
-                 else sensor.pixel_pitch / optics.image_distance)
-        if optics.distortion is not None:  # the law is that of the angle at which light comes, not of where it lands
-            return {"cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2}, 0.0
+        slope = (
+            2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1]
+            if scene.fov
+            else sensor.pixel_pitch / optics.image_distance
+        )
+        if (
+            optics.distortion is not None
+        ):  # the law is that of the angle at which light comes, not of where it lands
+            return {
+                "cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2
+            }, 0.0
         if not any(displacement):  # without distortion the axis is in the middle
             return {}, slope
         # the law that goes with the exposure is that of a grid in the middle
-        return {"cos^4": relative_illumination("cos4", scene.shape, slope, 1.0, displacement=displacement)}, 0.0
+        return {
+            "cos^4": relative_illumination(
+                "cos4", scene.shape, slope, 1.0, displacement=displacement
+            )
+        }, 0.0
     if optics.relative_illumination == "none":
         notes.leave_out('relative illumination: set to "none"', DECLARED)
         return {}, 0.0
-    return {"relative illumination as given": relative_illumination(
-        optics.relative_illumination, scene.shape, sensor.pixel_pitch, optics.image_distance,
-        displacement=question.from_axis)}, 0.0
+    return {
+        "relative illumination as given": relative_illumination(
+            optics.relative_illumination,
+            scene.shape,
+            sensor.pixel_pitch,
+            optics.image_distance,
+            displacement=question.from_axis,
+        )
+    }, 0.0
 
 
 def _tangent(question, slope):
@@ -66,8 +104,10 @@ def _tangent(question, slope):
     slope: of a pinhole per pixel; a calibration has its own.
     """
     distortion, pitch = question.distortion, question.sensor.pixel_pitch
-    y, x = ((np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
-            for n, move in zip(question.scene.shape, question.sensor.displacement, strict=True))
+    y, x = (
+        (np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
+        for n, move in zip(question.scene.shape, question.sensor.displacement, strict=True)
+    )
     x, y = ideal(distortion, x, y[:, None])
     if isinstance(distortion, Framed):
         return np.hypot(*distortion.normalised(x, y))

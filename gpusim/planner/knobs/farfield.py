@@ -18,8 +18,14 @@ from gpusim.optics.splines import SPACINGS
 from gpusim.planner.knobs.waves import waves
 from gpusim.planner.question import Question
 
-LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
-RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part between the rims), and in radii of the rays
+LEAST_SIDE, LEAST_REACH = (
+    8,
+    16,
+)  # [sample] of a frame along an axis, and of what is blurred around it
+RINGS, RADII = (
+    4.0,
+    4.0,
+)  # the least reach in q (twice that over the part between the rims), and in radii of the rays
 LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
@@ -27,16 +33,30 @@ LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
-TILES_SPACINGS = 1.0, 1.2, 1.6, SPACINGS  # of splines beside tiles in a Gaussian, from the coarsest on
+TILES_SPACINGS = (
+    1.0,
+    1.2,
+    1.6,
+    SPACINGS,
+)  # of splines beside tiles in a Gaussian, from the coarsest on
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
-FINER, LEAST = 3.0, 0.3  # q of a pixel of samples below which it averages waves away; what it leaves
+FINER, LEAST = (
+    3.0,
+    0.3,
+)  # q of a pixel of samples below which it averages waves away; what it leaves
 DISTANCES = 64  # from the seam, at which waves are added up
 POINTS, PLACES = 32, 128  # of light in a strip, and where they are seen
-FARTHEST, FINE, MOST_RADII = 8, 12, 8192  # reaches of waves that count; radii in a wave, and all of them at most
-SLOW = tuple(np.geomspace(1 / 4096, 1 / 128, 32))  # frequencies of light that changes slowly [1/sample]
+FARTHEST, FINE, MOST_RADII = (
+    8,
+    12,
+    8192,
+)  # reaches of waves that count; radii in a wave, and all of them at most
+SLOW = tuple(
+    np.geomspace(1 / 4096, 1 / 128, 32)
+)  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
 
 
@@ -60,7 +80,9 @@ class FarField:
 
     def weights(self, mix, transfers) -> np.ndarray:
         """What a plan's channels get of its planes by them, shape (C, planes, G). mix: see `Plan`."""
-        return np.asarray(mix)[..., None] * _of_planes(energies(self.sigmas, self.tails, self.border), transfers)
+        return np.asarray(mix)[..., None] * _of_planes(
+            energies(self.sigmas, self.tails, self.border), transfers
+        )
 
 
 def _of_planes(each, transfers):
@@ -73,20 +95,33 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
     Straight blades throw it along lines.
     """
     optics = question.optics
-    return (question.is_blurred and optics.psf is None and not optics.pupil.blades and optics.is_symmetric
-            and not optics.varies and not by_depth and not question.period
-            and not any(question.moved) and min(question.size) >= LEAST_SIDE)
+    return (
+        question.is_blurred
+        and optics.psf is None
+        and not optics.pupil.blades
+        and optics.is_symmetric
+        and not optics.varies
+        and not by_depth
+        and not question.period
+        and not any(question.moved)
+        and min(question.size) >= LEAST_SIDE
+    )
 
 
 def tails_of(question: Question) -> np.ndarray:
     """Tails of the wavelengths, see `FarField`."""
     optics = question.optics
-    return tail(optics, question.q, optics.waves(question.scene.wavelengths),
-                variance(optics, question.pitch, question.cell))
+    return tail(
+        optics,
+        question.q,
+        optics.waves(question.scene.wavelengths),
+        variance(optics, question.pitch, question.cell),
+    )
 
 
-def far_field(question: Question, tails, reach: float, side: int | None = None,
-              spacings: float = SPACINGS) -> FarField | None:
+def far_field(
+    question: Question, tails, reach: float, side: int | None = None, spacings: float = SPACINGS
+) -> FarField | None:
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
 
     tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
@@ -99,7 +134,9 @@ def far_field(question: Question, tails, reach: float, side: int | None = None,
     least = max(rings, LEAST_REACH) if side is None else LEAST_OVERLAP * float(question.q.max())
     if reach < max(RADII * question.spread, least):
         return None
-    sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO)
+    sigmas = gaussians(
+        reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO
+    )
     return FarField(sigmas, tails, rule_of(question.scene.border), spacings)
 
 
@@ -109,9 +146,13 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
-    hole = question.optics.pupil.obscuration  # what lies between its rims rings at frequencies lower by half that
+    hole = (
+        question.optics.pupil.obscuration
+    )  # what lies between its rims rings at frequencies lower by half that
     finer = 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
-    left = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
+    left = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(
+        question, away, (1 - hole) / 2
+    )
     seam = SEAM * q**2.5 / away**2 * _step(outside, period) * left / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     images = _image_error(outside, question, reach)
@@ -126,15 +167,30 @@ def _image_error(outside, question, reach):
     """
     depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
     random = np.random.default_rng(depth)  # the same places in every scene
-    r = np.arange(2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII))
-    of = (question.optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
+    r = np.arange(
+        2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII)
+    )
+    of = (
+        question.optics,
+        question.scene.wavelengths,
+        question.q,
+        question.cell,
+        question.aperture,
+        question.ratio,
+    )
     radial = question.kept("waves along a line", (*of, reach), lambda: waves(question, r, 0.0, 1.0))
     kernels = question.edges @ radial
     for lines in (image, image[::-1], image.T, image.T[::-1]):
         strip = lines[:depth]
         at = np.argpartition(strip, -min(POINTS, strip.size), axis=None)[-POINTS:]
-        (deep, along), light = np.unravel_index(at, strip.shape), np.maximum(strip.flat[at] - outside.level, 0)
-        rows, cols = random.uniform(0, len(strip), PLACES), random.uniform(0, strip.shape[1], PLACES)
+        (deep, along), light = (
+            np.unravel_index(at, strip.shape),
+            np.maximum(strip.flat[at] - outside.level, 0),
+        )
+        rows, cols = (
+            random.uniform(0, len(strip), PLACES),
+            random.uniform(0, strip.shape[1], PLACES),
+        )
         far = np.hypot(2 * reach + np.add.outer(rows, deep), np.subtract.outer(cols, along))
         seen = np.array([np.interp(far, r, kernel, right=0.0) @ light for kernel in kernels])
         total += float(question.share @ np.mean(seen**2, axis=1)) * strip.size / image.size
@@ -150,7 +206,10 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
     of = question.size, far.sigmas, each, far.spacings
     wrong = (misses(*of, FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
     wrong += slow * misses(*of, SLOW, (0.0,)).max(axis=(1, 2))
-    return sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2) + outside.missing / outside.level
+    return (
+        sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2)
+        + outside.missing / outside.level
+    )
 
 
 def _coherence(question, reach, part):
@@ -163,8 +222,14 @@ def _coherence(question, reach, part):
         return 1.0
     light = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
     away = np.linspace(reach, reach + max(question.size) / 2, DISTANCES)
-    left = float(np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away * part / question.q[:, None])) ** 2)))
-    return left if question.optics.pupil.obscuration else left * max(question.mean_q / question.ratio / WIDE, 1)
+    left = float(
+        np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away * part / question.q[:, None])) ** 2))
+    )
+    return (
+        left
+        if question.optics.pupil.obscuration
+        else left * max(question.mean_q / question.ratio / WIDE, 1)
+    )
 
 
 def _step(outside, period):

@@ -13,7 +13,9 @@ SMALL = 400  # samples along a frame below which a field varies within a kernel:
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
 # beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
 WIDEST_Q = 24.0
-BETWEEN_DOUBT = "pixels end between the scene's samples, and light between blurred samples is interpolated"
+BETWEEN_DOUBT = (
+    "pixels end between the scene's samples, and light between blurred samples is interpolated"
+)
 WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 WIDEST_ROOM = 8  # times the limit: what the end of kernels may cost a natural scene at most, if this one is flatter
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
@@ -35,8 +37,11 @@ def _pixels_end_between_samples(question):
     ratio, sensor = question.ratio, question.sensor
     if ratio == 1:
         return False
-    edges = [ratio * (0.5 + move + side * width / 2) for move, width in zip(
-        sensor.displacement, question.aperture, strict=True) for side in (-1, 1)]
+    edges = [
+        ratio * (0.5 + move + side * width / 2)
+        for move, width in zip(sensor.displacement, question.aperture, strict=True)
+        for side in (-1, 1)
+    ]
     return not ratio.is_integer() or any(abs(edge - round(edge)) > 1e-6 for edge in edges)
 
 
@@ -49,33 +54,56 @@ def varying_planes(question: Question, response: Response, prior, flat):
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
-    mix, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
+    mix, transfers = (
+        each.any(axis=2) * 1.0,
+        each.sum(axis=0),
+    )  # a plane is seen by one channel alone
     # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
     spectra, (rows, cols) = question.facts.spectra, question.size
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
     strength = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, differences, table), 0))
-    whole = np.sqrt(np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0))
+    whole = np.sqrt(
+        np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0)
+    )
     strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
-    contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
+    contrast = (
+        max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
+    )
     # of planes in a flat field of the frame's power
-    levels = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300))
-    varying = _rest(question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit))
+    levels = np.sqrt(
+        np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300)
+    )
+    varying = _rest(
+        question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit)
+    )
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
     error = float(np.hypot(error, _misplaced(question, varying)))
-    return table, transfers[None], mix, varying, error, (
-        f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
-        f"{len(question.content.wavelengths)} wavelengths")
+    return (
+        table,
+        transfers[None],
+        mix,
+        varying,
+        error,
+        (
+            f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
+            f"{len(question.content.wavelengths)} wavelengths"
+        ),
+    )
 
 
 def _planes(question, response, prior, limit):
     """Number of planes a channel, planes from spectra, transfers (C, planes, L) and error."""
     own, channels = question.facts.spectra, len(response.weights)
-    operators = [] if question.guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
+    operators = (
+        []
+        if question.guaranteed
+        else [joint_operator(response.channel(c), prior) for c in range(channels)]
+    )
     for count in range(1, MOST_PLANES + 1):
         if question.guaranteed:
             operator = channel_operator(response, count)
@@ -102,8 +130,12 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
 
     def made():
         differences = Differences(*of[:-1], of[-1] / 8, axis)
-        return choose(differences, shape, limit / 2 / np.sqrt(count),
-                      FlatField(differences, shape, levels, flat_limit / 2))
+        return choose(
+            differences,
+            shape,
+            limit / 2 / np.sqrt(count),
+            FlatField(differences, shape, levels, flat_limit / 2),
+        )
 
     return question.kept("field plan", (*of, limit, axis, count, levels, flat_limit), made)
 
@@ -122,17 +154,29 @@ def _misplaced(question, varying):
     and the differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a
     frame, 1 at the corner, is 0.42 .. 0.45.
     """
-    wavelengths, size, (rows, cols) = question.content.wavelengths, varying.kernels.shape[-1], question.size
+    wavelengths, size, (rows, cols) = (
+        question.content.wavelengths,
+        varying.kernels.shape[-1],
+        question.size,
+    )
     middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
     corner = farthest_corner(question.size, middle)
     height = max(float(np.hypot(*corner)), 1.0)
-    outer, axis = (question.lens.kernels([float(np.median(wavelengths))], tuple(place), size)[0]
-                   for place in (corner / question.corner, (0.0, 0.0)))
+    outer, axis = (
+        question.lens.kernels([float(np.median(wavelengths))], tuple(place), size)[0]
+        for place in (corner / question.corner, (0.0, 0.0))
+    )
     if question.scene.border == "zero":
         return float(0.43 * abs(axis.sum() - outer.sum()))
     at = np.arange(size) - size // 2
-    inward = -(outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1]) / height / outer.sum()
-    inward = max(float(inward), float(-question.optics.lateral_color_at(wavelengths).min() * height), 0.0)
+    inward = (
+        -(outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1])
+        / height
+        / outer.sum()
+    )
+    inward = max(
+        float(inward), float(-question.optics.lateral_color_at(wavelengths).min() * height), 0.0
+    )
     strip = max(inward - question.scene.margin, 0.0)
     return inward / height * float(np.sqrt(min(2 * strip * (rows + cols) / (rows * cols), 1.0)))
 

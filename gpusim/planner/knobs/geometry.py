@@ -19,12 +19,18 @@ NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 def viewed(question: Question, probes: Probes, notes: Notes):
     """Say that the frame is a view of the scene, and what its interpolation errs."""
-    notes.bounds["view"] = _with_rim(question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio))
-    notes.models["optics.distort"] = ("a view of the scene, interpolated by cubics: displaced, turned or magnified as "
-                                      "each frame says")
+    notes.bounds["view"] = _with_rim(
+        question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio)
+    )
+    notes.models["optics.distort"] = (
+        "a view of the scene, interpolated by cubics: displaced, turned or magnified as "
+        "each frame says"
+    )
 
 
-def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -> DistortionGrid | None:
+def interpolated(
+    question: Question, told: Callable[[], Probes], notes: Notes
+) -> DistortionGrid | None:
     """The lens's distortion of the samples, with the error of its interpolation; None if the lens has none.
 
     Of the margin's samples, too, if there is blur to need them. told: gives the scene's probes. Raises OutOfRange.
@@ -35,10 +41,14 @@ def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
     notes.bounds["distortion grid"] = _between_nodes(made, told())
-    if question.scene.view.is_whole(question.ratio):  # else it is an error of the view, whose places are anywhere
+    if question.scene.view.is_whole(
+        question.ratio
+    ):  # else it is an error of the view, whose places are anywhere
         width = sum(made.ratio) / 2 if made.method == "area" else None
-        everywhere, worst = (_with_rim(question, told(), partial(Probes.interpolated, phases=phases, width=width))
-                             for phases in place_phases(made, seen))
+        everywhere, worst = (
+            _with_rim(question, told(), partial(Probes.interpolated, phases=phases, width=width))
+            for phases in place_phases(made, seen)
+        )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made
 
@@ -48,7 +58,14 @@ def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Boun
     bound = error(probes)
     if question.scene.border == "zero" or not question.deviation:
         return bound
-    return total([bound, error(probes.sharp).times(min(1.0, 2 * question.deviation / min(question.scene.samples)))])
+    return total(
+        [
+            bound,
+            error(probes.sharp).times(
+                min(1.0, 2 * question.deviation / min(question.scene.samples))
+            ),
+        ]
+    )
 
 
 def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
@@ -56,8 +73,13 @@ def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
     (move, flux), (most, largest) = made.typical, made.error
     usual, worst = probes.moved(move), probes.moved(most)
     bright, brightest = probes.brightened(flux), probes.brightened(largest)
-    return Bound(hypot(usual.rms, bright.rms), *(hypot(getattr(worst, name), getattr(brightest, name))
-                                                 for name in ("p999_sigma", "max_sigma")))
+    return Bound(
+        hypot(usual.rms, bright.rms),
+        *(
+            hypot(getattr(worst, name), getattr(brightest, name))
+            for name in ("p999_sigma", "max_sigma")
+        ),
+    )
 
 
 def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
@@ -71,11 +93,17 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.moved(move)
-        others = [one for name, one in notes.bounds.items() if name not in ("distortion", "distortion grid")]
+        others = [
+            one
+            for name, one in notes.bounds.items()
+            if name not in ("distortion", "distortion grid")
+        ]
         if SAFETY * total([*others, bound]).ratio(question.tolerance) <= 1:
             notes.bounds.pop("distortion", None)
             notes.bounds.pop("distortion grid")
-            notes.leave_out(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
+            notes.leave_out(
+                f"distortion by up to {move:.2g} of a sample", bound, "distortion left out"
+            )
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
@@ -92,6 +120,9 @@ def describe_calibration(question: Question, notes: Notes):
     across = calibration.width / calibration.fx  # of the pinhole's picture, in focal lengths
     fov = question.scene.fov
     if fov and abs(2 * np.tan(fov / 2) / across - 1) > NEGLIGIBLE:
-        notes.leave_out(f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
-                        f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg", UNKNOWN,
-                        "field of view")
+        notes.leave_out(
+            f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
+            f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg",
+            UNKNOWN,
+            "field of view",
+        )

@@ -5,7 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.optics.highlights import THRESHOLD, Highlights, median_of, split_highlights, unsplit_error
+from gpusim.optics.highlights import (
+    THRESHOLD,
+    Highlights,
+    median_of,
+    split_highlights,
+    unsplit_error,
+)
 from gpusim.optics.lens import tail_of
 from gpusim.optics.outside import rule_of, seen_light, spread_afar
 from gpusim.planner.facts import Facts
@@ -38,13 +44,21 @@ class Picture:
         tail = tail_of(question.optics) * question.mean_q
         if not (tail and self.level > 0):
             return 0.0
-        light = spread_afar(self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance)
+        light = spread_afar(
+            self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance
+        )
         return float(np.sqrt(np.mean(light**2))) / self.level
 
     def operation(self, question: Question, exposure_time: float | None) -> Operation:
         """How the camera will expose it. exposure_time: given, or None [s]."""
-        return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest,
-                            exposure_time)
+        return Operation.of(
+            question.camera,
+            question.facts,
+            question.weights,
+            self.level,
+            self.highest,
+            exposure_time,
+        )
 
     def mosaic(self, weights, share) -> float | None:
         """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
@@ -62,7 +76,9 @@ class Picture:
         split = self.highlights
         if split is None:
             return
-        notes.models["optics.splat"] = f"{len(split.places)} highlights added exactly, each with its own spectrum"
+        notes.models["optics.splat"] = (
+            f"{len(split.places)} highlights added exactly, each with its own spectrum"
+        )
         if split.residue:
             notes.beside["local error beside further highlights"] = split.residue
 
@@ -75,7 +91,9 @@ class Picture:
 def whole(question: Question) -> Picture:
     """The picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
-    return Picture(brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None)
+    return Picture(
+        brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None
+    )
 
 
 def split(question: Question) -> tuple[Question, Picture]:
@@ -84,8 +102,13 @@ def split(question: Question) -> tuple[Question, Picture]:
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
     brightness, level, highest = picture.brightness.copy(), picture.level, picture.highest
-    content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
-                                           rule_of(scene.border))
+    content, highlights = split_highlights(
+        facts.samples.whole().on_host(),
+        brightness,
+        question.q.max(),
+        scene.margin,
+        rule_of(scene.border),
+    )
     if highlights is not None:
         question = replace(question, facts=Facts(content))
     return question, Picture(brightness, level, highest, highlights)
@@ -94,7 +117,18 @@ def split(question: Question) -> tuple[Question, Picture]:
 def can_be_split(question: Question) -> bool:
     """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
     optics, cell = question.optics, question.cell
-    ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None
-             and question.scene.view.is_plain)
-    return (question.is_blurred and not question.period and ideal and cell[0] == cell[1] and not any(question.moved)
-            and (question.ratio > 1 or not question.sensor.stacked))
+    ideal = (
+        optics.is_ideal
+        and not optics.varies
+        and optics.distortion is None
+        and question.facts.depth is None
+        and question.scene.view.is_plain
+    )
+    return (
+        question.is_blurred
+        and not question.period
+        and ideal
+        and cell[0] == cell[1]
+        and not any(question.moved)
+        and (question.ratio > 1 or not question.sensor.stacked)
+    )

@@ -9,7 +9,10 @@ from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 
 FAR = 10.0  # times below the tolerance
-QUANTILE, MAXIMUM = 3.3, 5.0  # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
+QUANTILE, MAXIMUM = (
+    3.3,
+    5.0,
+)  # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
 RESPONSES = {"prnu": "PRNU", "row_prnu": "PRNU of rows", "column_prnu": "PRNU of columns"}
 OFFSETS = {"dsnu": "DSNU", "row_dsnu": "DSNU of rows", "column_dsnu": "DSNU of columns"}
 
@@ -23,17 +26,27 @@ def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sen
     """
     if tolerance is None:
         return sensor, []
-    found = {name: Bound(value, *(value * sqrt(sensor.saturation) * times for times in (QUANTILE, MAXIMUM)))
-             for name in RESPONSES if (value := getattr(sensor.noise, name))}
+    found = {
+        name: Bound(
+            value, *(value * sqrt(sensor.saturation) * times for times in (QUANTILE, MAXIMUM))
+        )
+        for name in RESPONSES
+        if (value := getattr(sensor.noise, name))
+    }
     if tolerance.rms is None:
         dark = max(sensor.read_sigma, 1.0)
-        found |= {name: Bound(0.0, *(value / dark * times for times in (QUANTILE, MAXIMUM)))
-                  for name in OFFSETS if (value := getattr(sensor.noise, name))}
+        found |= {
+            name: Bound(0.0, *(value / dark * times for times in (QUANTILE, MAXIMUM)))
+            for name in OFFSETS
+            if (value := getattr(sensor.noise, name))
+        }
     left = {name: bound for name, bound in found.items() if FAR * bound.ratio(tolerance) <= 1}
     if not left:
         return sensor, []
     named = RESPONSES | OFFSETS
-    words = [f"{named[name]}: at most {bound.nearest(tolerance)[2]:.2g}{bound.nearest(tolerance)[4]}"
-             for name, bound in left.items()]
+    words = [
+        f"{named[name]}: at most {bound.nearest(tolerance)[2]:.2g}{bound.nearest(tolerance)[4]}"
+        for name, bound in left.items()
+    ]
     none: dict[str, Any] = dict.fromkeys(left, 0.0)
     return replace(sensor, noise=replace(sensor.noise, **none)), words

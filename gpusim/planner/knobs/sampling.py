@@ -38,26 +38,47 @@ def describe(question: Question, taps, notes: Notes):
     """Say what pixels are made of, and what structure the samples leave out."""
     ratio, weights = question.ratio, question.weights
     if taps is not None:
-        notes.models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
-                                         f"its aperture{displaced(question.sensor.displacement)}")
+        notes.models["optics.sample"] = (
+            f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
+            f"its aperture{displaced(question.sensor.displacement)}"
+        )
     finer = sampling_error(
-        question.facts.moments(weights), weights, question.q, question.share, ratio, question.aperture, taps,
-        question.tables if question.is_blurred else None, question.moved)
-    notes.leave_out(f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
-                    f"scene sample{'' if ratio == 1 else 's'} per pixel", Bound(finer), "scene sampling", of_scene=True)
+        question.facts.moments(weights),
+        weights,
+        question.q,
+        question.share,
+        ratio,
+        question.aperture,
+        taps,
+        question.tables if question.is_blurred else None,
+        question.moved,
+    )
+    notes.leave_out(
+        f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
+        f"scene sample{'' if ratio == 1 else 's'} per pixel",
+        Bound(finer),
+        "scene sampling",
+        of_scene=True,
+    )
 
 
 def _axes(question):
     """Samples, pixels, width of the aperture [pixel] and displacement [pixel] of rows and of columns."""
     scene = question.scene
-    return zip(scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True)
+    return zip(
+        scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True
+    )
 
 
 def _blurred_axes(question, spare):
     """Taps of the rows and the columns of pixels among the scene's samples and `spare` more on each side."""
     ratio = question.ratio
-    return [pixel_taps(n + 2 * spare, pixels, ratio, width, spare + frame_start(n, pixels, ratio), NODES, move)
-            for n, pixels, width, move in _axes(question)]
+    return [
+        pixel_taps(
+            n + 2 * spare, pixels, ratio, width, spare + frame_start(n, pixels, ratio), NODES, move
+        )
+        for n, pixels, width, move in _axes(question)
+    ]
 
 
 def _plain_axes(question):
@@ -65,10 +86,15 @@ def _plain_axes(question):
     axes, ratio, border = [], question.ratio, question.scene.border
     for n, pixels, width, move in _axes(question):
         more = ceil(ratio * abs(move))
-        taps = pixel_taps(n + 2 * more, pixels, ratio, width, more + frame_start(n, pixels, ratio), AREA, move)
+        taps = pixel_taps(
+            n + 2 * more, pixels, ratio, width, more + frame_start(n, pixels, ratio), AREA, move
+        )
         first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
         if border == "scene" and not (more - 1e-6 <= first and last <= n + more + 1e-6):
-            raise OutOfRange("sensor.offset + sensor.centre", f"{move:.6g} pixels, beyond the frame",
-                             'within it, as optics model "none" sees no surroundings; or border = "edge"')
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                f"{move:.6g} pixels, beyond the frame",
+                'within it, as optics model "none" sees no surroundings; or border = "edge"',
+            )
         axes.append(bordered(taps, n, more, border) if more else taps)
     return axes

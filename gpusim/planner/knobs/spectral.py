@@ -23,7 +23,13 @@ from gpusim.planner.operation import Operation
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
 
-PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
+PRIOR = (
+    "munsell",
+    "dupont",
+    "objects",
+    "skin",
+    "colorchecker-sg",
+)  # reflectances held likely before a cube is seen
 ENOUGH = 0.25  # of a tolerance: where fused planes err less, more of them would not help the sum
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
@@ -44,22 +50,28 @@ class Planes:
         """Say what is summed over wavelength."""
         content = question.content
         if self.table is not None:
-            notes.models[_stage(content)] = (f"{content.form} of {len(content.entry_spectra)} entries to "
-                                             f"{len(self.table)} planes")
+            notes.models[_stage(content)] = (
+                f"{content.form} of {len(content.entry_spectra)} entries to "
+                f"{len(self.table)} planes"
+            )
 
     def describe_tables(self, question: Question, notes: Notes):
         """Say what tables are summed over wavelength."""
         if self.transfers is not None:
-            notes.models.setdefault("spectral.integrate", f"tables of {len(question.scene.wavelengths)} wavelengths to "
-                                    "those of the planes")
+            notes.models.setdefault(
+                "spectral.integrate",
+                f"tables of {len(question.scene.wavelengths)} wavelengths to those of the planes",
+            )
 
 
 def unblurred(question: Question, notes: Notes) -> Planes:
     """Channels straight from the content."""
     content, optics, weights = question.content, question.optics, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
-    notes.models[_stage(content)] = (f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
-                                     "(no blur to apply)")
+    notes.models[_stage(content)] = (
+        f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
+        "(no blur to apply)"
+    )
     notes.leave_out(f'{optics.unused}: optics.model is "none"', DECLARED)
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
@@ -90,28 +102,40 @@ def ways(question: Question, probes: Probes | None) -> list[Way]:
     if probes is None:
         return [exact]
     response = response_of(question, even, flat)
-    found = (_guaranteed if question.guaranteed else _fused)(question, response, flat, exact.count, probes)
+    found = (_guaranteed if question.guaranteed else _fused)(
+        question, response, flat, exact.count, probes
+    )
     return [*found, exact]
 
 
 def _varying(question, even, flat, probes):
     inputs, transfers, mix, varying, wrong, words = varying_planes(
-        question, response_of(question, even, flat), prior_of(question), flat)
+        question, response_of(question, even, flat), prior_of(question), flat
+    )
     made = Planes(flat, inputs @ question.content.entry_spectra.T, mix, transfers, None, varying)
-    return Way(len(inputs), Bound(wrong) if probes is None else probes.local(wrong), words, lambda: made)
+    return Way(
+        len(inputs), Bound(wrong) if probes is None else probes.local(wrong), words, lambda: made
+    )
 
 
 def describe_unseen(question: Question, notes: Notes):
     """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
     if len(nodes) == 1:
-        notes.leave_out(f"light outside {LINE:g} nm around the scene's only wavelength, {nodes[0]:g} nm", DECLARED)
+        notes.leave_out(
+            f"light outside {LINE:g} nm around the scene's only wavelength, {nodes[0]:g} nm",
+            DECLARED,
+        )
         return
     unseen = qe.wavelengths[(qe.values > 0.01).any(axis=0)]
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
-        notes.leave_out(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
-                        "it goes on as at the ends", Bound(_light_outside(question)), "light outside the wavelengths",
-                        of_scene=True)
+        notes.leave_out(
+            f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
+            "it goes on as at the ends",
+            Bound(_light_outside(question)),
+            "light outside the wavelengths",
+            of_scene=True,
+        )
 
 
 def _light_outside(question):
@@ -122,8 +146,12 @@ def _light_outside(question):
     nodes, qe, optics = question.scene.wavelengths, question.sensor.qe, question.optics
     content = np.sqrt(np.maximum(np.diag(question.facts.spectra.values), 0))
     grid = np.arange(qe.wavelengths[0], qe.wavelengths[-1] + 1)
-    light = np.interp(grid, nodes, content) * optics.transmission_at(grid) * question.scene.illuminant.at(
-        grid, outside=None) * qe.at(grid).sum(axis=0)
+    light = (
+        np.interp(grid, nodes, content)
+        * optics.transmission_at(grid)
+        * question.scene.illuminant.at(grid, outside=None)
+        * qe.at(grid).sum(axis=0)
+    )
     inside = (grid >= nodes[0]) & (grid <= nodes[-1])
     seen = light[inside].sum()
     return float(light[~inside].sum() / seen) if seen > 0 else 0.0
@@ -135,7 +163,9 @@ def _stage(content):
 
 def _flat(question):
     """What a flat field of each wavelength gives where every sample is a point of light of 1."""
-    if min(question.cell) < 1:  # points in the middle of the apertures would count too much of a flat scene
+    if (
+        min(question.cell) < 1
+    ):  # points in the middle of the apertures would count too much of a flat scene
         tables = question.tables.even(question.q, question.cell, 1, question.ratio, question.moved)
         return tables[:, 0, 0].real
     return np.ones(len(question.q))
@@ -147,11 +177,21 @@ def _exact(content, weights, flat):
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
         table = np.eye(len(spectra)) if content.labels is not None else None
-        return Way(len(spectra), Bound(), f"exact per band, {len(spectra)} {content.form} planes transformed in place "
-                   f"of {len(weights[0])}", lambda: Planes(flat, table, np.ones((len(weights), len(spectra))),
-                                                           weights[:, None] * spectra))
-    return Way(len(weights[0]), Bound(), f"exact per band, {len(weights[0])} wavelengths",
-               lambda: Planes(flat, None if content.is_spectral else spectra.T, weights, None))
+        return Way(
+            len(spectra),
+            Bound(),
+            f"exact per band, {len(spectra)} {content.form} planes transformed in place "
+            f"of {len(weights[0])}",
+            lambda: Planes(
+                flat, table, np.ones((len(weights), len(spectra))), weights[:, None] * spectra
+            ),
+        )
+    return Way(
+        len(weights[0]),
+        Bound(),
+        f"exact per band, {len(weights[0])} wavelengths",
+        lambda: Planes(flat, None if content.is_spectral else spectra.T, weights, None),
+    )
 
 
 def transfers_at(question: Question, flat, period: int) -> np.ndarray:
@@ -162,9 +202,13 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     """
     optics, scene = question.optics, question.scene
     if not optics.varies:
-        tables = question.tables.even(question.q, question.cell, period, question.ratio, question.moved)
+        tables = question.tables.even(
+            question.q, question.cell, period, question.ratio, question.moved
+        )
     else:
-        half = (np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)) / question.corner
+        half = (
+            np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
+        ) / question.corner
         tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
@@ -188,11 +232,20 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
     count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
     windows = Windows.of(picture.brightness, scene.margin, scene.border, count, SIDE, RIM)
     tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
-    return Probes.of(question.facts, windows, scene.border, tables=tables,
-                     weights=question.weights, even=question.weights / flat, share=question.share,
-                     level=picture.level, seconds=operation.seconds, noise=operation.noise,
-                     apart=picture.mosaic(question.weights, question.share),
-                     **_seen_part(question, windows))
+    return Probes.of(
+        question.facts,
+        windows,
+        scene.border,
+        tables=tables,
+        weights=question.weights,
+        even=question.weights / flat,
+        share=question.share,
+        level=picture.level,
+        seconds=operation.seconds,
+        noise=operation.noise,
+        apart=picture.mosaic(question.weights, question.share),
+        **_seen_part(question, windows),
+    )
 
 
 def _seen_part(question, windows):
@@ -201,7 +254,10 @@ def _seen_part(question, windows):
     inner = tuple(min(n, INNER) for n in scene.samples)
     if sensor.stacked or question.ratio != 1:
         return {"inner": inner}
-    y, x = (at[:, RIM : RIM + n] - scene.margin for at, n in zip((windows.rows, windows.cols), inner, strict=True))
+    y, x = (
+        at[:, RIM : RIM + n] - scene.margin
+        for at, n in zip((windows.rows, windows.cols), inner, strict=True)
+    )
     cfa = sensor.cfa_indices
     return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
@@ -232,10 +288,17 @@ def _fused(question, response, flat, planes, probes):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
             watch = Watch.of(response, inputs, transfers, content).scaled(question.facts.pairs)
             expected = operator.predicted(rank, question.facts.spectra)
-            falls = watch.falling(wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
-                                  for more in range(rank + 1, most + 1))
-            return Planes(flat, inputs @ content.entry_spectra.T, np.ones(transfers.shape[:2]), transfers,
-                          replace(watch, factor=bound.rms / expected if expected else 1.0, falls=falls))
+            falls = watch.falling(
+                wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
+                for more in range(rank + 1, most + 1)
+            )
+            return Planes(
+                flat,
+                inputs @ content.entry_spectra.T,
+                np.ones(transfers.shape[:2]),
+                transfers,
+                replace(watch, factor=bound.rms / expected if expected else 1.0, falls=falls),
+            )
 
         words = f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} wavelengths"
         yield Way(rank, bound, words, make)
@@ -246,25 +309,43 @@ def _fused(question, response, flat, planes, probes):
 def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
     """Tells what a blur errs that is left out of other scenes. bound: of that of the question's own."""
     flat = _flat(question)
-    watch, expected = Watch.of_no_blur(response_of(question, question.weights / flat, flat), question.content,
-                                       question.scene.samples, question.facts.spectra)
-    return replace(watch.scaled(question.facts.pairs), factor=max(1.0, bound.rms / expected if expected else 1.0))
+    watch, expected = Watch.of_no_blur(
+        response_of(question, question.weights / flat, flat),
+        question.content,
+        question.scene.samples,
+        question.facts.spectra,
+    )
+    return replace(
+        watch.scaled(question.facts.pairs),
+        factor=max(1.0, bound.rms / expected if expected else 1.0),
+    )
 
 
 def _guaranteed(question, response, flat, planes, probes):
     """Operators that are right for every spectrum, to a bound, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
-        operator = question.kept(f"{count} planes a channel", (response, count), lambda count=count: channel_operator(
-            response, count))
+        operator = question.kept(
+            f"{count} planes a channel",
+            (response, count),
+            lambda count=count: channel_operator(response, count),
+        )
 
         def make(operator=operator):
-            return Planes(flat, operator.table @ question.content.entry_spectra.T,
-                          np.ones(operator.transfers.shape[:2]), operator.transfers)
+            return Planes(
+                flat,
+                operator.table @ question.content.entry_spectra.T,
+                np.ones(operator.transfers.shape[:2]),
+                operator.transfers,
+            )
 
         bound = probes.local(operator.bound)
-        yield Way(count * channels, bound, f"{count} planes a channel, right for every spectrum, in place of {bands}",
-                  make)
+        yield Way(
+            count * channels,
+            bound,
+            f"{count} planes a channel, right for every spectrum, in place of {bands}",
+            make,
+        )
         if SAFETY * bound.ratio(question.tolerance) < ENOUGH:
             return
 
@@ -282,5 +363,7 @@ def prior_of(question: Question) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _library(wavelengths):
-    likely = np.vstack([reflectances(name).at(np.array(wavelengths), outside=None) for name in PRIOR])
+    likely = np.vstack(
+        [reflectances(name).at(np.array(wavelengths), outside=None) for name in PRIOR]
+    )
     return likely.T @ likely / len(likely)

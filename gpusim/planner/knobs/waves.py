@@ -26,14 +26,23 @@ def waves(question: Question, r, down, across) -> np.ndarray:
     hole = optics.pupil.obscuration
     rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
     found = np.zeros((len(question.q), *np.shape(r)))
-    for own, q, wave in zip(found, question.q, optics.waves(question.scene.wavelengths), strict=True):
+    for own, q, wave in zip(
+        found, question.q, optics.waves(question.scene.wavelengths), strict=True
+    ):
         for rho, a in rims:
             own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * _seen(question, rho / q, down, across)
         for (one, a), (other, b) in combinations(rims, 2):
             path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
             less, more = (one - other) / (2 * q), (one + other) / (2 * q)
-            own += a * b * np.cos(2 * pi * path) * (np.cos(2 * pi * less * r) * _seen(question, less, down, across)
-                                                    - np.sin(2 * pi * more * r) * _seen(question, more, down, across))
+            own += (
+                a
+                * b
+                * np.cos(2 * pi * path)
+                * (
+                    np.cos(2 * pi * less * r) * _seen(question, less, down, across)
+                    - np.sin(2 * pi * more * r) * _seen(question, more, down, across)
+                )
+            )
         own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
     return found
 
@@ -41,8 +50,9 @@ def waves(question: Question, r, down, across) -> np.ndarray:
 def _seen(question, frequency, down, across):
     """What pixels leave of a wave of this frequency [1/sample] in this direction."""
     optics, left = question.optics, 1.0
-    for along, cell, side, spots in zip((down, across), question.cell, question.aperture, optics.birefringence,
-                                        strict=True):
+    for along, cell, side, spots in zip(
+        (down, across), question.cell, question.aperture, optics.birefringence, strict=True
+    ):
         wave = frequency * along
         left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
         if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
