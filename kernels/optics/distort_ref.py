@@ -39,27 +39,28 @@ def _keys(t):
     )
 
 
-def _cubic(plane, grid, shape, border):
+def _cubic(planes, grid, shape, border):
     rows, cols = np.arange(shape[0]), np.arange(shape[1])
     v, u, flux = _lagrange(grid, shape, rows, cols)
     v, u = v + rows[:, None], u + cols
     first_y, first_x = np.floor(v).astype(int) - 1, np.floor(u).astype(int) - 1
-    padded, top, left = _pad(plane, border, first_y, first_x, 4)
-    total = np.zeros(shape)
+    padded, top, left = _pad(planes, border, first_y, first_x, 4)
+    total = np.zeros((len(planes), *shape))
     for a in range(4):
         for b in range(4):
             y, x = first_y + a, first_x + b
-            total += _keys(v - y) * _keys(u - x) * padded[y + top, x + left]
+            total += _keys(v - y) * _keys(u - x) * padded[:, y + top, x + left]
     return flux * total
 
 
-def _pad(plane, border, first_y, first_x, size):
-    """The plane with as much around it as the indices first .. first + size - 1 need, and the offsets to it."""
+def _pad(planes, border, first_y, first_x, size):
+    """Planes with as much around them as the indices first .. first + size - 1 need, and the offsets to them."""
     pads = [
         (max(0, -int(first.min())), max(0, int(first.max()) + size - n))
-        for first, n in ((first_y, plane.shape[0]), (first_x, plane.shape[1]))
+        for first, n in ((first_y, planes.shape[1]), (first_x, planes.shape[2]))
     ]
-    return np.pad(np.asarray(plane, np.float64), pads, mode=MODES[border]), pads[0][0], pads[1][0]
+    padded = np.pad(np.asarray(planes, np.float64), [(0, 0), *pads], mode=MODES[border])
+    return padded, pads[0][0], pads[1][0]
 
 
 def _clip(polygons, axis, low):
@@ -90,12 +91,12 @@ def _quads(grid, shape):
     )
 
 
-def _area(plane, grid, shape, border, density):
+def _area(planes, grid, shape, border, density):
     quads = _quads(grid, shape)
     first = np.floor(quads.min(axis=-2)).astype(int)
     size = int((np.ceil(quads.max(axis=-2)) - first).max())
-    padded, top, left = _pad(plane, border, first[..., 0], first[..., 1], size)
-    total = np.zeros(shape)
+    padded, top, left = _pad(planes, border, first[..., 0], first[..., 1], size)
+    total = np.zeros((len(planes), *shape))
     for a in range(size):
         y = first[..., 0] + a
         strip = _clip(_clip(quads, 0, y), ~0, y + 1)
@@ -107,7 +108,7 @@ def _area(plane, grid, shape, border, density):
                 np.abs(np.sum(part[..., 0] * after[..., 1] - part[..., 1] * after[..., 0], axis=-1))
                 / 2
             )
-            total += overlap * padded[y + top, x + left]
+            total += overlap * padded[:, y + top, x + left]
     return density * total
 
 
@@ -143,29 +144,24 @@ def _share(light, border):
     return np.min([room[y : y + rows, x : x + cols] for y, x in around], axis=0)
 
 
+def _as_bright_as_j(grid, shape):
+    """J over the area of each pixel's quadrilateral, (rows, cols)."""
+    quads, flux = _quads(grid, shape), _lagrange(grid, shape, *map(np.arange, shape))[2]
+    after = np.roll(quads, -1, axis=-2)
+    doubled = np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1)
+    return 2 * flux / np.abs(doubled)
+
+
 def distort(planes, grids, shape, border, method="cubic", density=1.0, light=None):
     """See the contract."""
-    per_map = len(planes) // len(grids)
-    if light is not None and method == "cubic":
-        share = _share(np.asarray(light), border)
-        means = distort(planes * (1 - share), grids, shape, border, "area")
-        for k in range(len(planes)):  # of what the areas hold, as bright as J says
-            quads, flux = (
-                _quads(grids[k // per_map], shape),
-                _lagrange(grids[k // per_map], shape, *map(np.arange, shape))[2],
-            )
-            after = np.roll(quads, -1, axis=-2)
-            area = (
-                np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1) / 2
-            )
-            means[k] *= flux / np.abs(area)
-        return distort(planes * share, grids, shape, border) + means
-    out = np.empty((len(planes), *shape))
-    for k, plane in enumerate(planes):
-        grid = grids[k // per_map]
-        out[k] = (
-            _cubic(plane, grid, shape, border)
-            if method == "cubic"
-            else _area(plane, grid, shape, border, density)
-        )
-    return out
+    share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
+    out = []
+    for grid, own in zip(grids, np.split(np.asarray(planes), len(grids)), strict=True):
+        if method == "area":
+            out.append(_area(own, grid, shape, border, density))
+            continue
+        out.append(_cubic(own * share, grid, shape, border))
+        if np.any(share != 1):
+            spread = _area(own * (1 - share), grid, shape, border, 1.0)
+            out[-1] += spread * _as_bright_as_j(grid, shape)
+    return np.concatenate(out)
