@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from gpusim.cli.options import add_asked, operated, scene_of, whole
+from gpusim.cli.options import Reading, add_asked, operated, scene_of, whole
 from gpusim.domain.errors import BadFile
 
 FORMATS = (".png", ".pdf", ".svg", ".jpg")
@@ -54,7 +54,7 @@ def add_command(commands):
     parser.add_argument(
         "-o", "--out", metavar="OUT", help=f"{', '.join(FORMATS)} (default: a window)"
     )
-    parser.set_defaults(run=look)
+    parser.set_defaults(run=lambda arguments: look(Reading(arguments, parser)))
 
 
 def look(arguments) -> int:
@@ -73,6 +73,7 @@ def look(arguments) -> int:
         pyplot.switch_backend("agg")
     camera = operated(open_camera(arguments.camera), arguments)
     found = PANELS[arguments.what][0](_Asked(arguments, camera), plot)
+    arguments.refuse_unread(f"look --what {arguments.what}")
     if out is None:
         pyplot.show()
         return 0

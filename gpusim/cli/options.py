@@ -5,9 +5,48 @@ import math
 from collections import Counter
 
 from gpusim.domain.account import SHOWN
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import Conflict, OutOfRange
 
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
+
+
+# Options that change no frame, or that are in the camera or elsewhere in a manifest
+APART = frozenset(
+    "run command scene camera device out strict shard frames exposure iso f_number focus scaling".split()
+)
+
+
+def describe_options(arguments, apart=()) -> dict[str, str]:
+    """Return every option that frames depend on, as text by name, for a manifest.
+
+    apart: others that change no frame, or that are elsewhere in the manifest.
+    """
+    skipped = APART.union(apart)
+    return {
+        name: str(value) for name, value in sorted(vars(arguments).items()) if name not in skipped
+    }
+
+
+class Reading:
+    """Options of a command line that remember which of them are read."""
+
+    def __init__(self, arguments, parser):
+        self.__dict__.update(_arguments=arguments, _parser=parser, _read=set())
+
+    def __getattr__(self, name):
+        self._read.add(name)
+        return getattr(self._arguments, name)
+
+    def __setattr__(self, name, value):
+        setattr(self._arguments, name, value)
+
+    def refuse_unread(self, command: str):
+        """Raise Conflict for an option that was given and that nothing has read. command: in words."""
+        for action in self._parser._actions:
+            value = getattr(self._arguments, action.dest, action.default)
+            if action.option_strings and action.dest not in self._read and value != action.default:
+                option = action.option_strings[-1]
+                raise Conflict(option, f"{command} does not use it", "leave it out")
 
 
 def scene_of(arguments, name: str | None = None):

@@ -8,29 +8,19 @@ from pathlib import Path
 
 from gpusim.apps.pairs.variety import Variety
 from gpusim.apps.video.segments import Shard, segments_of
-from gpusim.cli.options import add_asked, describe_verdicts, operated, scene_of, whole
+from gpusim.cli.options import (
+    add_asked,
+    describe_options,
+    describe_verdicts,
+    operated,
+    scene_of,
+    whole,
+)
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, OutOfRange
 
 IN_SHARD = 256  # pairs, by default
 MOST = 10**8
-# Beside camera, photographs and variety what pairs depend on
-OPTIONS = (
-    "light",
-    "luminance",
-    "border",
-    "samples_per_pixel",
-    "fov",
-    "depth",
-    "wavelengths",
-    "kind",
-    "tolerance",
-    "guaranteed",
-    "seed",
-    "each",
-    "pictures",
-    "in_shard",
-)
 
 
 def add_command(commands):
@@ -153,7 +143,7 @@ def pairs(arguments) -> int:
         "photographs": [str(path) for path in photographs],
         "contents of files": [file_digest(path) for path in photographs],
         "vary": {name: list(values) for name, values in varied.items()},
-        "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
+        "options": describe_options(arguments, ("vary",)),
         "device": made_by(simulator.device),
     }
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}

@@ -4,7 +4,7 @@ import socket
 
 from gpusim.apps.preview.guard import LOOPBACK
 from gpusim.cli.moving import add_moving, moving
-from gpusim.cli.options import add_asked, operated, whole
+from gpusim.cli.options import Reading, add_asked, operated, whole
 from gpusim.domain.errors import Missing, OutOfRange, UnknownName
 
 
@@ -24,7 +24,13 @@ def add_command(commands):
         help="address at which the page is served; another than this "
         "machine's own lets all of its network move the sliders (default: 127.0.0.1)",
     )
-    parser.set_defaults(run=preview, seed=0, flicker=None, pwm=None, blur=False)
+    parser.set_defaults(
+        run=lambda arguments: preview(Reading(arguments, parser)),
+        seed=0,
+        flicker=None,
+        pwm=None,
+        blur=False,
+    )
 
 
 def preview(arguments) -> int:
@@ -61,6 +67,7 @@ def preview(arguments) -> int:
         first.shape,
         " ".join(arguments.scene),
     )
+    arguments.refuse_unread("preview")
     hosts = LOOPBACK if arguments.host in LOOPBACK else (*LOOPBACK, arguments.host)
     app.add_middleware(Guard, hosts=hosts)
     if arguments.host not in LOOPBACK:

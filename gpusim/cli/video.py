@@ -10,40 +10,9 @@ from pathlib import Path
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.segments import LENGTH, Shard, segments_of
 from gpusim.cli.moving import MOST_FRAMES, add_moving, moving
-from gpusim.cli.options import add_asked, describe_verdicts, operated, whole
+from gpusim.cli.options import add_asked, describe_options, describe_verdicts, operated, whole
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
-
-# Beside camera and scenes what frames depend on
-OPTIONS = (
-    "transfer",
-    "size",
-    "light",
-    "luminance",
-    "border",
-    "samples_per_pixel",
-    "band",
-    "fov",
-    "depth",
-    "wavelengths",
-    "kind",
-    "tolerance",
-    "guaranteed",
-    "seed",
-    "segment",
-    "pan",
-    "roll",
-    "zoom",
-    "zooming",
-    "shake",
-    "blur",
-    "flicker",
-    "pwm",
-    "ramp",
-    "lag",
-    "actor",
-    "fps",
-)
 
 
 def add_command(commands):
@@ -299,7 +268,7 @@ def _target(path, arguments, simulator, scenes, segments):
             )
         ],
         "frames": scenes.count,
-        "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
+        "options": describe_options(arguments, ("lerobot", "any_order", "codec", "quality")),
         "device": made_by(simulator.device),
     }
     is_episode = arguments.lerobot is not None

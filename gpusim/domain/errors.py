@@ -88,6 +88,13 @@ class DoesNotFit(GpusimError):
         )
 
 
+class Conflict(GpusimError):
+    """An option that has no meaning beside the others: ``--strict: look --what mtf does not use it; leave it out``."""
+
+    def __init__(self, option: str, reason: str, remedy: str):
+        super().__init__(f"{option}: {reason}; {remedy}")
+
+
 class Missing(GpusimError):
     """A library that is not installed, which only some of the package needs, with the way to get it."""
 

@@ -419,6 +419,25 @@ def test_a_file_that_has_changed_is_another_video(tmp_path, capsys):
             made(capsys, *asked)
 
 
+def test_every_option_that_frames_depend_on_is_in_the_manifest(tmp_path, capsys):
+    """Light of other units, or a fourth of it: what was begun is not gone on with."""
+    np.save(tmp_path / "planes.npy", np.full((24, 32, 3), 0.5, np.float32))
+    asked = [
+        tmp_path / "planes.npy",
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--exposure",
+        "0.01",
+    ]
+    asked += ["--wavelengths", "450,550,650", "--kind", "radiance", "--frames", "2"]
+    made(capsys, *asked, "--scale", "1e15", "-o", tmp_path / "a.png")
+    (tmp_path / "a_0001.png").unlink()
+    assert "other scale" in refused(capsys, *asked, "--scale", "2e15", "-o", tmp_path / "a.png")
+    assert "1 frame" in made(capsys, *asked, "--scale", "1e15", "-o", tmp_path / "a.png")
+
+
 def test_a_manifest_of_a_faster_shard_is_not_written_over(tmp_path, monkeypatch):
     path = tmp_path / "video.json"
 

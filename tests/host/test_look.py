@@ -20,6 +20,31 @@ FEWER = {
     "spectra": ["--at", "30,30", "--at", "3,4,20,50"],
 }
 
+SCENELESS = {"psf", "mtf", "camera", "snr", "ptc"}  # panels of a camera
+HOSTED = {"scene", "spectra", "psf", "mtf", "camera", "snr", "locus"}  # without a device
+
+
+@pytest.mark.parametrize(
+    ("what", "options"),
+    [
+        ("mtf", ["--strict"]),
+        ("mtf", ["--border", "zero"]),
+        ("psf", ["--luminance", "5"]),
+        ("scene", ["--tolerance", "video"]),
+        ("spectra", ["--strict"]),
+        ("spectra", ["--of", "550"]),
+        ("camera", ["--size", "20x20"]),
+    ],
+)
+def test_an_option_that_a_panel_does_not_use_is_refused(what, options, tmp_path, capsys):
+    out = tmp_path / "a.png"
+    asked = ["look", "colorchecker", "--what", what, *options, "-o", str(out)]
+    assert main([*asked, *(["--size", "40x30"] if what in ("scene", "spectra") else [])]) == 2
+    assert capsys.readouterr().err == (
+        f"gpusim: {options[0]}: look --what {what} does not use it; leave it out\n"
+    )
+    assert not out.exists()
+
 
 @pytest.mark.parametrize("what", PANELS)
 def test_look_writes_a_picture(what, tmp_path):
@@ -27,26 +52,10 @@ def test_look_writes_a_picture(what, tmp_path):
 
     scene = "slanted-edge" if what == "sfr" else "colorchecker"
     out = tmp_path / "a.png"
-    assert (
-        main(
-            [
-                "look",
-                scene,
-                "--what",
-                what,
-                "--size",
-                "72x60",
-                "--border",
-                "reflect",
-                "--device",
-                "numpy",
-                *FEWER.get(what, []),
-                "-o",
-                str(out),
-            ]
-        )
-        == 0
-    )
+    options = ["--size", "72x60", "--border", "reflect"] if what not in SCENELESS else []
+    options += ["--device", "numpy"] if what not in HOSTED else []
+    asked = ["look", scene, "--what", what, *options, *FEWER.get(what, []), "-o", str(out)]
+    assert main(asked) == 0
     codes = np.asarray(Image.open(out).convert("RGB"))
     assert min(codes.shape[:2]) > 150 and codes.std() > 10 and list(tmp_path.iterdir()) == [out]
 
