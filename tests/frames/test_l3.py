@@ -3,7 +3,7 @@
 import argparse
 import dataclasses
 import json
-from pathlib import Path
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -27,7 +27,6 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.io.camera import cameras
 from gpusim.io.camera.cameras import open_camera
 from gpusim.io.camera.learned import read_table, write_table
 from gpusim.io.frame.images import write_png
@@ -429,7 +428,7 @@ def test_command(tmp_path, capsys):
     )
     said = json.loads(read_table(out).provenance)
     assert said["light"] == "A" and said["scenes"] == ["photo"] and said["camera"] == "phone"
-    text = (Path(cameras.__file__).with_name("cameras") / "phone.toml").read_text()
+    text = (files("gpusim.data") / "cameras" / "phone.toml").read_text()
     learned = tmp_path / "learned.toml"
     learned.write_text(
         text.replace('demosaic = "adaptive"', 'demosaic = "learned"\ntable = "phone.npz"')
