@@ -174,10 +174,7 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
     negative weights of a cubic may not outweigh the positive ones, so the rest of it goes by area.
     """
     places, room = np.array([0.3, 0.5, 0.7]), np.ones(np.array(light.shape[1:]) - 3, np.float32)
-    near = np.abs(places[:, None] - np.arange(-1, 3))
-    weights = np.where(
-        near <= 1, (1.5 * near - 2.5) * near**2 + 1, ((-0.5 * near + 2.5) * near - 4) * near + 2
-    )
+    weights = _cubic_weights(places[:, None] - np.arange(-1, 3))
     both = np.einsum("vi,uj->ijvu", weights, weights).reshape(16, -1)
     for plane in light:
         cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4)).reshape(-1, 16)
@@ -191,32 +188,32 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
         room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
     share = np.ones(light.shape[1:], np.float32)
     inside = share[3:-3, 3:-3]
-    for y, x in (
+    edges = [
         (0, 1),
         (0, 2),
         (3, 1),
         (3, 2),
-        (1, 0),
-        (2, 0),
-        (1, 3),
-        (2, 3),
-    ):  # cells of negative weights
+    ]  # offsets of the cells in which a sample has a negative weight
+    for y, x in edges + [pair[::-1] for pair in edges]:
         np.minimum(inside, room[y : y + inside.shape[0], x : x + inside.shape[1]], out=inside)
     return share
+
+
+def _cubic_weights(distance):
+    """Weights of samples at these distances from a place, a = -1/2. Source: Keys 1981."""
+    t = np.abs(distance)
+    outer = np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0)
+    return np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1, outer)
 
 
 def _interpolated_waves(f, width):
     """Waves exp(2 pi i f x) as interpolated at the PHASES places x, over the waves themselves, complex (PHASES, F)."""
     places, k = np.arange(PHASES) / PHASES, np.arange(-3, 5)
-    t = np.abs(places[:, None] - k)
+    apart = places[:, None] - k
     if width is None:
-        weights = np.where(
-            t <= 1,
-            (1.5 * t - 2.5) * t * t + 1,
-            np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0),
-        )
+        weights = _cubic_weights(apart)
     else:
-        weights = np.clip((1 + width) / 2 - t, 0, min(1.0, width)) / width
+        weights = np.clip((1 + width) / 2 - np.abs(apart), 0, min(1.0, width)) / width
     return np.einsum(
         "pk,pkf->pf", weights, np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f))
     )

@@ -419,8 +419,8 @@ def test_a_file_that_has_changed_is_another_video(tmp_path, capsys):
             made(capsys, *asked)
 
 
-def test_every_option_that_frames_depend_on_is_in_the_manifest(tmp_path, capsys):
-    """Light of other units, or a fourth of it: what was begun is not gone on with."""
+def test_a_video_of_another_scale_is_not_resumed(tmp_path, capsys):
+    """Twice the light for the same numbers is another video."""
     np.save(tmp_path / "planes.npy", np.full((24, 32, 3), 0.5, np.float32))
     asked = [
         tmp_path / "planes.npy",
