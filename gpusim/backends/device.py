@@ -152,11 +152,21 @@ class Device:
         """A place in what was launched, for `send`."""
 
     def launch(
-        self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None
+        self,
+        stage: str,
+        kernel: str,
+        grid: tuple,
+        *args,
+        numbers: dict | None = None,
+        words=None,
+        defines: dict | None = None,
+        group=None,
     ):
         """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
 
-        args: arrays of this device, ints and floats, in the kernel's order. defines: compile-time constants.
+        args: arrays of this device, ints and floats, in the kernel's order. numbers: numbers by name that may change
+        from frame to frame, the kernel's last arguments; a recorded launch can be given others. words: function that
+        makes these arguments, `words(**numbers)`; by default each number is a float. defines: compile-time constants.
         group: work-group (block) shape, slowest axis first, or None for the backend's choice.
         """
         raise NotImplementedError

@@ -23,7 +23,8 @@ class Tape:
     `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
     memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
     reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
-    commands: the noted kernels and copies, in order. viewed: arrays of which another form was asked for.
+    commands: the noted kernels and copies, in order. numbered: those that take numbers by name, with these and the
+    function that makes arguments of them. viewed: arrays of which another form was asked for.
     writes_anew: whether arrays are new each time, for results that are kept; then there is nothing to replay.
     """
 
@@ -32,6 +33,7 @@ class Tape:
         self._requests: list = []
         self._at = 0
         self.commands: list = []
+        self.numbered: list = []
         self.viewed: list = []
         self.reads: list[str] = []
         self.host_work: list[str] = []
@@ -39,7 +41,8 @@ class Tape:
     def begin(self):
         """The computation is made (again) from here on."""
         self._at = 0
-        self.commands, self.viewed, self.reads, self.host_work = [], [], [], []
+        self.commands, self.numbered, self.viewed = [], [], []
+        self.reads, self.host_work = [], []
 
     def again(self, request, make):
         """What `make()` gave for the request in this place, or gives now."""
@@ -83,6 +86,20 @@ class Tape:
                 command.set(tuple(news.get(id(arg), arg) for arg in command.args))
         return True
 
+    def renumber(self, numbers) -> bool:
+        """Give the recorded kernels other numbers by name; False, and nothing is done, unless they take all of them.
+
+        See `Taped.launch`.
+        """
+        if not numbers.keys() <= {name for _, own, _ in self.numbered for name in own}:
+            return False
+        for place, (command, own, words) in enumerate(self.numbered):
+            own = own | {name: value for name, value in numbers.items() if name in own}
+            last = last_arguments(own, words)
+            command.set((*command.args[: -len(last)], *last))
+            self.numbered[place] = command, own, words
+        return True
+
     @property
     def is_replayable(self) -> bool:
         """Whether the noted kernels are all there is to do."""
@@ -97,11 +114,11 @@ class Tape:
 class OwnTape(threading.local):
     """A tape of each thread's own, on which results are new arrays. Pickled, it is empty.
 
-    of: what was noted last, for who uses it.
+    of: what was noted last, for who uses it. raw: the array that it wrote.
     """
 
     def __init__(self):
-        self.tape, self.of = Tape(writes_anew=True), ()
+        self.tape, self.of, self.raw = Tape(writes_anew=True), (), None
 
     def __reduce__(self):
         return OwnTape, ()
@@ -128,6 +145,11 @@ def noted(tape: Tape | None):
         raise
     finally:
         _current.tape = outer
+
+
+def last_arguments(numbers, words=None) -> tuple:
+    """Return a kernel's last arguments from numbers by name: as float, or as a function `words(**numbers)` says."""
+    return tuple(map(float, numbers.values())) if words is None else words(**numbers)
 
 
 class Taped(Device):
@@ -233,7 +255,11 @@ class Taped(Device):
         command.start()
 
     @refusable(of_launch)
-    def launch(self, stage, kernel, grid, *args, defines=None, group=None):
+    def launch(
+        self, stage, kernel, grid, *args, numbers=None, words=None, defines=None, group=None
+    ):
+        if numbers:
+            args = (*args, *last_arguments(numbers, words))
         tape = _current.tape
         if tape is None:
             self._launch(stage, kernel, grid, args, defines or {}, group)
@@ -243,6 +269,8 @@ class Taped(Device):
                 request, lambda: self._command(stage, kernel, grid, args, defines or {}, group)
             )
             command.set(args)
+            if numbers:
+                tape.numbered.append((command, numbers, words))
             tape.start(command)
 
     def refusal(self, error: Exception) -> str:

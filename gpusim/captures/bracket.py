@@ -8,9 +8,8 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.kernels.sensor.chip import chip
-from gpusim.pipeline.cache import Kept
 from gpusim.pipeline.frame import Exposure, Frame
-from gpusim.pipeline.program import exposed
+from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -56,12 +55,7 @@ def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -
             scale=exposure_time / exposure.exposure_time,
             device=device,
         )
-        made = exposed(
-            simulator,
-            exposure.plan,
-            device.reshape(mean, shape),
-            exposure_time,
-            exposure.gain,
-            Kept(),
+        made = expose_mean(
+            simulator, exposure.plan, device.reshape(mean, shape), exposure_time, exposure.gain
         )
     return dataclasses.replace(made, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))

@@ -16,11 +16,10 @@ from gpusim.domain.motion import Motion
 from gpusim.domain.scene import checked_scene
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.optics.shutter import shutter_weights
-from gpusim.pipeline.cache import Kept
 from gpusim.pipeline.frame import Exposure
-from gpusim.pipeline.metering import metered
+from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numbers
 from gpusim.pipeline.planning import given, probes_for
-from gpusim.pipeline.program import exposed
+from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -71,11 +70,13 @@ def expose_moving(
             f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name
         )
     with device.timed() as ms:
-        rates = [imaging.exposed(plan, imaging.rates(plan), 1.0) for plan in plans]
+        rates = [imaging.values(plan)["per second"] for plan in plans]
         shape = rates[0].shape
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is None:
-            exposure_time, gain = metered(simulator, rates[0])
+            numbers = metering_numbers(sensor, simulator.readout)
+            light = meter_light(rates[0], automatic=sensor.auto_exposure, device=device)
+            exposure_time, gain = choose_exposure(device.numpy(light), prod(shape), **numbers)
         weights = shutter_weights(times, shape[-2], exposure_time, sensor.row_time, start, flicker)
         layers = prod(shape[:-2])  # of stacked pixels, one below the other
         stacked = device.reshape(device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
@@ -86,9 +87,7 @@ def expose_moving(
         told = dataclasses.replace(
             _worst(plans, simulator.tolerance), models=plans[0].models | {"sensor.shutter": model}
         )
-        exposure = exposed(
-            simulator, told, device.reshape(mean, shape), exposure_time, gain, Kept()
-        )
+        exposure = expose_mean(simulator, told, device.reshape(mean, shape), exposure_time, gain)
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
 

@@ -1,7 +1,6 @@
 """How this camera's digital numbers become display colours, at this exposure."""
 
-from dataclasses import dataclass, fields
-from operator import attrgetter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +10,10 @@ from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
-from gpusim.domain.processor import Processor
+from gpusim.domain.sensor import Sensor
 from gpusim.domain.short_repr import brief
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.weights import product_weights
-from gpusim.planner.plan import Plan
-
-_BEFORE_TONE = attrgetter(*(part.name for part in fields(Processor) if part.name != "tone"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +39,25 @@ class Rendering:
 
 
 @dataclass(frozen=True, eq=False)
-class _Colors:
-    """A Rendering but for its levels: of white as 1."""
+class Colors:
+    """A Rendering without its levels.
+
+    Attributes:
+        matrix: To linear display RGB for white as 1, shape (3, C).
+        neutral: Camera values of white, the largest 1, shape (C,).
+        model: In words.
+        brightest: Electrons per second of a perfect white diffuser in the strongest plane; None if that is not known.
+        share: White in the strongest plane over white in the strongest pixel [1].
+    """
 
     matrix: np.ndarray
     neutral: np.ndarray
     model: str
+    brightest: float | None = None
+    share: float = 1.0
 
     def at(self, white, saturation, diffuser):
+        """Return the rendering at levels of display white, saturation and a white diffuser."""
         return Rendering(
             self.matrix / white,
             self.neutral * saturation,
@@ -62,61 +69,76 @@ class _Colors:
         )
 
 
-def rendering(
-    plan: Plan,
+def choose_colors(
+    white_rate: np.ndarray | None,
+    light: Spectrum | None,
     camera: Camera,
-    exposure_time: float,
-    pixels: int = 1,
-    keep=lambda _, __, make: make(),
+    cache=lambda _, function, *args, **kwargs: function(*args, **kwargs),
+) -> Colors:
+    """Return the transforms by which white in the scene's light comes out neutral.
+
+    Args:
+        white_rate: Electrons per second that a perfect white diffuser gives in each channel, shape (C,), or None.
+        light: The scene's light. None if it is not known: the processor's target light is assumed.
+        camera: The camera. Its lens transmission, sensor, processor and display matter.
+        cache: Function `cache(name, function, *args)` that may return an earlier result.
+
+    Returns:
+        The colours.
+
+    Raises:
+        BadData: See `color_matrix`.
+    """
+    colors = _match_colors(white_rate, light, camera, cache)
+    rates = _white_rates(white_rate, camera)
+    share = 1.0
+    if camera.processor.scaling == "exposure":
+        share = _share_of_white(white_rate, camera)
+    return replace(colors, brightest=None if rates is None else float(rates.max()), share=share)
+
+
+def render_exposure(
+    colors: Colors, sensor: Sensor, *, scaling: str, pixels: int, exposure_time: float
 ) -> Rendering:
-    """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
+    """Return the rendering of an exposure, white as bright as `Processor.scaling` says.
 
     "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
-    camera alone, so that linear display values are proportional to exposure time and analog gain up to saturation,
+    camera only. So linear display values are proportional to exposure time and analog gain up to saturation, which is
     1 / `AutoExposure.white` of display white, where all channels are clipped to white. "normalised": the camera value
-    of a perfect white diffuser is display white; where the scene's light is unknown, saturation is.
-    camera: as operated (see `gpusim.pipeline.frame.Exposure`). exposure_time: [s]. pixels: whose charge was added.
-    Where the scene's light is unknown, or not to be used, the target light is assumed. keep: function (what, key, make)
-    that may give what make() gave before for the same key. Raises BadData (see `color_matrix`).
+    of a perfect white diffuser is display white, or saturation if the scene's light is unknown.
+
+    Args:
+        colors: The transforms.
+        sensor: The sensor as operated (see `gpusim.pipeline.frame.Exposure`).
+        scaling: Of the processor.
+        pixels: Number of pixels whose charge was added to one.
+        exposure_time: Exposure time [s].
+
+    Returns:
+        The rendering.
     """
-    sensor, processor = camera.sensor, camera.processor
-    key = (
-        plan.white_rate,
-        plan.scene.illuminant,
-        plan.scene.light_is_known,
-        camera.optics.transmission,
-        sensor.qe,
-        sensor.channels,
-        without_tone(processor),
-        camera.display,
-    )
-    colors = keep("colors", key, lambda: _colors(plan, camera, keep))
     saturation = (
         sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     )
-    white, rates = saturation, _white_rates(plan, camera)  # camera values in the strongest channel
-    if rates is not None:
-        white = diffuser = saturation * (rates.max() * exposure_time * pixels / sensor.saturation)
-    if processor.scaling == "exposure":
-        share = keep("share of white", (*key, "share"), lambda: _share_of_white(plan, camera))
-        white = saturation * sensor.auto_exposure.white * share
-    return colors.at(white, saturation, 1.0 if rates is None else diffuser / white)
+    white = saturation  # a camera value in the strongest channel
+    if colors.brightest is not None:
+        white = diffuser = saturation * (
+            colors.brightest * exposure_time * pixels / sensor.saturation
+        )
+    if scaling == "exposure":
+        white = saturation * sensor.auto_exposure.white * colors.share
+    return colors.at(white, saturation, 1.0 if colors.brightest is None else diffuser / white)
 
 
-def without_tone(processor) -> tuple:
-    """What a processor does before its tone curve, as a part of a key."""
-    return _BEFORE_TONE(processor)
-
-
-def _white_rates(plan, camera):
+def _white_rates(rates, camera):
     """Electrons per second that a perfect white diffuser gives in the camera's planes; None if that is not known."""
-    rates, letters = plan.white_rate, planes_of(camera)
+    letters = planes_of(camera)
     if rates is None or letters == XYZ:
         return rates
     return rates[[camera.sensor.channels.index(letter) for letter in letters]]
 
 
-def _share_of_white(plan, camera) -> float:
+def _share_of_white(rates, camera) -> float:
     """Return white in the strongest plane over white in the strongest pixel, 1 unless learned filters leave it out.
 
     Exposure is metered on all pixels, clear ones too, and filters may give only red, green and blue.
@@ -124,62 +146,42 @@ def _share_of_white(plan, camera) -> float:
     shown, letters = planes_of(camera), camera.sensor.channels
     if shown == XYZ or {*letters} <= {*shown}:
         return 1.0
-    rates = plan.white_rate
     if rates is None:
         light = photons_from_energy(illuminant(camera.processor.target))
         rates = product_weights(light.wavelengths, light, efficiency(camera, letters)).sum(axis=-1)
     return float(rates[[letters.index(letter) for letter in shown]].max() / rates.max())
 
 
-def _colors(plan, camera, keep):
-    """Transforms by which white in the scene's light comes out neutral."""
-    scene, sensor, processor, letters = (
-        plan.scene,
-        camera.sensor,
-        camera.processor,
-        planes_of(camera),
-    )
-    known = scene.light_is_known and processor.white_balance == "illuminant"
-    light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
-    rates = _white_rates(plan, camera)
+def _match_colors(white_rate, light, camera, cache):
+    """Return the transforms by which white in the scene's light comes out neutral, without its rates."""
+    processor, letters = camera.processor, planes_of(camera)
+    known = light is not None and processor.white_balance == "illuminant"
+    if not known:
+        light = photons_from_energy(illuminant(processor.target))
+    rates = _white_rates(white_rate, camera)
     if processor.white:
-        white = np.array(processor.white) / max(processor.white)
-        return _balanced(
-            camera,
-            white,
-            "white as preset",
-            lambda: keep("transforms", transforms_by(camera), lambda: transforms_of(camera)),
-        )
+        white, transforms = np.array(processor.white) / max(processor.white), None
+        if processor.color != "none":
+            transforms = cache("transforms", transform_set, **transform_arguments(camera))
+        return _balanced(camera, white, "white as preset", transforms)
     if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(
             neutral, camera.display.xyz_from_rgb.sum(axis=1)
         )
-        return _Colors(matrix, neutral, f"XYZ in {processor.target} to the display")
+        return Colors(matrix, neutral, f"XYZ in {processor.target} to the display")
     if processor.color != "none":
-        key = (
-            camera.optics.transmission,
-            sensor.qe,
-            letters,
+        found = cache(
+            "colour matrix",
+            color_matrix,
+            efficiency(camera, letters),
             light,
             processor.training,
-            processor.color,
-            processor.target,
-            camera.display,
-        )
-        found = keep(
-            "colour matrix",
-            key,
-            lambda: color_matrix(
-                efficiency(camera, letters),
-                light,
-                processor.training,
-                method=processor.color,
-                target_light=processor.target,
-                display=camera.display,
-                channels=letters,
-            ),
+            method=processor.color,
+            target_light=processor.target,
+            display=camera.display,
+            channels=letters,
         )
         matrix, neutral = found.matrix, found.white
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
@@ -194,7 +196,7 @@ def _colors(plan, camera, keep):
             if known
             else f", as if the light were {processor.target}"
         )
-    return _Colors(matrix, neutral, model)
+    return Colors(matrix, neutral, model)
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
@@ -214,47 +216,31 @@ def rebalanced(
     """
     processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
-    return _balanced(camera, estimate.white, estimate.model, lambda: transforms).at(*levels)
+    return _balanced(camera, estimate.white, estimate.model, transforms).at(*levels)
 
 
 def _balanced(camera, white, words, transforms):
-    """Transforms by which `white` (C,), largest 1, comes out neutral. transforms: gives those of a set of lights."""
+    """Return the transforms by which `white` (C,), largest 1, comes out neutral. transforms: of a set of lights."""
     processor = camera.processor
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), white)
-        return _Colors(matrix, white, f"{model}, {words}")
-    made = transforms().at(white)
+        return Colors(matrix, white, f"{model}, {words}")
+    made = transforms.at(white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
-    return _Colors(made.matrix, made.white, model)
+    return Colors(made.matrix, made.white, model)
 
 
-def transforms_by(camera: Camera) -> tuple:
-    """What `transforms_of` depends on."""
-    processor = camera.processor
-    return (
-        camera.optics.transmission,
-        camera.sensor.qe,
-        planes_of(camera),
-        processor.training,
-        processor.color,
-        processor.target,
-        camera.display,
-    )
-
-
-def transforms_of(camera: Camera) -> TransformSet:
-    """Colour transforms of this camera for a set of lights, between which an estimate of the light chooses."""
-    processor = camera.processor
-    method = "white-preserving" if processor.color == "none" else processor.color
-    letters = planes_of(camera)
-    return transform_set(
-        efficiency(camera, letters),
-        processor.training,
-        channels=letters,
-        method=method,
-        target_light=processor.target,
-        display=camera.display,
-    )
+def transform_arguments(camera: Camera) -> dict:
+    """Return the arguments of `transform_set` for a camera: of a set of lights, between which an estimate chooses."""
+    processor, letters = camera.processor, planes_of(camera)
+    return {
+        "qe": efficiency(camera, letters),
+        "reflectances": processor.training,
+        "channels": letters,
+        "method": "white-preserving" if processor.color == "none" else processor.color,
+        "target_light": processor.target,
+        "display": camera.display,
+    }
 
 
 def _channels_shown(letters, neutral):

@@ -4,25 +4,35 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.optics.geometry import relative_illumination
-from gpusim.planner.plan import Plan
 
 NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
 INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
 
 
-def relative_response(plan: Plan) -> np.ndarray:
-    """What a flat scene gives at every pixel over that on the axis, float64 (rows, cols).
+def relative_response(
+    shape: tuple[int, int],
+    slope: float,
+    falloff: np.ndarray | None = None,
+    nodes: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the response to a flat scene relative to the axis, float64 (rows, cols).
 
-    Relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
+    It holds relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
+
+    Args:
+        shape: Rows and columns of the pixels.
+        slope: Tangent of the field angle per pixel; 0: no cos^4 law.
+        falloff: Further fall-off of every pixel, shape (rows, cols), or None.
+        nodes: Of a distortion, see `gpusim.optics.geometry.DistortionGrid`, or None.
     """
-    response = np.ones(plan.scene.shape)
-    if plan.slope:
-        response *= relative_illumination("cos4", plan.scene.shape, plan.slope, 1.0)
-    if plan.falloff is not None:
-        response *= plan.falloff
-    if plan.distortion is not None:
-        flux = plan.distortion.nodes[..., 2]
-        along_y, along_x = map(_cubics, flux.shape, plan.scene.shape)
+    response = np.ones(shape)
+    if slope:
+        response *= relative_illumination("cos4", shape, slope, 1.0)
+    if falloff is not None:
+        response *= falloff
+    if nodes is not None:
+        flux = nodes[..., 2]
+        along_y, along_x = map(_cubics, flux.shape, shape)
         response *= along_y @ flux @ along_x.T
     return response
 

@@ -2,6 +2,7 @@
 
 import json
 import time
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.backends.probe import cache_file, write_cache
 from gpusim.backends.tape import Tape, noted
+from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function, stage_module
-from gpusim.pipeline.cost import of_bench, of_plan
-from gpusim.pipeline.developer import Developer
+from gpusim.optics.splines import multiplications
+from gpusim.pipeline.step import steps_needed
 
 SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
 GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
@@ -21,7 +23,7 @@ IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to 
 
 
 class Speeds:
-    """Milliseconds of a stage by its work: a part that is always taken, and one for each unit of `of_plan`.
+    """Milliseconds of a stage by its work: a part that is always taken, and one for each unit of `Step.work`.
 
     device: what they are of. cache: file in which they are kept, None for none.
     """
@@ -89,7 +91,7 @@ class Speeds:
                 for _ in range(in_a_row):
                     run()
             times.append(sum(ms.values()) / in_a_row)
-        return of_bench(stage, inputs, rows, cols), float(np.median(times))
+        return work_of_bench(stage, inputs, rows, cols), float(np.median(times))
 
     def _read(self):
         try:
@@ -108,12 +110,34 @@ def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
     default.
     """
     speeds = Speeds(simulator.device) if speeds is None else speeds
-    developer = Developer(plan.camera, simulator.device, edges=np.empty(0))
-    stages = [
-        *simulator.readout.models(),
-        *developer.models(),
-        "sensor.meter",
-        "processor.color",
-        "display.encode",
-    ]
-    return speeds.ms(of_plan(plan, stages))
+    work: dict[str, float] = {}
+    steps = steps_needed(simulator.steps(plan), ["codes", "light", "survey"])
+    for step in steps:
+        if step.work:
+            work[step.stage] = work.get(step.stage, 0.0) + step.work
+    return speeds.ms(work)
+
+
+def work_of_bench(stage: str, inputs: dict, rows: int, cols: int) -> float:
+    """Work of a stage's benchmark of this size; inputs: what its contract's `bench` gave."""
+    pixels = float(rows * cols)
+    if stage == "spectral.integrate":
+        return inputs["content"].nbytes + 4 * len(inputs["weights"]) * pixels
+    if stage == "spectral.materials":
+        return inputs["ids"].nbytes + inputs["shading"].nbytes + 4 * len(inputs["table"]) * pixels
+    if stage == "spectral.survey":
+        entries, _, width = inputs["content"].shape
+        return float(len(inputs["first"]) * width * entries)
+    if stage in ("optics.mosaic", "optics.blur", "optics.tiles"):
+        return float(stage_module(stage).operations(**inputs))
+    if stage == "optics.far":
+        channels, planes, _ = inputs["weights"].shape
+        return multiplications((rows, cols), planes, channels, tuple(inputs["sigmas"]))
+    if stage == "optics.splat":
+        return len(inputs["places"]) * float(max(rows, cols)) ** 2
+    if stage == "optics.field":
+        (tiles, terms), size = inputs["index"].shape, inputs["kernels"].shape[-1]
+        high, wide = (float(np.diff(edge).max()) + size - 1 for edge in inputs["edges"])
+        return tiles * (terms + 1) * fft.operations((high, wide))
+    planes = inputs.get("planes", inputs.get("lights"))
+    return float(prod(planes.shape)) if planes is not None else pixels

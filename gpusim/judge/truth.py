@@ -142,7 +142,7 @@ def _rates_by_depth(simulator, camera, scene, light):
     reference = simulator(camera, device="numpy", period=period)
     own = reference.plan(scene)
     weights = own.weights / own.flat * own.q
-    return reference.imaging.channels(own) + far_rates(
+    return reference.imaging.values(own)["channels"] + far_rates(
         weights, light, camera.optics, scene, period, pixel_places(camera, scene)
     )
 

@@ -1,6 +1,7 @@
 """Several frames at once in one array: of several scenes, or of one by several settings."""
 
 from collections.abc import Iterable
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,7 @@ from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shortened
-from gpusim.pipeline.cache import Kept, same
-from gpusim.pipeline.memory import bytes_of_item
+from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import planned_by
 from gpusim.pipeline.program import Before, Program
@@ -42,7 +42,7 @@ class Batch:
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
-        self._simulator, self._kept = simulator, Kept(simulator.device)
+        self._simulator, self._cache = simulator, Cache(simulator.device)
         self._items: list[Program | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
         self.plans: list[Plan] = []
@@ -119,7 +119,7 @@ class Batch:
                 ):  # a program of its own; the next call has another one
                     self._items[item] = None
                     programs[item] = Program(
-                        self._simulator.apart(by, Kept()), own, its_time, its_gain
+                        self._simulator.apart(by, Cache()), own, its_time, its_gain
                     )
                     frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
                     plans[item] = programs[item].plan
@@ -130,8 +130,7 @@ class Batch:
                 "frames have one shape"
             )
         self.plans = plans
-        of = [program.kept.one(array) for program, array in zip(programs, frames, strict=True)]
-        return self._kept("frames", of, lambda: self._simulator.device.stack(frames))
+        return self._cache("frames", stack_frames, *frames, device=self._simulator.device)
 
     def judge(self) -> None:
         """Wait for what the device saw of the scenes: see `Program.judge`. Every call does it for the one before."""
@@ -156,7 +155,7 @@ class Batch:
             program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
         alike = next(filter(is_alike, in_use), None)
-        tables = alike.simulator.tables if alike else Kept() if in_use else self._simulator.tables
+        tables = alike.simulator.tables if alike else Cache() if in_use else self._simulator.tables
         simulator, shared = (
             self._simulator.apart(camera, tables),
             alike is not None and self._planned_for is None,
@@ -182,6 +181,27 @@ class Batch:
                 device.memory,
                 device.name,
             )
+
+
+def stack_frames(*frames, device) -> Any:
+    """Return frames in one array."""
+    return device.stack(frames)
+
+
+def bytes_of_item(plan: Plan, output: str) -> int:
+    """Return the memory of an output of `gpusim.pipeline.outputs.OUTPUTS` in a batch, where it is copied [byte]."""
+    pixels, channels = prod(plan.scene.shape), len(plan.weights)
+    if output in ("irradiance", "electrons"):
+        return 8 * pixels * (len(plan.scene.wavelengths) if output == "irradiance" else channels)
+    # both means, raw values, and the copy of one of them
+    raw = 14 * (channels if plan.camera.sensor.stacked else 1)
+    developed = {
+        "camera": 8 * channels,
+        "linear": 4 * channels + 24,
+        "xyz": 4 * channels + 36,
+        "codes": 4 * channels + 18,
+    }
+    return pixels * (raw + developed.get(output, 0))
 
 
 def one_each(name: str, value, count: int) -> list:

@@ -1,7 +1,9 @@
-"""What was computed before, given again while what it was made of stays the same."""
+"""A cache of computed values. A value is computed again only if something that it depends on has changed."""
 
 import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from types import FunctionType, MethodType
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -9,7 +11,17 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.backends.tape import Tape, noted
+from gpusim.domain.content import Content
+from gpusim.domain.scene import Scene
+from gpusim.planner.facts import Facts
+from gpusim.planner.plan import Plan
 
+BY_IDENTITY = (
+    Scene,
+    Content,
+    Plan,
+    Facts,
+)  # unchanged only as the same object, whatever its arrays hold
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
 NUMBERS = (int, float, str, bool)
 OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
@@ -17,53 +29,88 @@ OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
 @dataclass(eq=False, slots=True)
 class One:
-    """What another step gave, or a user: the same while it is one object of one version, whatever its values."""
+    """A device array as part of a key: the same while it is one object of one version."""
 
     value: Any
     version: int = 0
 
 
-class Kept:
-    """One value of each name, with the key that it was made for.
+class Cache:
+    """Results of functions, each kept under a name until an argument changes.
 
-    device: where steps that are made again and again run on tapes (see `gpusim.backends.tape`), and then write to the
-    arrays that they gave before; by default every value is new. One thread at a time then; threads may share others.
+    Args:
+        device: Device on which repeated computations are recorded on tapes (see `gpusim.backends.tape`). A repeated
+            computation then writes to the arrays of the one before. None: every result is a new array.
+
+    One thread at a time uses a cache with a device. Threads may share a cache without one.
     """
 
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
-        self._owners: WeakKeyDictionary = (
-            WeakKeyDictionary()
-        )  # of arrays that are written again: step and version
+        # step and version of each array that is written to again
+        self._owners: WeakKeyDictionary = WeakKeyDictionary()
         self._versions = itertools.count(1)
+        self.user: object | None = (
+            None  # the last `gpusim.pipeline.step.Values` whose values are here
+        )
 
-    def beside(self) -> "Kept":
-        """Another one, in whose keys arrays of this one are known; both end together."""
-        other = Kept(self._device)
+    @property
+    def is_taped(self) -> bool:
+        """Whether repeated computations write to the arrays of the ones before."""
+        return self._device is not None
+
+    def sibling(self) -> "Cache":
+        """Return another cache that knows the array versions of this one."""
+        other = Cache(self._device)
         other._owners, other._versions = self._owners, self._versions
         return other
 
-    def one(self, value) -> One:
-        """The value as part of a key: the same until the step that made it writes to it again."""
-        return One(value, self._owners.get(value, ("", 0))[1] if self._is_array(value) else 0)
+    def __call__(self, name: str, function: Callable, *args, **kwargs) -> Any:
+        """Return `function(*args, **kwargs)`, computed only if an argument has changed since the last call.
 
-    def __call__(self, name: str, key, make, adjust=None):
-        """What `make()` gave for a key that is the same, see `compared`, or gives now.
-
-        key: all that `make` depends on. Where nothing but the contents of its arrays is new, or others of the same form
-        are in their places, its kernels are started again without it. adjust: function that sets other numbers in the
-        kernels of a tape, where the last part of the key alone is other.
+        The arguments are the key. So the function must not depend on anything else: it is no method of an object and
+        has no closure.
         """
+        return self.run(name, function, args, kwargs, {})
+
+    def by_key(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
+        """Return `make()`, computed only if the key has changed. For `gpusim.planner`, which names its keys itself."""
+        found = self._entries.get(name)
+        if found is not None and compared(found[0], key) == SAME:
+            return found[1]
+        with noted(None):
+            value = make()
+        self._entries[name] = key, value, None
+        return value
+
+    def run(
+        self, name: str, function: Callable, args: tuple, kwargs: Mapping, numbers: Mapping
+    ) -> Any:
+        """Return `function(*args, **kwargs, **numbers)`, see `__call__`.
+
+        Args:
+            name: Name of the result. One result is kept per name.
+            function: What computes it.
+            args: Values, also device arrays. If only the contents of arrays have changed, or other arrays of the same
+                shape and type are in their places, the recorded kernels run again without the function.
+            kwargs: Everything else that the function depends on.
+            numbers: Numbers that change from frame to frame. If only they have changed, the recorded kernels run again
+                with the new ones.
+
+        Returns:
+            The result of the function.
+        """
+        key = function, self.versioned(args), kwargs
         found = self._entries.get(name)  # read once: another thread may put its own there
         change, has_numbers = OTHER, True
         if found is not None:
-            change = (
-                compared(found[0], key) if adjust is None else compared(found[0][:-1], key[:-1])
-            )
-            has_numbers = adjust is None or compared(found[0][-1], key[-1]) == SAME
+            change = compared(found[0][:-1], key)
+            has_numbers = found[0][-1] == numbers
             if change == SAME and has_numbers:
                 return found[1]
+        else:
+            _require_pure(name, function)
         tape = None if self._device is None else Tape() if found is None else found[2]
         try:
             if (
@@ -71,39 +118,47 @@ class Kept:
                 and change != OTHER
                 and tape is not None
                 and tape.is_replayable
+                and (has_numbers or tape.renumber(numbers))
                 and (change != REPLACED or self._replaced(tape, found, key))
             ):
-                if not has_numbers:
-                    adjust(tape)
                 tape.replay()
                 value = found[1]
             else:
                 with noted(tape):
-                    value = make()
+                    value = function(*args, **kwargs, **numbers)
         except BaseException:
             if tape is not None:  # its arrays may be half written
                 self._entries.pop(name, None)
             raise
-        self._entries[name] = key, value, tape
+        self._entries[name] = (*key, numbers), value, tape
         if self._device is not None:
             self._renew(name, None if found is None else found[1], value)
         return value
 
+    def versioned(self, value):
+        """Return a value as part of a key: device arrays with the version of their contents."""
+        if type(value) is tuple or type(value) is list:
+            return tuple([self.versioned(part) for part in value])
+        if self._device is not None and isinstance(value, self._device.array_type):
+            return One(value, self._owners.get(value, ("", 0))[1])
+        return value
+
     @staticmethod
     def _replaced(tape, found, key) -> bool:
-        """Whether the noted kernels now have the key's arrays in the places of others, and give nothing of those."""
+        """Give the recorded kernels the arrays of a new key; False if that cannot be."""
         others = [
             (own.value, its.value)
-            for own, its in zip(ones(found[0]), ones(key), strict=True)
+            for own, its in zip(ones(found[0][1]), ones(key[1]), strict=True)
             if own.value is not its.value
         ]
         parts = found[1] if isinstance(found[1], tuple) else (found[1],)
         return not any(part is old for part in parts for old, _ in others) and tape.replaced(others)
 
-    def on_host(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-        """Steps that did more than start kernels when last made on their tapes: see `gpusim.pipeline.host`.
+    def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
+        """Return results whose last computation did more than start kernels.
 
-        Each with the stages in which the host read values of the device, and those that worked on the host.
+        Returns:
+            For each its name, the stages in which the host read device values, and the stages that worked on the host.
         """
         taped = [(name, tape) for name, (_, _, tape) in self._entries.items() if tape is not None]
         return [
@@ -113,7 +168,7 @@ class Kept:
         ]
 
     def _renew(self, name, before, value):
-        """Tell the arrays that a step wrote to from what they were."""
+        """Give the arrays of a new result a new version."""
         owners, none = self._owners, (name, 0)
         parts = value if isinstance(value, tuple) else (value,)
         if before is not value:
@@ -126,24 +181,43 @@ class Kept:
                     del owners[part]
         for part in parts:
             if self._is_array(part) and owners.get(part, none)[0] == name:
-                owners[part] = name, next(self._versions)  # what a step hands on is not its own
+                owners[part] = (
+                    name,
+                    next(self._versions),
+                )  # an array that is handed on has its version already
 
     def _is_array(self, value):
         return self._device is not None and isinstance(value, self._device.array_type)
 
     def __reduce__(self):
-        return Kept, (self._device,)  # made anew
+        return Cache, (self._device,)  # empty
+
+
+def _require_pure(name, function):
+    """Refuse a function that depends on more than its arguments. Raises TypeError."""
+    if isinstance(function, MethodType) and not isinstance(function.__self__, type):
+        raise TypeError(
+            f"{name}: {function.__qualname__} is bound to an object; pass the object as an argument"
+        )
+    if isinstance(function, FunctionType) and function.__closure__:
+        inner = getattr(
+            function, "__wrapped__", None
+        )  # a stage's public form closes over its own name
+        if inner is None:
+            raise TypeError(
+                f"{name}: {function.__qualname__} has a closure; pass what it uses as arguments"
+            )
 
 
 def same(a, b) -> bool:
-    """Whether two keys name one thing: equal numbers, texts and arrays, field by field; else one object."""
+    """Return whether two keys are equal: numbers, texts and arrays by value, dataclasses by field, else by identity."""
     return compared(a, b) == SAME
 
 
 def compared(a, b) -> int:
-    """SAME where two keys name one thing; REFILLED where some of its arrays were written to since; else OTHER.
+    """Return SAME for equal keys, REFILLED if only contents of device arrays differ, else OTHER.
 
-    REPLACED where other arrays of devices, of the same shapes and types, are in the places of some.
+    REPLACED if other device arrays of the same shapes and types are in the places of some.
     """
     if a is b:
         return SAME
@@ -157,16 +231,18 @@ def compared(a, b) -> int:
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
         return _all(a, b) if len(a) == len(b) else OTHER
+    if isinstance(a, dict):
+        return _all(list(a.values()), list(b.values())) if list(a) == list(b) else OTHER
     if isinstance(a, np.ndarray):
         return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
-    if is_dataclass(a):
+    if is_dataclass(a) and not isinstance(a, BY_IDENTITY):
         names = [part.name for part in fields(a)]
         return _all([getattr(a, name) for name in names], [getattr(b, name) for name in names])
     return OTHER
 
 
 def _alike(a, b):
-    """Whether these are two arrays of devices that kernels take for each other."""
+    """Return whether kernels can take one device array in place of the other."""
     return (
         type(a) is type(b)
         and not isinstance(a, np.ndarray)
@@ -177,14 +253,14 @@ def _alike(a, b):
 
 
 def ones(key) -> list[One]:
-    """What is given as One in a key, in order."""
+    """Return the device arrays in a key, in order."""
     if isinstance(key, One):
         return [key]
     return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
 
 
 def _all(a, b):
-    """The least of what pairs of parts are."""
+    """Return the least relation between pairs of parts."""
     least = SAME
     for own, its in zip(a, b, strict=True):
         if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):

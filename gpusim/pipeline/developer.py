@@ -1,13 +1,17 @@
 """A camera's image processor on a device: from digital numbers to a picture."""
 
 from dataclasses import dataclass, replace
+from math import prod
+from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.color.color import transform_set
 from gpusim.color.encoding import decoding
-from gpusim.color.rendering import Rendering, rebalanced, transforms_of
+from gpusim.color.rendering import Rendering, rebalanced, transform_arguments
 from gpusim.domain.camera import Camera
+from gpusim.domain.display import Display
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.display.encode import encode, thresholds
@@ -26,6 +30,8 @@ from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.thumbnail import thumbnail
+from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
 CLIPPED = 0.95  # of saturation: values interpolated beside a clipped pixel lie just below it
@@ -51,31 +57,35 @@ class _Numbers:
         )
 
 
-def edges_of(camera: Camera) -> np.ndarray:
-    """Linear display values at which the next display code begins, after the tone curve, shape (255,)."""
-    return thresholds(decoding(camera.display, camera.processor.tone))
+def edges_of(display: Display, tone) -> np.ndarray:
+    """Return the linear display values at which the next 8-bit code begins, after the tone curve, shape (255,)."""
+    return thresholds(decoding(display, tone))
+
+
+SCRATCH = {"adaptive": 2, "best": 28, "learned": 6}  # [byte] a pixel that a demosaicker keeps
 
 
 class Developer:
     """The image processor of a camera on a device.
 
-    camera: as operated (see `gpusim.pipeline.simulator.Exposure`). averaged: raw values whose mean each of its values
-    is (digital binning). transforms: function that gives colour transforms of a set of lights; by default, the
-    camera's. edges: the thresholds of the display's codes, by default computed: see `edges_of`.
+    Args:
+        camera: The camera as operated (see `gpusim.pipeline.frame.Exposure`).
+        device: Its device.
+        averaged: Number of raw values whose mean each value is (digital binning).
+        cache: Cache of colour transforms and code thresholds; by default its own.
     """
 
     def __init__(
-        self, camera: Camera, device: Device, averaged: int = 1, transforms=None, edges=None
+        self, camera: Camera, device: Device, averaged: int = 1, cache: Cache | None = None
     ):
         self.camera, self.device, self.averaged = camera, device, averaged
-        self._transforms = transforms or (lambda: transforms_of(camera))
-        self._thresholds = edges_of(camera) if edges is None else edges
+        self._cache = Cache() if cache is None else cache
 
     @property
     def noise(self) -> tuple[float, float]:
         """(gain [DN/e-], noise without light [DN]) of raw values: their variance is gain (DN - dark level) + noise^2.
 
-        Without light: all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
+        The noise without light is all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
         """
         noise, gain = (
             RawNoise.of(self.camera.sensor, self.averaged),
@@ -83,199 +93,350 @@ class Developer:
         )
         return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
-    def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0):
-        """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.
+    @property
+    def _edges(self):
+        camera = self.camera
+        return self._cache("edges of codes", edges_of, camera.display, camera.processor.tone)
 
-        raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. white: camera values of
-        white, any scale, shape (C,), by which colours are compared (None: as they come); what comes out keeps its own
-        scale, so that clipped values are told from others as before. known: map of the chip's
-        defective pixels, of the same shape, and shading, the correction's gains at its nodes, (positions, ny, nx) for
-        the pixels of the mosaic's period, where these are asked for. blur: of the lens [pixel], see `best`.
+    def steps(self, shape: tuple[int, int]) -> list[Step]:
+        """Return the steps from "raw" to display codes.
+
+        They use the values "rendering", "shading" (gains), "blur" (of the lens [pixel]) and "defects" (a map). They
+        make "camera" (camera values of every pixel, (C, rows, cols)), "linear" (display RGB) and "codes".
+
+        Args:
+            shape: Shape of the raw values, layers of stacked pixels below each other.
+
+        Returns:
+            The steps in the order in which they run.
         """
-        sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
-        if sensor.stacked:
-            count = len(sensor.channels)
-            size = raw.shape[0] // count
-            stack = device.reshape(raw, (count, size, raw.shape[1]))
-            flags, planes = (
-                None if known is None else device.reshape(self._flags(known), stack.shape),
-                [],
-            )
-            for layer in range(count):
-                one, numbers = self._corrected(
-                    device.part(stack, layer),
-                    np.zeros((1, 1), np.int32),
-                    None if flags is None else device.part(flags, layer),
-                    None if shading is None else shading[layer : layer + 1],
-                )
-                planes.append(
-                    linear(one, black_level=numbers.black, scale=numbers.scale, device=device)
-                )
-            return device.reshape(device.stack(planes), (count, size, raw.shape[1]))
-        raw, numbers = self._corrected(raw, sensor.cfa_indices, known, shading)
-        options = {"black_level": numbers.black, "scale": numbers.scale, "device": device}
-        if sensor.is_monochrome:
-            return linear(raw, **options)
-        if processor.demosaic == "learned":
-            noise = (
-                numbers.noise if numbers.noise[0] else (0.0, 0.0)
-            )  # its roots know read noise beside shot noise
-            # a camera's own filters were learned from channels as they come, in its light
-            balance = (1.0, 1.0) if processor.table else self._balance(white)
-            return learned(
-                raw,
-                phase=sensor.cfa,
-                noise=noise,
-                table=processor.table,
-                balance=balance,
-                **options,
-            )
-        if not sensor.bayer_phase:
-            return interpolate(raw, cfa=sensor.cfa_indices, **options)
-        phase = "".join(sensor.cfa)
-        if processor.demosaic == "bilinear":  # every channel by itself
-            return bilinear(raw, phase=phase, **options)
-        options["balance"] = self._balance(white)
-        if processor.demosaic == "best":
-            return best(raw, phase=phase, noise=numbers.noise, blur=blur, **options)
-        return {"malvar": malvar, "adaptive": adaptive}[processor.demosaic](
-            raw, phase=phase, **options
+        camera, device = self.camera, self.device
+        processor, pixels = camera.processor, prod(shape)
+        chain = Chain("raw", "camera", Rate.FRAME, device)
+        numbers = self._correct(chain, pixels)
+        self._demosaic(chain, numbers, pixels)
+        steps = [
+            Step("neutral", "", ("rendering",), run=neutral_of, rate=Rate.EXPOSURE),
+            *chain.end(),
+        ]
+        rendered = "rendering"
+        if processor.estimates_white:
+            rendered = "picture rendering"
+            steps.append(self._white_step())
+        steps.append(Step("colors", "", (rendered,), run=colors_of, rate=Rate.FRAME))
+        area = pixels // (len(camera.sensor.channels) if camera.sensor.stacked else 1)
+        chain = Chain("camera", "linear", Rate.FRAME, device)
+        chain.add(
+            "processor.color", {}, "colors", run=apply_colors, nbytes=12 * area, work=float(pixels)
+        )
+        steps += chain.end()
+        chain = Chain("linear", "codes", Rate.FRAME, device)
+        tone = ", with a tone curve" if processor.tone else ""
+        chain.add(
+            "display.encode",
+            {"thresholds": self._edges},
+            words=f"{camera.display.name}, 8 bit{tone}",
+            nbytes=3 * area,
+            work=float(pixels),
+        )
+        return [*steps, *chain.end()]
+
+    def codes_at_once(self) -> Step:
+        """Return the step from "raw" to "codes" of a camera that `is_developed_at_once`."""
+        sensor = self.camera.sensor
+        return Step(
+            "codes at once",
+            "processor.develop",
+            ("raw", "colors"),
+            {
+                "edges": self._edges,
+                "phase": "".join(sensor.cfa),
+                "black_level": sensor.dark_level,
+                "scale": 1 / (sensor.white_level - sensor.dark_level),
+                "device": self.device,
+            },
+            rate=Rate.FRAME,
+            run=develop_at_once,
         )
 
-    def _flags(self, known):
-        """A map of defects on the device."""
-        device = self.device
-        return (
-            known
-            if isinstance(known, device.array_type)
-            else device.array(np.asarray(known) != 0, np.uint8)
-        )
-
-    def _balance(self, white) -> tuple[float, float]:
-        """Factors of red and blue that make white as strong in them as in green."""
-        if white is None:
-            return 1.0, 1.0
-        red, green, blue = (
-            float(white[self.camera.sensor.channels.index(letter)]) for letter in "RGB"
-        )
-        most = MOST_BALANCE  # a channel that hardly sees white, or the only one that does, is not amplified beyond that
-        if not green > 0:
-            return 1.0, 1.0
-        red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
-        return green / red, green / blue
-
-    def _corrected(self, raw, mosaic, known, shading):
-        """Raw values without defects, noise and shading as the camera asks, and what their numbers mean.
-
-        Noise is that where the shading's gain is 1, and none after denoising.
-        """
-        sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
+    def _correct(self, chain: Chain, pixels: int) -> "_Numbers":
+        """Add the corrections of raw values that the camera wants. Returns what the corrected numbers mean."""
+        sensor, processor = self.camera.sensor, self.camera.processor
+        layers = len(sensor.channels) if sensor.stacked else 1
+        mosaic = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
         numbers = _Numbers(sensor.dark_level, sensor.white_level, self.noise)
+
+        def add(stage, run, constants, *others, words="", nbytes=2 * pixels):
+            constants = {"correct": run, "layers": layers, **constants}
+            chain.add(
+                stage,
+                constants,
+                *others,
+                run=correct_layers,
+                words=words,
+                nbytes=nbytes,
+                work=float(pixels),
+            )
+
         if sensor.bits == FLOAT_BITS:
-            raw = quantise(raw, black_level=numbers.black, scale=numbers.scale, device=device)
+            add(
+                "processor.quantise",
+                quantise,
+                {"black_level": numbers.black, "scale": numbers.scale},
+                words=f"to {CORRECTED_WHITE + 1} numbers",
+            )
             numbers = numbers.corrected()
         if processor.defects != "none":
-            raw = defects(
-                raw,
-                known,
-                cfa=mosaic,
-                detect=STANDS_OUT if processor.defects == "detect" else None,
-                noise=numbers.noise,
-                black_level=numbers.black,
-                device=device,
+            add(
+                "processor.defects",
+                defects,
+                {
+                    "cfa": mosaic,
+                    "detect": STANDS_OUT if processor.defects == "detect" else None,
+                    "noise": numbers.noise,
+                    "black_level": numbers.black,
+                },
+                "defects",
+                words={
+                    "known": "the chip's known defects replaced",
+                    "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced",
+                }[processor.defects],
             )
         if processor.denoise:
-            raw = denoise(
-                raw,
-                cfa=mosaic,
-                black_level=numbers.black,
-                scale=numbers.scale,
-                noise=numbers.noise,
-                strength=processor.denoise,
-                device=device,
+            add(
+                "processor.denoise",
+                denoise,
+                {
+                    "cfa": mosaic,
+                    "black_level": numbers.black,
+                    "scale": numbers.scale,
+                    "noise": numbers.noise,
+                    "strength": processor.denoise,
+                },
+                words=f"denoised, strength {processor.denoise:g}",
+                nbytes=6 * pixels,
             )
             numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
-        if shading is not None:
-            positions = np.arange(mosaic.size, dtype=np.int32).reshape(mosaic.shape)
-            raw = shade(
-                raw,
-                shading,
-                cfa=positions,
-                black_level=numbers.black,
-                scale=numbers.scale,
-                device=device,
+        if processor.shading:
+            add(
+                "processor.shade",
+                shade,
+                {
+                    "cfa": np.arange(mosaic.size, dtype=np.int32).reshape(mosaic.shape),
+                    "black_level": numbers.black,
+                    "scale": numbers.scale,
+                },
+                "shading",
+                words="lens shading divided out",
             )
             numbers = numbers.corrected()
-        return raw, numbers
+        return numbers
 
-    def in_one_pass(self, raw, rendering: Rendering):
-        """Display codes (rows, cols, 3) of raw values, as by `encoded`, of a camera that `is_developed_at_once`."""
-        sensor = self.camera.sensor
-        return develop(
-            raw,
-            self.device.array(rendering.display_from_camera),
-            self._thresholds,
-            phase="".join(sensor.cfa),
-            black_level=sensor.dark_level,
-            scale=1 / (sensor.white_level - sensor.dark_level),
-            ceiling=rendering.ceiling,
-            device=self.device,
+    def _demosaic(self, chain: Chain, numbers: "_Numbers", pixels: int) -> None:
+        """Add the step to camera values of every pixel, (C, rows, cols); white level 1."""
+        sensor, processor = self.camera.sensor, self.camera.processor
+        constants = {"black_level": numbers.black, "scale": numbers.scale}
+        name, method = "", processor.demosaic
+        if sensor.stacked:
+            stage, words = "processor.linear", "stacked: all channels"
+            constants |= {"correct": linear, "layers": len(sensor.channels)}
+            run, others = separate_layers, []
+        elif sensor.is_monochrome:
+            stage, words, run, others = "processor.linear", "monochrome", linear, []
+        elif method == "learned":
+            stage, run, others = "processor.learned", demosaic_balanced, ["neutral"]
+            words = "learned local linear filters" + ("" if processor.table else ", built in")
+            name = method
+            constants |= {
+                "demosaic": learned,
+                "phase": sensor.cfa,
+                # its roots know read noise beside shot noise
+                "noise": numbers.noise if numbers.noise[0] else (0.0, 0.0),
+                "table": processor.table,
+                # a camera's own filters were learned from channels as they come, in its light
+                "places": None if processor.table else self._places,
+            }
+        elif not sensor.bayer_phase:
+            stage, run, others = "processor.interpolate", interpolate, []
+            words = "weighted means of each channel's neighbours"
+            constants |= {"cfa": sensor.cfa_indices}
+        else:
+            stage, words = f"processor.{method}", f"{method} demosaicking"
+            constants |= {"phase": "".join(sensor.cfa)}
+            name, run, others = method, bilinear, []
+            if method != "bilinear":  # these compare channels with each other
+                run, others = demosaic_balanced, ["neutral"]
+                constants |= {
+                    "demosaic": {"malvar": malvar, "adaptive": adaptive, "best": best}[method],
+                    "places": self._places,
+                }
+            if method == "best":
+                others.append("blur")
+                constants |= {"noise": numbers.noise}
+        channels = 3 if processor.table is not None else len(sensor.channels)
+        area = pixels // (len(sensor.channels) if sensor.stacked else 1)
+        chain.add(
+            stage,
+            constants,
+            *others,
+            run=run,
+            words=words,
+            nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area,
+            work=float(pixels),
         )
 
-    def balanced(self, planes, once: Rendering) -> Rendering:
-        """The rendering for the white that the picture suggests, where the camera estimates it; else `once`."""
-        if not self.camera.processor.estimates_white:
-            return once
-        processor, scale = (
-            self.camera.processor,
-            1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level),
-        )
+    @property
+    def _places(self):
+        """Places of red, green and blue among the channels; None if there are others only."""
+        channels = self.camera.sensor.channels
+        if not {*"RGB"} <= {*channels}:
+            return None
+        return tuple(channels.index(letter) for letter in "RGB")
+
+    def _white_step(self) -> Step:
+        """Return the step that renders for the white that the picture suggests."""
+        camera, processor = self.camera, self.camera.processor
         wanted = processor.color != "none" or processor.white_balance == "red-blue"
-        small = self.device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=self.device))
-        return rebalanced(
-            once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale
+        transforms = None
+        if wanted:
+            transforms = self._cache("transforms", transform_set, **transform_arguments(camera))
+        scale = 1 / (camera.sensor.white_level - camera.sensor.dark_level)
+        return Step(
+            "picture rendering",
+            "processor.thumbnail",
+            ("camera", "rendering"),
+            {
+                "camera": replace(camera, processor=replace(processor, tone=())),
+                "transforms": transforms,
+                "floor": self.noise[1] * scale,
+                "device": self.device,
+            },
+            words=f"white by {processor.white_balance}",
+            rate=Rate.FRAME,
+            host="a white that is estimated from the picture needs a thumbnail of 48 x 64 blocks",
+            run=render_for_picture,
         )
 
-    def colored(self, planes, rendering: Rendering):
-        """Linear display RGB (3, rows, cols), before the tone curve."""
-        return color(
-            planes,
-            self.device.array(rendering.display_from_camera),
-            ceiling=rendering.ceiling,
-            device=self.device,
-        )
+    def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0) -> Any:
+        """Return camera values of every pixel, (C, rows, cols), or the output of learned filters; white level 1.
 
-    def encoded(self, linear_rgb):
-        """Display codes (rows, cols, 3) of linear display RGB."""
-        return encode(linear_rgb, self._thresholds, device=self.device)
+        Args:
+            raw: Digital numbers (rows, cols), layers of stacked pixels below each other.
+            white: Camera values of white on any scale, shape (C,), by which colours are compared. None: as they are.
+                The result keeps its own scale, so clipped values can be recognised as before.
+            known: Map of the chip's defective pixels, same shape, if the camera replaces known defects.
+            shading: Gains of the shading correction at its nodes, (positions, ny, nx), positions of the mosaic's
+                period, if the camera corrects shading.
+            blur: Standard deviation of the lens's blur [pixel], see `processor.best`.
+
+        Returns:
+            An array of the device.
+        """
+        values = Values({rate: Cache() for rate in Rate})
+        processor = replace(self.camera.processor, shading=shading is not None)
+        own = replace(self.camera, processor=processor)
+        developer = Developer(own, self.device, self.averaged, self._cache)
+        values.use(developer.steps(tuple(raw.shape)))
+        values.give(raw=raw, neutral=white, defects=known, shading=shading, blur=blur)
+        return values["camera"]
+
+    def colored(self, planes, rendering: Rendering) -> Any:
+        """Return linear display RGB (3, rows, cols), before the tone curve."""
+        return apply_colors(planes, colors_of(rendering), device=self.device)
+
+    def encoded(self, linear_rgb) -> Any:
+        """Return display codes (rows, cols, 3) of linear display RGB."""
+        return encode(linear_rgb, self._edges, device=self.device)
 
     def models(self) -> dict[str, str]:
-        """Stage -> what it does, in the order of their use."""
-        sensor, processor = self.camera.sensor, self.camera.processor
-        made = {}
-        if sensor.bits == FLOAT_BITS:
-            made["processor.quantise"] = f"to {CORRECTED_WHITE + 1} numbers"
-        if processor.defects != "none":
-            made["processor.defects"] = {
-                "known": "the chip's known defects replaced",
-                "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced",
-            }[processor.defects]
-        if processor.denoise:
-            made["processor.denoise"] = f"denoised, strength {processor.denoise:g}"
-        if processor.shading:
-            made["processor.shade"] = "lens shading divided out"
-        if sensor.is_monochrome or sensor.stacked:
-            made["processor.linear"] = (
-                "monochrome" if sensor.is_monochrome else "stacked: all channels"
-            )
-        elif processor.demosaic == "learned":
-            made["processor.learned"] = "learned local linear filters" + (
-                "" if processor.table else ", built in"
-            )
-        elif sensor.bayer_phase:
-            made[f"processor.{processor.demosaic}"] = f"{processor.demosaic} demosaicking"
-        else:
-            made["processor.interpolate"] = "weighted means of each channel's neighbours"
-        if processor.estimates_white:
-            made["processor.thumbnail"] = f"white by {processor.white_balance}"
-        return made
+        """Return the report's line of each stage."""
+        return {step.stage: step.words for step in self.steps((2, 2)) if step.words}
+
+
+def correct_layers(raw, *others, correct, layers, device, **constants) -> Any:
+    """Return raw values corrected by a stage, every layer of stacked pixels for itself.
+
+    others: further inputs of the stage: a map of the shape of `raw`, or gains of the mosaic's positions.
+    """
+    if layers == 1:
+        return correct(raw, *others, **constants, device=device)
+    rows, cols = raw.shape
+    stack = device.reshape(raw, (layers, rows // layers, cols))
+    split = [_split(device, other, raw.shape, layers) for other in others]
+    parts = [
+        correct(
+            device.part(stack, layer), *(part[layer] for part in split), **constants, device=device
+        )
+        for layer in range(layers)
+    ]
+    return device.reshape(device.stack(parts), (rows, cols))
+
+
+def _split(device, other, shape, layers):
+    """Return an input of a correction for each layer."""
+    if other is None:
+        return [None] * layers
+    if not isinstance(other, device.array_type) and other.ndim == 2:
+        other = device.array(np.asarray(other) != 0, np.uint8)
+    if tuple(other.shape) != tuple(shape):
+        return [other[layer : layer + 1] for layer in range(layers)]
+    maps = device.reshape(other, (layers, shape[0] // layers, shape[1]))
+    return [device.part(maps, layer) for layer in range(layers)]
+
+
+def separate_layers(raw, *, correct, layers, device, **constants) -> Any:
+    """Return the layers of stacked pixels as planes (C, rows, cols)."""
+    rows, cols = raw.shape
+    values = correct_layers(raw, correct=correct, layers=layers, device=device, **constants)
+    return device.reshape(values, (layers, rows // layers, cols))
+
+
+def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **constants) -> Any:
+    """Return camera values by a demosaicker that compares channels, balanced so that white is equal in them."""
+    if blur is not None:
+        constants = constants | {"blur": blur}
+    return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
+
+
+def balance_of(white, places) -> tuple[float, float]:
+    """Return the factors of red and blue that make white as strong in them as in green.
+
+    white: camera values of white, shape (C,), or None. places: of red, green and blue among them, or None.
+    """
+    if white is None or places is None:
+        return 1.0, 1.0
+    red, green, blue = (float(white[place]) for place in places)
+    if not green > 0:
+        return 1.0, 1.0
+    # a channel that hardly sees white, or the only one that does, is not amplified beyond that
+    most = MOST_BALANCE
+    red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
+    return green / red, green / blue
+
+
+def neutral_of(rendering: Rendering) -> np.ndarray:
+    """Return the camera values of white."""
+    return rendering.neutral
+
+
+def colors_of(rendering: Rendering) -> tuple:
+    """Return the part of a rendering that colours depend on: its matrix and ceiling."""
+    return rendering.display_from_camera, rendering.ceiling
+
+
+def apply_colors(planes, colors, *, device) -> Any:
+    """Return linear display RGB (3, rows, cols) of camera values, before the tone curve."""
+    matrix, ceiling = colors
+    return color(planes, device.array(matrix), ceiling=ceiling, device=device)
+
+
+def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:
+    """Return display codes (rows, cols, 3) of raw values in one pass."""
+    matrix, ceiling = colors
+    return develop(raw, device.array(matrix), edges, ceiling=ceiling, **constants, device=device)
+
+
+def render_for_picture(planes, once, *, camera, transforms, floor, device) -> Rendering:
+    """Return the rendering for the white that the picture suggests. once: for the target light."""
+    small = device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=device))
+    return rebalanced(once, camera, transforms, small, floor)

@@ -1,15 +1,21 @@
-"""From a scene's samples to the electrons that its light makes, as a plan says."""
+"""The lens and the pixels of a camera: the steps from a scene's samples to mean electrons, as a plan says."""
 
 from dataclasses import replace
+from math import prod
+from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.color.shading import phase_gains, relative_response, shading_gains
+from gpusim.domain.binning import binned
 from gpusim.domain.camera import Camera
-from gpusim.domain.content import Picture
+from gpusim.domain.content import Content, Picture
 from gpusim.domain.errors import BadData
 from gpusim.domain.view import View
-from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.common import fft
+from gpusim.kernels.common.fft import pitch_of, room
+from gpusim.kernels.optics.blur import BATCH, blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
@@ -19,382 +25,868 @@ from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.tiles import tiles
+from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.geometry import view_nodes
 from gpusim.optics.highlights import point_kernels
-from gpusim.pipeline.cache import Kept
+from gpusim.optics.splines import axes, multiplications
+from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.reading import WHOLE, planes, store
+from gpusim.pipeline.step import Chain, Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.plan import Plan
 
+BY_SCIPY = "SciPy's transforms are faster there than the kernels'"
+PLAIN_MOSAIC = np.zeros((1, 1), np.int32)
+
 
 class Imaging:
-    """The lens and the pixels of a camera on a device."""
+    """The lens and the pixels of a camera on a device.
 
-    def __init__(self, camera: Camera, device: Device, kept: Kept):
-        self.camera, self.device, self._kept = camera, device, kept
-        self.tables = LensTables(camera, device, kept)
+    Args:
+        camera: The camera.
+        device: Its device.
+        cache: Cache of the lens's tables.
+    """
 
-    def light(self, plan: Plan):
-        """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
-        table = None if plan.content.is_spectral else plan.content.entry_spectra.T
-        planes = self.planes(table, self.stored(plan.content))
-        if not plan.is_placed:
-            return planes
-        view = plan.scene.view
-        return self.placed(plan, planes, self.places(plan, view), plan.weights, view.zoom)
+    def __init__(self, camera: Camera, device: Device, cache: Cache):
+        self.camera, self.device, self._cache = camera, device, cache
+        self.tables = LensTables(camera, device, cache.by_key)
 
-    def lights(self, plan: Plan) -> np.ndarray | None:
-        """What every plane before the blur is in the light of each channel, (C, planes); None: planes are channels."""
-        if plan.mix is None:
-            return None
+    def steps(self, plan: Plan) -> list[Step]:
+        """Return the steps of a plan from the values "content" and "view" to the mean electrons "mean".
 
-        def made():
-            light = plan.weights @ plan.content.entry_spectra.T
-            return (
-                light
-                if plan.table is None
-                else np.linalg.lstsq(plan.table.T, light.T, rcond=None)[0].T
-            )
-
-        return self._kept("lights", (plan.weights, plan.table, plan.content.entry_spectra), made)
-
-    def places(self, plan: Plan, view: View):
-        """Where the lens and a view put the samples, for `placed`: an array of the device."""
-        if view.is_plain and plan.distortion is not None:
-            nodes = plan.distortion.nodes
-        else:
-            nodes = view_nodes(
-                view,
-                plan.distortion,
-                self._seen(plan),
-                plan.content.shape,
-                plan.scene.samples_per_pixel,
-            )
-        return self.device.array(nodes[None])
-
-    def placed(self, plan: Plan, planes, places, lights, zoom: float = 1.0):
-        """Planes where the lens and the view put them.
-
-        places: see `places`. lights: see `lights`. zoom: of the view.
+        Others make "per second" (the same of one second), "channels" (electrons per second in every channel, (C, rows,
+        cols), without fall-off), "electrons" (these with fall-off, of the exposure) and "shading".
         """
-        device, border = self.device, self._border(plan)
-        if plan.distortion is not None and plan.distortion.method == "area":
-            return distort(planes, places, self._seen(plan), border, "area", zoom**2, device=device)
-        light = (
-            planes
-            if lights is None
-            else integrate(planes, lights.astype(np.float32), device=device)
-        )
-        return distort(planes, places, self._seen(plan), border, light=light, device=device)
+        build = _Steps(plan, self)
+        rates, mosaic_of_planes = build.rates()
+        return [
+            *build.content(),
+            *build.planes(),
+            *rates,
+            *build.exposure(mosaic_of_planes),
+            *build.collected("electrons"),
+            *build.shading(),
+        ]
 
-    @staticmethod
-    def _seen(plan):
-        """Rows and columns that are seen: the frame's, and the margin's where there is blur to need it."""
-        return plan.scene.samples if plan.mix is None else plan.content.shape
-
-    def window(self, plan: Plan):
-        """The scene's samples that are of use, along both axes: all, or the frame's alone."""
-        margin = plan.scene.margin
-        # without blur or distortion nothing outside the frame is needed
-        inside = (
-            slice(margin, -margin)
-            if margin and plan.mix is None and not plan.is_placed
-            else slice(None)
-        )
-        return inside, inside
-
-    def stored(self, content, window=WHOLE):
-        """A content's samples on the device, in a window if they come from the host: entries, and which each has."""
-        curve = None
-        if isinstance(content, Picture):
-            curve = self._kept("curve", content.curve, lambda: self.device.array(content.curve))
-        return store(self.device, content, window, curve)
-
-    def planes(self, table, stored):
-        """Planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
-        return planes(self.device, table, stored)
-
-    def rates(self, plan: Plan, planes=None):
-        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
-
-        planes: before the blur, where the lens and the view put them, if they are known.
-        """
-        device, cfa = self.device, self.camera.sensor.cfa_indices
-        if plan.mix is None or (
-            not plan.folded and (plan.highlights is None or plan.taps is not None)
-        ):
-            return self.channels(plan, planes), cfa
-        planes = self._before(plan, planes)
-        if plan.folded:
-            rates = self._alike(plan, planes, cfa, self._border(plan), plan.scene.margin)
-        else:
-            rates = collect(
-                self._blurred(plan, planes), cfa, 1.0, 0.0, device=device
-            )  # the mosaic, for one second
-        if plan.highlights is not None:
-            rates = self._with_highlights(plan, rates, cfa)
-        return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
-
-    def channels(self, plan: Plan, planes=None):
-        """What every pixel would get in every channel, before any fall-off: electrons per second (C, rows, cols).
-
-        planes: as for `rates`.
-        """
-        planes, margin = self._before(plan, planes), plan.scene.margin
-        if plan.mix is None:
-            if margin and not plan.is_placed and tuple(planes.shape[1:]) != plan.scene.samples:
-                planes = self._inside(planes, margin)
-            return self.pixels(plan, planes)
-        channels = self._blurred(plan, planes)
-        return self.pixels(
-            plan,
-            channels if plan.highlights is None else self._with_highlights(plan, channels, None),
-        )
-
-    def spectral(self, plan: Plan) -> Plan:
-        """The plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1].
+    def irradiance_steps(self, plan: Plan) -> list[Step]:
+        """Return the steps that make "irradiance", of every wavelength by itself [photon s-1 m-2 nm-1].
 
         Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
         """
-        if plan.varying is not None:
-            raise BadData(
-                f"irradiance of {plan.scene.name}: the blur of {self.camera.name} varies over the field; "
-                'wanted optics that are the same all over the frame, or the output "electrons"'
-            )
-        nodes, optics = plan.scene.wavelengths, self.camera.optics
-        scale = (
-            plan.scene.illuminant.at(nodes)
-            * optics.transmission_at(nodes)
-            * optics.irradiance_factor
-        )
+        build = _Steps(_per_wavelength(plan, self.camera), self, "irradiance ")
+        return [*build.planes(), *build.collected("irradiance", exposure_time=1.0)]
+
+    def values(self, plan: Plan, content: Content | None = None) -> Values:
+        """Return values of one scene, the plan's own, or of another content like its."""
+        values = Values({rate: Cache() for rate in Rate})
+        values.use(self.steps(plan))
+        values.give(content=plan.content if content is None else content, view=plan.scene.view)
+        return values
+
+    def light(self, plan: Plan) -> Any:
+        """Return planes of the scene's own wavelengths where the lens puts them, before any blur, (L, rows, cols)."""
         table = None if plan.content.is_spectral else plan.content.entry_spectra.T
-        if plan.mix is None:
-            weighted = np.diag(scale) if table is None else scale[:, None] * table
-            return replace(plan, weights=np.diag(scale), table=weighted)
-        return replace(
-            plan,
-            weights=np.diag(scale),
-            mix=np.diag(scale / plan.flat),
-            table=table,
-            transfers=None,
-            folded=False,
+        content = store(self.device, plan.content)
+        light = planes(self.device, table, content)
+        if not plan.is_placed:
+            return light
+        view, grid = plan.scene.view, plan.distortion
+        nodes = place_samples(view, **_placing(plan), device=self.device)
+        by_area = grid is not None and grid.method == "area"
+        return place_planes(
+            light,
+            nodes,
+            None if by_area else plan.weights,
+            view.zoom if by_area else 1.0,
+            seen=_seen(plan),
+            border=_border(plan),
+            by_area=by_area,
+            device=self.device,
         )
 
-    @staticmethod
-    def _border(plan):
-        return "edge" if plan.scene.border == "scene" else plan.scene.border
 
-    def _before(self, plan, planes):
-        """Planes before the blur where the lens and the view put them."""
-        if planes is not None:
-            return planes
-        planes = self.planes(plan.table, self.stored(plan.content, self.window(plan)))
-        if not plan.is_placed:
-            return planes
-        view = plan.scene.view
-        return self.placed(plan, planes, self.places(plan, view), self.lights(plan), view.zoom)
+class _Steps:
+    """Builds the steps of a plan. prefix: of the names of their outputs."""
 
-    def _blurred(self, plan, planes):
-        """The channels at the scene's samples; spare ones around them where pixels are made of several."""
-        border = self._border(plan)
+    def __init__(self, plan: Plan, imaging: Imaging, prefix: str = ""):
+        self.plan, self.imaging, self.prefix = plan, imaging, prefix
+        self.device, self.sensor = imaging.device, imaging.camera.sensor
+        self.samples, self.pixels = prod(plan.content.shape), prod(plan.scene.shape)
+        self.seen, self.channels = prod(plan.scene.samples), len(plan.weights)
+        self.count = len(plan.content.entry_spectra) if plan.table is None else len(plan.table)
+
+    def words(self, stage):
+        return self.plan.models.get(stage, "")
+
+    def content(self) -> list[Step]:
+        """Return the step that brings a content's samples to the device, as "entries"."""
+        plan, content = self.plan, self.plan.content
+        stage = "spectral.decode" if isinstance(content, Picture) else "spectral.illuminate"
+        return [
+            Step(
+                "entries",
+                stage,
+                ("content",),
+                {"window": _window(plan), "device": self.device},
+                words=self.words(stage),
+                nbytes=max(
+                    content.nbytes, plan.scene.content.nbytes
+                ),  # of a picture the codes, too
+                run=store_content,
+            )
+        ]
+
+    def planes(self) -> list[Step]:
+        """Return the steps from "entries" to the planes before the blur, as "planes", and its tables."""
+        plan, prefix = self.plan, self.prefix
+        has_table = plan.table is not None
+        stage = "spectral.integrate" if plan.content.labels is None else "spectral.materials"
+        chain = Chain("entries", f"{prefix}planes", Rate.SCENE, self.device)
+        chain.add(
+            stage,
+            {"table": plan.table},
+            run=make_planes,
+            words=self.words(stage),
+            nbytes=4 * self.count * self.samples * has_table,
+            work=float(plan.content.nbytes + 4 * self.count * self.samples) * has_table,
+        )
+        steps = []
+        if plan.is_placed:
+            by_area = plan.distortion is not None and plan.distortion.method == "area"
+            channels = {
+                "weights": plan.weights,
+                "table": plan.table,
+                "spectra": plan.content.entry_spectra,
+            }
+            mixed = plan.mix is not None and not by_area
+            steps = [
+                Step(
+                    f"{prefix}lights",
+                    "",
+                    (),
+                    channels if mixed else {},
+                    run=mix_lights if mixed else nothing,
+                ),
+                Step(
+                    f"{prefix}places",
+                    "",
+                    ("view",),
+                    {**_placing(plan), "device": self.device},
+                    run=place_samples,
+                ),
+                Step(
+                    f"{prefix}zoom",
+                    "",
+                    ("view",),
+                    run=zoom_of if by_area else no_zoom,
+                ),
+            ]
+            light = (
+                1 if plan.mix is None else 2
+            )  # of the channels, itself and with what is around it
+            chain.add(
+                "optics.distort",
+                {"seen": _seen(plan), "border": _border(plan), "by_area": by_area},
+                f"{prefix}places",
+                f"{prefix}lights",
+                f"{prefix}zoom",
+                run=place_planes,
+                words=self.words("optics.distort"),
+                # and two maps
+                nbytes=4 * (self.count + light * self.channels + 2) * self.samples,
+                work=float((self.count + self.channels) * self.samples),
+            )
+        steps = [*steps, *chain.end()]
+        if plan.mix is not None and plan.depth is None:
+            host = "tables for another plan begin with the wavelengths, a few numbers"
+            steps.append(
+                Step(
+                    f"{prefix}transfer",
+                    "optics.near" if plan.far is not None else "",
+                    (),
+                    {"plan": plan, "tables": self.imaging.tables},
+                    words=self.words("optics.near"),
+                    nbytes=self._bytes_of_tables(),
+                    rate=Rate.CAMERA,
+                    host=host,
+                    run=LensTables.transfer_of,
+                )
+            )
+        return steps
+
+    def rates(self) -> tuple[list[Step], np.ndarray]:
+        """Return the steps to electrons per second, "rates", (1 or C, rows, cols), and the mosaic over these planes."""
+        plan, cfa = self.plan, self.sensor.cfa_indices
+        if plan.mix is None or (
+            not plan.folded and (plan.highlights is None or plan.taps is not None)
+        ):
+            return self.channels_to("rates"), cfa
+        chain = Chain("planes", "rates", Rate.SCENE, self.device)
+        if plan.folded:
+            self._blur_alike(chain, cfa, plan.scene.margin)
+        else:
+            self._blur(chain)  # the mosaic, for one second
+            chain.add(
+                "sensor.collect",
+                {"cfa": cfa, "exposure_time": 1.0, "slope": 0.0},
+                nbytes=4 * self.pixels,
+            )
+        if plan.highlights is not None:
+            self._add_highlights(chain, cfa)
+        chain.add("", {}, run=as_one_plane)
+        return chain.end(), PLAIN_MOSAIC
+
+    def channels_to(self, name: str) -> list[Step]:
+        """Return the steps from planes to what every pixel would get in every channel, before any fall-off."""
+        plan = self.plan
+        chain = Chain(f"{self.prefix}planes", name, Rate.SCENE, self.device)
+        if plan.mix is None:
+            if plan.scene.margin and not plan.is_placed:
+                chain.add(
+                    "",
+                    {"margin": plan.scene.margin, "samples": plan.scene.samples},
+                    run=crop_margin,
+                )
+        else:
+            self._blur(chain)
+            if plan.highlights is not None:
+                self._add_highlights(chain, None)
+        if plan.taps is not None:
+            rows, cols = plan.taps
+            chain.add(
+                "optics.sample",
+                {
+                    "row_start": rows.start,
+                    "row_weights": rows.weights,
+                    "col_start": cols.start,
+                    "col_weights": cols.weights,
+                },
+                run=sample_pixels,
+                words=self.words("optics.sample"),
+                nbytes=4 * self.channels * self.pixels,
+                work=float(self.samples * self.channels),
+            )
+        if not chain.steps:
+            chain.add("", {}, run=pass_on)
+        return chain.end()
+
+    def _blur(self, chain):
+        """Add the blur to channels at the scene's samples; spare ones around them if pixels are made of several."""
+        plan = self.plan
+        planes_ = chain.value
         if plan.depth is not None:
-            rates = self._by_depth(plan, planes, border)
+            per_layer = len(plan.depth.kernels) * plan.depth.layers
+            nbytes = 16 * self.channels * self.samples * per_layer
+            if plan.transfers is not None:  # every kernel's tables, of the planes and of white
+                nbytes += (
+                    self._bytes_of_table()
+                    * (prod(plan.transfers.shape[:2]) + self.channels)
+                    * len(plan.depth.kernels)
+                )
+            chain.add(
+                "optics.composite",
+                {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
+                run=composite_layers,
+                words=self.words("optics.composite"),
+                nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
+                work=float(per_layer * self.channels * self.samples),
+                host="tables of every layer begin with the wavelengths, a few numbers"
+                + (f"; {BY_SCIPY}" if self.device.on_host else ""),
+            )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            rates = self._alike(plan, planes, None, border, plan.scene.margin - plan.spare)
-        return rates if plan.varying is None else self._with_field(plan, planes, rates, border)
-
-    def _alike(self, plan, planes, cfa, border, margin):
-        """The mosaic, or the channels (cfa None), where the blur is the same all over the frame."""
-        inputs = planes, self.tables.transfer(plan), plan.mix
-        if plan.tiling is not None:
-            rates = tiles(
-                *inputs,
-                cfa,
-                border,
-                plan.tiling.side,
-                plan.tiling.overlap,
-                margin=margin,
-                device=self.device,
-            )
-        elif cfa is not None:
-            rates = mosaic(*inputs, cfa, border, plan.period, margin=margin, device=self.device)
-        else:
-            rates = blur(*inputs, border, plan.period, margin=margin, device=self.device)
-        if plan.far is None:
-            return rates
-        return far(
-            rates,
-            planes,
-            plan.far.weights(plan.mix, plan.transfers),
-            plan.far.sigmas,
-            cfa,
-            plan.far.border,
-            margin=margin,
-            spacings=plan.far.spacings,
-            device=self.device,
-        )
-
-    def _inside(self, planes, margin):
-        """Planes without `margin` samples on each side: weights of 1 change no value."""
-        starts = [
-            margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes.shape[1:]
-        ]
-        weights = [np.ones((len(start), 1), np.float32) for start in starts]
-        return sample(planes, starts[0], weights[0], starts[1], weights[1], device=self.device)
-
-    def _by_depth(self, plan: Plan, planes, border):
-        """The channels, each point blurred as its distance demands, nearer layers laid over farther ones.
-
-        A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the
-        channel sees of a wavelength's kernel. Things go on outside the frame even where no light comes from there.
-        """
-        depth, device, margin = plan.depth, self.device, plan.scene.margin - plan.spare
-        assert depth is not None
-        channels = len(plan.weights)
-        lights, alphas, layers = [], [], []
-        for layer in range(depth.layers):
-            content, coverage, confusion = depth.sheet(layer, plan.content)
-            own = (
-                planes if content is plan.content else self.planes(plan.table, self.stored(content))
-            )
-            for kernel, share in depth.shares(coverage, confusion):
-                tables, cover = self.tables.at_distance(plan, kernel)
-                share = device.array(share[None])
-                light = blur(
-                    falloff(own, share, device=device),
+            self._blur_alike(chain, None, plan.scene.margin - plan.spare)
+        if plan.varying is not None:
+            tables = f"{self.prefix}field tables of {chain.value}"
+            chain.steps.insert(
+                0,
+                Step(
                     tables,
-                    plan.mix,
-                    border,
-                    plan.period,
-                    margin=margin,
-                    device=device,
-                )
-                alpha = blur(
-                    share,
-                    cover,
-                    np.ones((channels, 1), np.float32),
-                    "edge" if border == "zero" else border,
-                    plan.period,
-                    margin=margin,
-                    device=device,
-                )
-                lights.append(light)
-                alphas.append(alpha)
-                layers.append(layer)
-        return composite(device.stack(lights), device.stack(alphas), layers, device=device)
-
-    def _with_field(self, plan: Plan, planes, rates, border):
-        """The channels blurred as on the axis, with what the blur is more elsewhere."""
-        assert plan.varying is not None
-        varying = plan.varying
-        inputs, tables = self._kept(
-            "field",
-            (varying.kernels, *varying.edges),
-            lambda: (
-                {
-                    name: value
-                    if name in ("edges", "index")
-                    else self.device.array(value)  # those are read on the host
-                    for name, value in varying.stage_inputs.items()
-                },
-                transfer(self.device, varying.kernels, varying.edges),
-            ),
-        )
-        return field(
-            planes,
-            mix=plan.mix,
-            border=border,
-            margin=plan.scene.margin - plan.spare,
-            base=rates,
-            tables=tables,
-            device=self.device,
-            **inputs,
-        )
-
-    def pixels(self, plan: Plan, rates):
-        """Channels at the pixels from channels at the scene's samples."""
-        if plan.taps is None:
-            return rates
-        rows, cols = plan.taps
-        return sample(rates, rows.start, rows.weights, cols.start, cols.weights, device=self.device)
-
-    def _with_highlights(self, plan: Plan, rates, cfa):
-        """The mosaic, or every channel of the samples, with the plan's highlights added."""
-        lights, device = plan.highlights, self.device
-        assert lights is not None
-        reach = int(lights.reach.max())
-        aperture, _ = self.tables.grid(plan.scene.samples_per_pixel)[
-            1
-        ]  # highlights are split off for squares only
-        kernels = self._kept(
-            "points", (plan.q, aperture, reach), lambda: point_kernels(plan.q, aperture, reach)
-        )
-        weights = lights.spectra[:, None] * (plan.weights / plan.flat)  # (kernels, channels, L)
-        cores, profiles = (
-            np.tensordot(weights, kernels.cores, 1),
-            np.tensordot(weights, kernels.profiles, 1),
-        )
-        places = np.column_stack([lights.places + plan.spare, lights.light, lights.reach]).astype(
-            np.int32
-        )
-        shape = kernels.step, kernels.parts, kernels.spread
-        if cfa is None:
-            return device.stack(
-                [
-                    splat(
-                        device.part(rates, c),
-                        np.zeros((1, 1), np.int32),
-                        places,
-                        lights.strength,
-                        cores[:, [c]],
-                        profiles[:, [c]],
-                        *shape,
-                        device=device,
-                    )
-                    for c in range(rates.shape[0])
-                ]
+                    "",
+                    (),
+                    {"varying": plan.varying, "device": self.device},
+                    rate=Rate.CAMERA,
+                    run=make_field_tables,
+                ),
             )
-        return splat(
-            rates,
-            device.array(cfa, np.int32),
-            device.array(places, np.int32),
-            device.array(lights.strength),
-            device.array(cores),
-            device.array(profiles),
-            *shape,
-            device=device,
+            chain.add(
+                "optics.field",
+                {
+                    "mix": plan.mix,
+                    "border": _border(plan),
+                    "margin": plan.scene.margin - plan.spare,
+                },
+                planes_,
+                tables,
+                run=add_field,
+                words=self.words("optics.field"),
+                # maps in float64 and float32, planes times maps, spectra
+                nbytes=20 * self.samples * plan.varying.convolutions
+                + plan.varying.bytes_of_tiles(self.channels)
+                + 4 * self.samples * self.channels,
+                work=float(self.count * plan.varying.cost),
+                host="if the blur varies, highlights are mixed on the host; on CPUs SciPy transforms the tiles",
+            )
+
+    def _blur_alike(self, chain, cfa, margin):
+        """Add a blur that is the same all over the frame: to the mosaic, or to channels if `cfa` is None."""
+        plan, planes_ = self.plan, chain.value
+        constants = {"mix": plan.mix, "border": _border(plan), "margin": margin}
+        if plan.tiling is not None:
+            stage, run = "optics.tiles", blur_tiles
+            constants |= {"cfa": cfa, "side": plan.tiling.side, "overlap": plan.tiling.overlap}
+        elif cfa is not None:
+            stage, run = "optics.mosaic", blur_mosaic
+            constants |= {"cfa": cfa, "period": plan.period}
+        else:
+            stage, run = "optics.blur", blur_channels
+            constants |= {"period": plan.period}
+        chain.add(
+            stage,
+            constants,
+            f"{self.prefix}transfer",
+            run=run,
+            words=self.words(stage),
+            nbytes=self._bytes_of_blur(),
+            work=self._work_of_blur(stage, cfa),
+            host=BY_SCIPY if self.device.on_host else "",
+        )
+        if plan.far is not None:
+            chain.add(
+                "optics.far",
+                {
+                    "model": plan.far,
+                    "mix": plan.mix,
+                    "transfers": plan.transfers,
+                    "cfa": cfa,
+                    "margin": margin,
+                },
+                planes_,
+                run=add_far,
+                words=self.words("optics.far"),
+                nbytes=self._bytes_of_far(),
+                work=multiplications(
+                    plan.content.shape,
+                    self.count,
+                    self.channels,
+                    tuple(plan.far.sigmas),
+                    plan.far.spacings,
+                ),
+            )
+
+    def _add_highlights(self, chain, cfa):
+        """Add the plan's highlights to the mosaic, or to every channel of the samples if `cfa` is None."""
+        plan = self.plan
+        lights = plan.highlights
+        assert lights is not None
+        across = np.minimum(2 * lights.reach, max(plan.content.shape))
+        # highlights are split off for square pixels only
+        aperture, _ = self.imaging.tables.grid(plan.scene.samples_per_pixel)[1]
+        chain.steps.append(
+            Step(
+                "kernels of points",
+                "",
+                (),
+                {"q": plan.q, "aperture": aperture, "reach": int(lights.reach.max())},
+                rate=Rate.CAMERA,
+                run=point_kernels,
+            )
+        )
+        chain.add(
+            "optics.splat",
+            {
+                "lights": lights,
+                "spare": plan.spare,
+                "weights": plan.weights / plan.flat,
+                "cfa": cfa,
+            },
+            "kernels of points",
+            run=add_highlights,
+            words=self.words("optics.splat"),
+            nbytes=4 * (self.seen if cfa is not None else self.channels * self.seen),
+            work=float(np.square(across, dtype=np.float64).sum())
+            * (1 if plan.folded else self.channels),
         )
 
-    def exposed(self, plan: Plan, rates, exposure_time):
-        """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
-        planes, cfa = rates
-        if self.camera.sensor.stacked:
-            return self.collected(plan, planes, exposure_time)
-        return collect(
-            self._dimmed(plan, planes), cfa, exposure_time, plan.slope, device=self.device
+    def exposure(self, cfa: np.ndarray) -> list[Step]:
+        """Return the steps from "rates" to mean electrons: "mean", and "per second" for automatic exposure."""
+        plan, stacked = self.plan, self.sensor.stacked
+        layers = self.channels if stacked else 1
+        chain = Chain("rates", "dimmed", Rate.SCENE, self.device)
+        self._dim(chain)
+        dimmed, steps = chain.value, chain.steps
+        found = list(steps)
+        for name, seconds in (("per second", {"exposure_time": 1.0}), ("mean", {})):
+            chain = Chain(dimmed, name, Rate.EXPOSURE, self.device)
+            is_mean = name == "mean"
+            chain.add(
+                "sensor.collect",
+                {"slope": plan.slope, **({} if stacked else {"cfa": cfa}), **seconds},
+                run=collect_layers if stacked else None,
+                numbers=() if seconds else ("exposure_time",),
+                words=self.words("sensor.collect"),
+                # mean electrons, and the mosaic of rates
+                nbytes=is_mean
+                * 4
+                * self.pixels
+                * layers
+                * (1 if plan.folded and plan.mix is not None else 2),
+                work=float(self.pixels * layers),
+            )
+            found += chain.end()
+        return found
+
+    def collected(self, name: str, exposure_time: float | None = None) -> list[Step]:
+        """Return the steps from planes to every channel with its fall-off, times the exposure time."""
+        channels = f"channels of {name}" if self.prefix else "channels"
+        chain = Chain(channels, name, Rate.EXPOSURE, self.device)
+        self._dim(chain)
+        constants = {} if exposure_time is None else {"exposure_time": exposure_time}
+        chain.add(
+            "sensor.collect",
+            {"slope": self.plan.slope, **constants},
+            run=collect_layers,
+            numbers=("exposure_time",) if exposure_time is None else (),
+        )
+        return [*self.channels_to(channels), *chain.end()]
+
+    def _dim(self, chain):
+        """Add the loss of light beyond the cos^4 law."""
+        if self.plan.falloff is not None:
+            chain.add(
+                "optics.falloff",
+                {"gains": self.plan.falloff},
+                run=dim_planes,
+                words=self.words("optics.falloff"),
+                nbytes=4 * self.channels * self.pixels,
+                work=float(self.pixels * self.channels),
+            )
+
+    def shading(self) -> list[Step]:
+        """Return the step that makes the gains of the shading correction, for each pixel of the mosaic's period."""
+        plan, sensor, imaging = self.plan, self.sensor, self.imaging
+        if not imaging.camera.processor.shading:
+            return [Step("shading", "", run=nothing)]
+        stride, out = binned(sensor.cfa_indices, sensor.binning)
+        return [
+            Step(
+                "shading",
+                "",
+                (),
+                {
+                    "shape": plan.scene.shape,
+                    "slope": plan.slope,
+                    "falloff": plan.falloff,
+                    "nodes": None if plan.distortion is None else plan.distortion.nodes,
+                    "binning": sensor.binning,
+                    "stride": stride,
+                    "by_charge": sensor.binning_mode == "charge",
+                    "period": out.shape,
+                    "device": self.device,
+                },
+                rate=Rate.CAMERA,
+                run=make_shading,
+            )
+        ]
+
+    def _bytes_of_table(self):
+        """Real quarters of a transfer table, or complex halves [byte]."""
+        plan = self.plan
+        is_real = self.imaging.camera.optics.is_symmetric and not any(self.sensor.displacement)
+        rows, cols = plan.period
+        return 4 * (1 if is_real else 4) * (rows // 2 + 1) * (cols // 2 + 1)
+
+    def _bytes_of_tables(self):
+        """Transfer tables of the wavelengths, and of the planes made of them [byte]."""
+        plan = self.plan
+        combined = 0 if plan.transfers is None else prod(plan.transfers.shape[:2])
+        return self._bytes_of_table() * (len(plan.q) + combined)
+
+    def _bytes_of_blur(self):
+        """Spectra, their sums, and the result of a blur [byte]."""
+        plan, device, count, channels = self.plan, self.device, self.count, self.channels
+        (rows, cols), (high, wide) = plan.content.shape, plan.period
+        if plan.tiling is not None:
+            return self._bytes_of_tiles()
+        by_host = device.on_host or room(max(plan.period)) > device.local_bytes
+        spectrum = 8 * high * pitch_of(device, wide)
+        batches = [min(BATCH, count - first) for first in range(0, count, BATCH)]
+        if by_host:  # planes with their borders, and SciPy's spectra of one batch at a time
+            forward = 4 * high * wide * sum(batches) + spectrum * batches[0]
+        elif plan.folded:
+            forward = 8 * batches[0] * (high // 2 + 1) * (cols + cols % 2)
+        else:
+            forward = sum(batches) * (8 * rows * pitch_of(device, wide) + spectrum)
+        if not plan.folded:
+            return forward + channels * (spectrum + 4 * high * wide + 4 * self.seen)
+        cfa = self.sensor.cfa_indices
+        phases = (
+            8
+            * cfa.size
+            * (high // cfa.shape[0] // (1 if by_host else 2) + 1)
+            * (wide // cfa.shape[1] // (2 if by_host else 1) + 1)
+        )
+        return forward + phases + (4 * high * wide if by_host else 0) + 4 * self.seen
+
+    def _bytes_of_tiles(self):
+        """The result; a tile's frequencies; spectra of all tiles if SciPy transforms them [byte]."""
+        plan, device, count, channels = self.plan, self.device, self.count, self.channels
+        side = plan.tiling.side
+        total = 4 * self.seen * (1 if plan.folded else channels)
+        if device.on_host and device.kind == "opencl":
+            total += 4 * side * (side // 2 + 1) * (count + count % 2) * channels
+        elif device.on_host:
+            samples, half = plan.tiling.samples(plan.scene.samples), side // 2 + 1
+            phases = self.sensor.cfa_indices.shape if plan.folded else (1, 1)
+            high, wide = (side // n for n in phases)
+            outputs = prod(phases) if plan.folded else channels
+            of_tile = count * (4 * side**2 + 8 * side * half) + outputs * high * (
+                8 * (wide // 2 + 1) + 4 * wide
+            )
+            total += samples // side**2 * of_tile
+        return total
+
+    def _bytes_of_far(self):
+        """Splines of the far field, tables without it, and rates with it [byte]."""
+        plan, device, count, channels = self.plan, self.device, self.count, self.channels
+        shape = plan.content.shape
+        down, across = axes(shape, plan.far.sigmas, plan.far.border, plan.far.spacings)
+        last, values = down.levels - 1, 0
+        for level in range(down.levels):  # what it has, and its light
+            high, wide = (axis.splines(level) for axis in (down, across))
+            values += (count + channels) * high * wide
+            if device.on_host:  # and what is between its axes
+                values += 2 * channels * high * wide * len(plan.far.sigmas[down.of_level(level)])
+            if device.on_host and level < last:  # halves of the ways to the next level and back
+                values += (count + channels) * high * across.splines(level + 1)
+        if device.on_host:
+            values += count * down.splines(0) * shape[1]
+            values += channels * plan.scene.samples[0] * across.splines(0)
+        quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
+        tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
+        return 4 * (values + tables * quarter + (1 if plan.folded else channels) * self.seen)
+
+    def _work_of_blur(self, stage, cfa):
+        """Operations of the transforms and of the products of spectra."""
+        plan, count, channels = self.plan, self.count, self.channels
+        frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
+        products = 4 * frequencies * count * channels
+        if stage == "optics.tiles":
+            side, period = plan.tiling.side, self.sensor.cfa_indices.shape
+            phases, size = (
+                (prod(period), [side // n for n in period])
+                if plan.folded
+                else (channels, (side, side))
+            )
+            one = count * fft.operations((side, side)) + products
+            tiles_ = plan.tiling.samples(plan.scene.samples) / side**2
+            return tiles_ * (one + phases * fft.operations(size))
+        if stage == "optics.mosaic":
+            parts = [length // n for length, n in zip(plan.period, cfa.shape, strict=True)]
+            return count * fft.operations(plan.period) + products + cfa.size * fft.operations(parts)
+        tables = 1 if plan.transfers is None else len(plan.transfers)
+        return (count + channels) * fft.operations(plan.period) + frequencies * count * (
+            2 * tables + 4 * channels
         )
 
-    def collected(self, plan: Plan, channels, exposure_time):
-        """Every channel (C, rows, cols) with its fall-off, times the exposure time [s]."""
-        channels = self._dimmed(plan, channels)
-        return self.device.stack(
+
+def _per_wavelength(plan: Plan, camera: Camera) -> Plan:
+    """Return the plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1]. Raises BadData."""
+    if plan.varying is not None:
+        raise BadData(
+            f"irradiance of {plan.scene.name}: the blur of {camera.name} varies over the field; "
+            'wanted optics that are the same all over the frame, or the output "electrons"'
+        )
+    nodes, optics = plan.scene.wavelengths, camera.optics
+    scale = (
+        plan.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
+    )
+    table = None if plan.content.is_spectral else plan.content.entry_spectra.T
+    if plan.mix is None:
+        weighted = np.diag(scale) if table is None else scale[:, None] * table
+        return replace(plan, weights=np.diag(scale), table=weighted)
+    return replace(
+        plan,
+        weights=np.diag(scale),
+        mix=np.diag(scale / plan.flat),
+        table=table,
+        transfers=None,
+        folded=False,
+    )
+
+
+def _border(plan):
+    return "edge" if plan.scene.border == "scene" else plan.scene.border
+
+
+def _seen(plan):
+    """Rows and columns that are seen: the frame's, and the margin's if there is blur to need it."""
+    return plan.scene.samples if plan.mix is None else plan.content.shape
+
+
+def _window(plan):
+    """Return the scene's samples that are of use along both axes: all, or the frame's only."""
+    margin = plan.scene.margin
+    # without blur or distortion nothing outside the frame is needed
+    inside = (
+        slice(margin, -margin)
+        if margin and plan.mix is None and not plan.is_placed
+        else slice(None)
+    )
+    return inside, inside
+
+
+def _placing(plan):
+    """Return the constants of `place_samples`."""
+    return {
+        "grid": plan.distortion,
+        "seen": _seen(plan),
+        "shape": plan.content.shape,
+        "ratio": plan.scene.samples_per_pixel,
+    }
+
+
+def store_content(content, *, window=WHOLE, device) -> tuple:
+    """Return a content's samples on the device: entries, and the label of each sample or None."""
+    return store(device, content, window)
+
+
+def make_planes(stored, *, table, device) -> Any:
+    """Return planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
+    return planes(device, table, stored)
+
+
+def place_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
+    """Return where the lens and a view put the samples, for `place_planes`: an array of the device."""
+    if view.is_plain and grid is not None:
+        nodes = grid.nodes
+    else:
+        nodes = view_nodes(view, grid, seen, shape, ratio)
+    return device.array(nodes[None])
+
+
+def zoom_of(view: View) -> float:
+    """Return the zoom of a view."""
+    return view.zoom
+
+
+def no_zoom(view: View) -> float:
+    """Return 1: the zoom is in the places already."""
+    return 1.0
+
+
+def mix_lights(*, weights, table, spectra) -> np.ndarray:
+    """Return every plane before the blur in the light of each channel, (C, planes)."""
+    light = weights @ spectra.T
+    return light if table is None else np.linalg.lstsq(table.T, light.T, rcond=None)[0].T
+
+
+def place_planes(planes_, places, lights, zoom, *, seen, border, by_area, device) -> Any:
+    """Return planes where the lens and the view put them. lights: see `mix_lights`, or None for channels."""
+    if by_area:
+        return distort(planes_, places, seen, border, "area", zoom**2, device=device)
+    light = planes_
+    if lights is not None:
+        light = integrate(planes_, lights.astype(np.float32), device=device)
+    return distort(planes_, places, seen, border, light=light, device=device)
+
+
+def blur_tiles(planes_, tables, *, mix, cfa, border, side, overlap, margin, device) -> Any:
+    """Return the mosaic, or the channels if `cfa` is None, blurred tile by tile."""
+    return tiles(planes_, tables, mix, cfa, border, side, overlap, margin=margin, device=device)
+
+
+def blur_mosaic(planes_, tables, *, mix, cfa, border, period, margin, device) -> Any:
+    """Return the blurred mosaic."""
+    return mosaic(planes_, tables, mix, cfa, border, period, margin=margin, device=device)
+
+
+def blur_channels(planes_, tables, *, mix, border, period, margin, device) -> Any:
+    """Return the blurred channels."""
+    return blur(planes_, tables, mix, border, period, margin=margin, device=device)
+
+
+def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:
+    """Return rates with the light from far away. model: see `gpusim.planner.knobs.farfield.FarField`."""
+    return far(
+        rates,
+        planes_,
+        model.weights(mix, transfers),
+        model.sigmas,
+        cfa,
+        model.border,
+        margin=margin,
+        spacings=model.spacings,
+        device=device,
+    )
+
+
+def make_field_tables(*, varying, device) -> tuple:
+    """Return the inputs of `optics.field` on the device, and its transfer tables."""
+    inputs = {
+        # edges and indices are read on the host
+        name: value if name in ("edges", "index") else device.array(value)
+        for name, value in varying.stage_inputs.items()
+    }
+    return inputs, transfer(device, varying.kernels, varying.edges)
+
+
+def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
+    """Return channels blurred as on the axis, with the difference of the blur elsewhere."""
+    inputs, kernels = tables
+    return field(
+        planes_,
+        mix=mix,
+        border=border,
+        margin=margin,
+        base=rates,
+        tables=kernels,
+        device=device,
+        **inputs,
+    )
+
+
+def crop_margin(planes_, *, margin, samples, device) -> Any:
+    """Return planes without `margin` samples on each side, if they have them: weights of 1 change no value."""
+    if tuple(planes_.shape[1:]) == tuple(samples):
+        return planes_
+    starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes_.shape[1:]]
+    weights = [np.ones((len(start), 1), np.float32) for start in starts]
+    return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=device)
+
+
+def pass_on(planes_, *, device) -> Any:
+    """Return the planes: they are the channels of the pixels already."""
+    return planes_
+
+
+def as_one_plane(rates, *, device) -> Any:
+    """Return a mosaic (rows, cols) as planes (1, rows, cols)."""
+    return device.reshape(rates, (1, *rates.shape))
+
+
+def sample_pixels(rates, *, row_start, row_weights, col_start, col_weights, device) -> Any:
+    """Return channels at the pixels from channels at the scene's samples."""
+    return sample(rates, row_start, row_weights, col_start, col_weights, device=device)
+
+
+def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device) -> Any:
+    """Return the channels, each point blurred as its distance demands, nearer layers over farther ones.
+
+    A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the channel
+    sees of a wavelength's kernel. Things go on outside the frame even if no light comes from there.
+    """
+    depth, margin = plan.depth, plan.scene.margin - plan.spare
+    assert depth is not None
+    channels = len(plan.weights)
+    lights, alphas, layers = [], [], []
+    for layer in range(depth.layers):
+        content, coverage, confusion = depth.sheet(layer, plan.content)
+        own = planes_
+        if content is not plan.content:
+            own = planes(device, plan.table, store(device, content))
+        for kernel, share in depth.shares(coverage, confusion):
+            of_planes, of_white = tables.at_distance(plan, kernel)
+            share = device.array(share[None])
+            light = blur(
+                falloff(own, share, device=device),
+                of_planes,
+                plan.mix,
+                border,
+                plan.period,
+                margin=margin,
+                device=device,
+            )
+            alpha = blur(
+                share,
+                of_white,
+                np.ones((channels, 1), np.float32),
+                "edge" if border == "zero" else border,
+                plan.period,
+                margin=margin,
+                device=device,
+            )
+            lights.append(light)
+            alphas.append(alpha)
+            layers.append(layer)
+    return composite(device.stack(lights), device.stack(alphas), layers, device=device)
+
+
+def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
+    """Return the mosaic, or every channel of the samples, with highlights. weights: of the wavelengths, (C, L)."""
+    weights = lights.spectra[:, None] * weights  # (kernels, channels, L)
+    cores, profiles = (
+        np.tensordot(weights, kernels.cores, 1),
+        np.tensordot(weights, kernels.profiles, 1),
+    )
+    places = np.column_stack([lights.places + spare, lights.light, lights.reach]).astype(np.int32)
+    shape = kernels.step, kernels.parts, kernels.spread
+    if cfa is None:
+        return device.stack(
             [
-                collect(
-                    channels,
-                    np.full((1, 1), channel, np.int32),
-                    exposure_time,
-                    plan.slope,
-                    device=self.device,
+                splat(
+                    device.part(rates, c),
+                    PLAIN_MOSAIC,
+                    places,
+                    lights.strength,
+                    cores[:, [c]],
+                    profiles[:, [c]],
+                    *shape,
+                    device=device,
                 )
-                for channel in range(channels.shape[0])
+                for c in range(rates.shape[0])
             ]
         )
+    return splat(
+        rates,
+        device.array(cfa, np.int32),
+        device.array(places, np.int32),
+        device.array(lights.strength),
+        device.array(cores),
+        device.array(profiles),
+        *shape,
+        device=device,
+    )
 
-    def _dimmed(self, plan, planes):
-        """Planes by what the light loses beyond the cos^4 law."""
-        if plan.falloff is None:
-            return planes
-        return falloff(planes, self.device.array(plan.falloff[None]), device=self.device)
+
+def dim_planes(planes_, *, gains, device) -> Any:
+    """Return planes times a gain of every pixel (rows, cols)."""
+    return falloff(planes_, device.array(gains[None]), device=device)
+
+
+def collect_layers(channels, *, slope, exposure_time, device) -> Any:
+    """Return the electrons of every channel (C, rows, cols), with its fall-off, of an exposure time [s]."""
+    return device.stack(
+        [
+            collect(
+                channels,
+                np.full((1, 1), channel, np.int32),
+                exposure_time,
+                slope,
+                device=device,
+            )
+            for channel in range(channels.shape[0])
+        ]
+    )
+
+
+def nothing() -> None:
+    """Return None: a value that this camera does not use."""
+
+
+def make_shading(
+    *, shape, slope, falloff, nodes, binning, stride, by_charge, period, device
+) -> np.ndarray:
+    """Return the gains of the shading correction for each pixel of the mosaic's period, see `processor.shade`."""
+    response = relative_response(shape, slope, falloff, nodes)
+    if binning == (1, 1):
+        return shading_gains(response, period[0] * period[1])
+    flat = device.array(response)
+    charge = bin_pixels(flat, binning=binning, stride=stride, average=False, device=device)
+    response = np.array(device.numpy(charge), np.float32)
+    if not by_charge:
+        response /= np.float32(prod(binning))
+    return phase_gains(response, period)[0]

@@ -1,48 +1,120 @@
-"""Automatic exposure: the light is looked at on the device, the exposure time and the gain are chosen on the host."""
+"""Automatic exposure: the device looks at the light, the host chooses the exposure time and the gain."""
 
 from math import prod
+from typing import Any
 
 import numpy as np
 
-from gpusim.domain.exposure import LightStatistics
+from gpusim.domain.exposure import AutoExposure, LightStatistics
+from gpusim.domain.sensor import Sensor
 from gpusim.kernels.sensor.meter import meter
+from gpusim.kernels.spectral.survey import survey
+from gpusim.pipeline.readout import Readout
+from gpusim.pipeline.step import Rate, Step
+from gpusim.planner.plan import Plan
 
 
-def metered_by(simulator) -> tuple:
-    """What an exposure time depends on beside the plan."""
-    sensor, noise = simulator.camera.sensor, simulator.camera.sensor.noise
-    return (
-        sensor.exposure_time,
-        sensor.auto_exposure,
-        noise.dark_current * noise.warmth,
-        simulator.readout.output.saturation,
-        simulator.readout.pixels,
-    )
+def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
+    """Return the steps that look at the light.
 
-
-def light_of(simulator, electrons):
-    """Statistics of electrons (rows, cols) or (C, rows, cols), on the device: see `sensor.meter`."""
-    shape, automatic, device = (
-        electrons.shape,
-        simulator.camera.sensor.auto_exposure,
-        simulator.device,
-    )
-    weights = simulator.kept("weights of metering", tuple(shape), lambda: automatic.weights(shape))
-    flat = device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
-    return meter(flat, *weights, automatic.fractions, device=device)
-
-
-def metered(simulator, rates) -> tuple[float, float]:
-    """Exposure time [s] and analog gain that automatic exposure chooses for electrons per second, see `chosen`."""
-    return chosen(simulator, simulator.device.numpy(light_of(simulator, rates)), rates.shape)
-
-
-def chosen(simulator, light, shape, seconds: float = 1.0) -> tuple[float, float]:
-    """The same by what `light_of` gave, read by the host, of the electrons of `seconds` [s], shape (..., rows, cols).
-
-    Raises BadData for a scene without light, or with light that is not finite.
+    They make "metered" (exposure time [s] and gain, of the light "per second"), "light" (statistics of the light of the
+    mean electrons) and "survey" (what a plan's watch needs to know of another scene, see `Plan.watch`).
     """
-    sensor, readout = simulator.camera.sensor, simulator.readout
-    dark = sensor.noise.dark_current * sensor.noise.warmth  # fills the well as light does
-    rates = LightStatistics(np.array(light), prod(shape)).over(seconds).plus(dark)
-    return sensor.auto_exposure.choose(rates, readout.output.saturation / readout.pixels)
+    device = readout.device
+    automatic, content = sensor.auto_exposure, plan.content
+    layers = len(sensor.channels) if sensor.stacked else 1
+    looked = {
+        name: Step(
+            name,
+            "sensor.meter",
+            (electrons,),
+            {"automatic": automatic, "device": device},
+            rate=Rate.EXPOSURE,
+            work=float(prod(plan.scene.shape) * layers),
+            run=meter_light,
+        )
+        for name, electrons in (("light per second", "per second"), ("light", "mean"))
+    }
+    steps = [
+        *looked.values(),
+        Step(
+            "metered",
+            "",
+            ("light per second",),
+            {
+                **metering_numbers(sensor, readout),
+                "shape": plan.scene.shape,
+                "layers": layers,
+                "device": device,
+            },
+            rate=Rate.EXPOSURE,
+            host="a picture by itself waits for a few numbers of its own exposure; a stream's come a frame late",
+            run=read_and_choose,
+        ),
+    ]
+    if plan.watch is not None:
+        watch = plan.watch
+        entries = 1 if content.labels is not None else len(content.entry_spectra)
+        steps.append(
+            Step(
+                "survey",
+                "spectral.survey",
+                ("entries",),
+                {
+                    "table": watch.table,
+                    "first": watch.first,
+                    "scale": watch.scale,
+                    "device": device,
+                },
+                work=float(len(watch.first) * content.shape[1] * entries),
+                run=survey_entries,
+            )
+        )
+    return steps
+
+
+def metering_numbers(sensor: Sensor, readout: Readout) -> dict:
+    """Return the keyword arguments of `choose_exposure` that come from the sensor."""
+    return {
+        "automatic": sensor.auto_exposure,
+        "dark": sensor.noise.dark_current * sensor.noise.warmth,  # fills the well as light does
+        "saturation": readout.output.saturation / readout.pixels,
+    }
+
+
+def meter_light(electrons: Any, *, automatic: AutoExposure, device) -> Any:
+    """Return statistics of electrons (rows, cols) or (C, rows, cols), on the device: see `sensor.meter`."""
+    shape = tuple(electrons.shape)
+    flat = device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
+    return meter(flat, *automatic.weights(shape), automatic.fractions, device=device)
+
+
+def read_and_choose(light: Any, *, shape, layers, device, **numbers) -> tuple[float, float]:
+    """Return the exposure time [s] and gain for light per second: see `choose_exposure`."""
+    return choose_exposure(device.numpy(light), layers * prod(shape), **numbers)
+
+
+def choose_exposure(
+    light: Any, pixels: int, seconds: float = 1.0, *, automatic: AutoExposure, dark, saturation
+) -> tuple[float, float]:
+    """Return the exposure time [s] and analog gain that automatic exposure chooses.
+
+    Args:
+        light: Statistics from `meter_light`, read by the host.
+        pixels: Number of pixels that were metered.
+        seconds: Exposure time of the metered electrons [s].
+        automatic: How to expose.
+        dark: Dark current [e- s-1].
+        saturation: Electrons at saturation [e-].
+
+    Raises:
+        BadData: A scene without light, or with light that is not finite.
+    """
+    rates = LightStatistics(np.array(light), pixels).over(seconds).plus(dark)
+    return automatic.choose(rates, saturation)
+
+
+def survey_entries(stored: tuple, *, table, first, scale, device) -> Any:
+    """Return the survey of a scene's samples on the device: see `spectral.survey`."""
+    entries, labels = stored
+    return survey(entries, table, first, labels, scale, device=device)

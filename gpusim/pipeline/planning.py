@@ -1,7 +1,7 @@
 """The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
 
 from dataclasses import replace
-from math import ceil
+from math import ceil, prod
 
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
@@ -11,8 +11,8 @@ from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.memory import bytes_needed, largest_array
-from gpusim.pipeline.reading import Reading
+from gpusim.pipeline.reading import Reading, bytes_looked_at
+from gpusim.pipeline.step import steps_needed
 from gpusim.planner.after import probed
 from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts
@@ -72,7 +72,7 @@ def planned(
         least=least,
     )
     _require_met(simulator, made)
-    needed = require_memory(made, device)
+    needed = require_memory(made, simulator)
     return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])
 
 
@@ -82,10 +82,18 @@ def _require_met(simulator, made):
         raise NotMet(f"{made.scene.name}: tolerance {made.verdict}")
 
 
-def require_memory(made: Plan, device) -> int:
-    """Device memory of a frame by a plan [byte]. Raises DoesNotFit."""
-    scene = made.scene
-    needed, largest = bytes_needed(made, device), largest_array(made)
+def require_memory(made: Plan, simulator) -> int:
+    """Return the device memory of a frame by a plan [byte].
+
+    It is that of a frame's steps. SciPy's transforms count if their memory is the device's. Constants of a few thousand
+    bytes are left out. For depth and for a blur that varies over the field it is an upper bound.
+
+    Raises DoesNotFit.
+    """
+    scene, device = made.scene, simulator.device
+    steps = steps_needed(simulator.steps(made), ["codes", "mean of pixels"])
+    needed = int(sum(step.nbytes for step in steps) + bytes_looked_at(made, device))
+    largest = largest_array(made, steps)
     needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
     what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"
     if needed > device.memory:
@@ -93,6 +101,17 @@ def require_memory(made: Plan, device) -> int:
     if largest > device.largest_array:
         raise DoesNotFit(f"one array of {what}", largest, device.largest_array, device.name)
     return needed
+
+
+def largest_array(plan: Plan, steps) -> int:
+    """Return the memory of the largest array of the content, the planes or the transfer tables [byte]."""
+    content = plan.content
+    stored = [
+        prod(getattr(content, name).shape) * content.stored_type(name).itemsize
+        for name in content.samples
+    ]
+    names = ("planes", "transfer")
+    return max(*stored, *(step.nbytes for step in steps if step.output in names))
 
 
 def check_given(made, camera: Camera, scene: Scene):
@@ -119,7 +138,7 @@ def check_given(made, camera: Camera, scene: Scene):
 def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
     """A plan that is given, checked, as of a scene: see `check_given` and `judged_by`. Raises DoesNotFit, too."""
     check_given(made, simulator.camera, scene)
-    require_memory(made, simulator.device)
+    require_memory(made, simulator)
     return judged_by(simulator, made, scene, Facts.of(scene), exposure_time)
 
 
@@ -188,4 +207,6 @@ def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
 
 def _asked(simulator):
     """How a simulator asks for plans, beside the tolerance."""
-    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period", "kept")}
+    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
+        "kept": simulator.cache.by_key
+    }

@@ -2,24 +2,20 @@
 
 import dataclasses
 import time
-from functools import partial
 from math import prod
 from typing import Any
 
-from gpusim.color.rendering import rendering, without_tone
-from gpusim.color.shading import phase_gains, relative_response, shading_gains
 from gpusim.domain.account import Account
+from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shortened
-from gpusim.kernels.sensor.chip import retime as retime_chip
-from gpusim.kernels.sensor.collect import retime as retime_collect
-from gpusim.kernels.spectral.survey import survey
-from gpusim.pipeline.cache import Kept, One, same
+from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.frame import Exposure, Frame
-from gpusim.pipeline.metering import chosen, light_of, metered, metered_by
-from gpusim.pipeline.outputs import OUTPUTS, output_of
+from gpusim.pipeline.imaging import store_content
+from gpusim.pipeline.metering import choose_exposure, metering_numbers
+from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import (
     check_given,
     drafted_by,
@@ -30,7 +26,8 @@ from gpusim.pipeline.planning import (
 )
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, looked_at_there
-from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.shots import Shots, exposure_numbers, exposure_steps, picture_steps
+from gpusim.pipeline.step import Rate, Values
 from gpusim.planner.after import holds
 from gpusim.planner.draft import drafted
 from gpusim.planner.facts import Facts
@@ -39,37 +36,19 @@ from gpusim.planner.plan import Plan
 SAME = object()  # of `Program.update`: as it was
 
 
-@dataclasses.dataclass(eq=False, slots=True)
-class _Result:
-    """An exposure, and what it was made of.
-
-    settings: of the program. stored: the scene's samples on the device, samples: these as parts of keys. planes: before
-    the blur. rates: electrons per second, with their mosaic.
-    """
-
-    settings: tuple
-    plan: Plan
-    scene: Scene
-    stored: tuple
-    samples: list
-    planes: Any
-    rates: tuple
-    exposure: Exposure | None
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Look:
     """What the device saw of a scene by a plan, on its way to the host.
 
-    light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. shape: of the
-    electrons that were metered, of an exposure of so many seconds [s].
+    light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. pixels: how
+    many were metered, in an exposure of so many seconds [s].
     """
 
     scene: Scene
     plan: Plan
     light: Any
     survey: Any
-    shape: tuple
+    pixels: int
     seconds: float
 
 
@@ -77,7 +56,7 @@ class Before:
     """What programs have in common before their exposures: a plan, and what its steps gave."""
 
     def __init__(self, device):
-        self.kept = Kept(device)
+        self.cache = Cache(device)
         self.plan: tuple | None = None  # a Plan, and a camera that it is for
         self.probing = Probing()
         self.looked: tuple = ()  # what was last looked at
@@ -114,19 +93,28 @@ class Program:
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = Before(simulator.device) if before is None else before
-        self.kept = self.before.kept if before is None else before.kept.beside()
+        self.cache = self.before.cache if before is None else before.cache.sibling()
+        self.values = Values(
+            {
+                Rate.CAMERA: simulator.tables,
+                Rate.SCENE: self.before.cache,
+                Rate.EXPOSURE: self.cache,
+                Rate.FRAME: self.cache,
+            }
+        )
+        self._steps: dict[str, tuple] = {}  # lists of steps by name, each with what it was made for
         self._pending: _Look | None = None
         self._metered: tuple[float, float] | None = None
         self._operates: tuple[float, float] | None = (
             None  # what was metered for this frame, from update to update
         )
         self._drift: float | None = None  # of the plan, in the last scene that was judged
-        self._last: _Result | None = None
+        self._last: tuple | None = None  # an exposure, and its plan, scene and settings
         self._drafts = False
         self._given = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
-            require_memory(plan, simulator.device)
+            require_memory(plan, simulator)
 
     def __repr__(self):
         return shortened(
@@ -183,13 +171,7 @@ class Program:
                 probing.forget()
             facts = self._facts()
             least, words = probing.least(scene), probing.words
-            plan = before.kept(
-                "plan",
-                (One(facts), One(simulator), seconds, least, words),
-                lambda: dataclasses.replace(
-                    simulator.plan(scene, facts, seconds, least), probed=words
-                ),
-            )
+            plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
             probing.planned(plan)
         before.plan = plan, camera
         return self._draft() or plan
@@ -206,7 +188,7 @@ class Program:
             return None
         if camera.optics.is_symmetric and same(by.optics, camera.optics):
             return None
-        return self.before.kept("draft", (One(plan), One(camera)), lambda: drafted(plan, camera))
+        return self.before.cache("draft", drafted, plan, camera)
 
     def _does(self):
         """Whether the plan does, by what the last scene told and, now and then, by exact values of this one.
@@ -226,11 +208,7 @@ class Program:
         )
         if seconds is None and self.meters_late and self._metered:
             seconds = self._metered[0]
-        account = self.before.kept(
-            "probes",
-            (One(scene), One(plan), seconds),
-            lambda: probed_by(simulator, plan, scene, seconds),
-        )
+        account = self.before.cache("probes", probed_by, simulator, plan, scene, seconds)
         does = holds(plan, account)
         probing.found(scene, account, does)
         if not does:
@@ -238,23 +216,13 @@ class Program:
         return does
 
     def _facts(self):
-        """Facts of the scene."""
-        return self.before.kept("facts", One(self.scene), self._read_facts)
-
-    def _read_facts(self):
-        """The same anew: of what is looked at on the device the host reads a few numbers alone."""
-        device, scene, content = self.simulator.device, self.scene, self.scene.content
+        """Facts of the scene. The host reads few numbers of what the device looks at."""
+        device, scene = self.simulator.device, self.scene
         if not looked_at_there(device, scene):
-            whole = Reading(device, content).whole()
-            if not content.is_seen:
-                return Facts.of(
-                    dataclasses.replace(scene, content=whole)
-                )  # which looks at the values
-            return Facts.of(scene.stored(**{name: getattr(whole, name) for name in whole.samples}))
-        stored = self.before.kept(
-            "content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content)
-        )
-        return Facts(content, None, Reading(device, content, stored))
+            return self.before.cache("facts", read_facts, scene, device)
+        content = scene.content
+        stored = self.before.cache("entries", store_content, content, window=WHOLE, device=device)
+        return self.before.cache("facts", facts_on_device, content, stored, device)
 
     def _content(self, plan):
         """What is in front of the camera, less what the plan has taken from it."""
@@ -270,153 +238,67 @@ class Program:
         wall = 1e3 * (time.perf_counter() - start)
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
 
+    def _use(self, name, make, *args):
+        """Use the steps that `make(*args)` gives, in place of those of this name, if an argument is another object."""
+        found = self._steps.get(name)
+        if found is None or any(own is not its for own, its in zip(found[1], args, strict=True)):
+            self._steps[name] = make(*args), args
+            self.values.use([step for steps, _ in self._steps.values() for step in steps])
+
     def _exposed(self):
         """The exposure without its times."""
-        last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
-        is_same = last is not None and all(
-            own is its for own, its in zip(last.settings, settings, strict=True)
-        )
+        settings = self.simulator, self._exposure_time, self._gain
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
         is_metered = (
             not (self.meters_late and automatic) or self._operates is not None
         )  # for this frame
-        if (
-            is_same
-            and is_metered
-            and last.scene is self.scene
-            and self._pending is None
-            and self.before.plan
-            and (self.before.plan[0] is last.plan)
-        ):
-            return last.exposure
+        if self._last is not None and self._pending is None and is_metered and self.before.plan:
+            exposure, *made_for = self._last
+            now = self.before.plan[0], self.scene, *settings
+            if all(own is its for own, its in zip(made_for, now, strict=True)):
+                return exposure
         self._last = None  # its arrays are written to from here on
-        made = (
-            self._again(last, is_same)
-            if last and settings[0] is last.settings[0] and (self.plan is last.plan)
-            else None
-        )
-        made = made or self._anew()
-        made.settings, self._last = settings, made
-        return made.exposure
+        plan = self._expose_plan()
+        seconds, gain = self._operated()
+        exposure = self._operate(plan, seconds, gain)
+        if plan.scene is not self.scene or self.meters_late:
+            self._look(plan, exposure.mean, seconds)
+        self._last = exposure, plan, self.scene, *settings
+        return exposure
 
-    def _anew(self):
-        """An exposure by a plan that fits as far as is known."""
+    def _expose_plan(self):
+        """Return a plan that fits as far as is known; the device computes the scene's rates by it."""
         while True:
             plan = self.plan
-            stored, samples, planes = self._planes(plan)
-            rates = self._rates(plan, planes)
+            self._use("exposure", exposure_steps, self.simulator, plan)
+            self.values.give(content=self._content(plan), view=self.scene.view)
+            self.values["rates"]
             if self._does():  # not sooner: the device has work while the host waits
-                made = _Result((), plan, self.scene, stored, samples, planes, rates, None)
-                made.exposure = self._exposed_by(made)
-                return made
+                return plan
 
-    def stored(self, plan) -> tuple[Any, list]:
-        """The scene's samples on the device as a plan takes them, and these as parts of keys."""
-        imaging, content = self.simulator.imaging, self._content(plan)
-        window = imaging.window(plan)
-        kept = self.before.kept
-        stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
-        return stored, [kept.one(part) for part in stored]
-
-    def _planes(self, plan):
-        """The same, and the planes before the blur."""
-        stored, samples = self.stored(plan)
-        planes = self.before.kept(
-            "planes",
-            (samples, plan.table),
-            lambda: self.simulator.imaging.planes(plan.table, stored),
-        )
-        return stored, samples, self.placed(plan, planes)
-
-    def placed(self, plan, planes, name: str = "placed") -> Any:
-        """Planes where the lens and the scene's view put them. name: of what is kept."""
-        if not plan.is_placed:
-            return planes
-        imaging, kept, view = self.simulator.imaging, self.before.kept, self.scene.view
-        places = kept(
-            "places",
-            (view, plan.distortion, plan.scene.samples, plan.mix is None),
-            lambda: imaging.places(plan, view),
-        )
-        lights = imaging.lights(plan)
-        zoom = (
-            view.zoom if plan.distortion is not None and plan.distortion.method == "area" else 1.0
-        )
-        return kept(
-            name,
-            (kept.one(planes), kept.one(places), plan.scene.border, lights, zoom),
-            lambda: imaging.placed(plan, planes, places, lights, zoom),
+    def _operate(self, plan, seconds, gain):
+        """Return the exposure of a time [s] with a gain."""
+        simulator, values = self.simulator, self.values
+        camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
+        self._use("pictures", picture_steps, simulator, camera)
+        values.give(sensor=camera.sensor)
+        values.set_numbers(**exposure_numbers(simulator, seconds, gain))
+        return Exposure(
+            plan,
+            camera,
+            values["mean"],
+            values["chip_mean"],
+            seconds,
+            gain,
+            values["rendering"],
+            values["blur"] or 0.0,
+            values["shading"],
+            device=simulator.device,
         )
 
-    def _rates(self, plan, planes):
-        """Electrons per second, with their mosaic."""
-        kept = self.before.kept
-        return kept(
-            "rates",
-            (kept.one(planes), One(plan)),
-            partial(self.simulator.imaging.rates, plan, planes),
-        )
-
-    def _again(self, last, is_same):
-        """The last exposure, its arrays made anew by what ran for it; None where that is not all.
-
-        Either the scene is as it was, and time or gain may be other; or the scene alone is other, and exposed for the
-        same time. is_same: whether all but the scene is as it was.
-        """
-        plan = last.plan
-        stored, samples, planes = self._planes(plan)
-        if planes is not last.planes or self._rates(plan, planes) is not last.rates:
-            return None
-        is_metered = (
-            self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
-        )
-        if last.scene is not self.scene and (not is_same or is_metered):
-            return None
-        if not self._does():
-            return None
-        if last.scene is self.scene:
-            last.exposure = self._exposed_by(last)
-            return last
-        exposure = last.exposure
-        mean = self._mean(last, exposure.exposure_time)
-        if mean is not exposure.mean or (
-            chip_mean(self.simulator, mean, exposure.exposure_time, self.kept)
-            is not exposure.chip_mean
-        ):
-            return None
-        last.scene, last.stored, last.samples = self.scene, stored, samples
-        if plan.scene is not self.scene:
-            self._look(last, mean, exposure.exposure_time)
-        return last
-
-    def _mean(self, made, seconds):
-        """Mean electrons of every pixel of the scene [e-]."""
-        plan, rates = made.plan, made.rates
-        return self.kept(
-            "mean",
-            (self.kept.one(rates[0]), One(plan), seconds),
-            lambda: self.simulator.imaging.exposed(plan, rates, seconds),
-            lambda tape: retime_collect(tape, seconds),
-        )
-
-    def _exposed_by(self, made):
-        """The exposure of electrons per second."""
-        simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
-        of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._operated(
-            of,
-            lambda: self.before.kept(
-                "per second", of, lambda: simulator.imaging.exposed(plan, rates, 1.0)
-            ),
-        )
-        mean = self._mean(made, seconds)
-        if plan.scene is not self.scene or self.meters_late:
-            self._look(made, mean, seconds)
-        return exposed(simulator, plan, mean, seconds, gain, kept)
-
-    def _operated(self, of, per_second):
+    def _operated(self):
         """Exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
         simulator, seconds = self.simulator, self._exposure_time
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
@@ -429,32 +311,22 @@ class Program:
         if self.meters_late and self._metered:
             found = self._metered
         else:
-            light, key = per_second(), (*of, metered_by(simulator))
-            found = self._metered = self.kept("metered", key, lambda: metered(simulator, light))
+            found = self._metered = self.values["metered"]
         self._operates = found if self.meters_late else None
         return found
 
-    def _look(self, made, mean, seconds):
+    def _look(self, plan, mean, seconds):
         """Have the device look once at a scene that the plan was not made for; it is judged before the next."""
-        simulator, kept, plan, found = self.simulator, self.kept, made.plan, None
-        looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
+        device, values, found = self.simulator.device, self.values, None
+        entries = self.before.cache.versioned(values["entries"])
+        looked = entries, plan, self.before.cache.versioned(mean) if self.meters_late else None
         if same(self.before.looked, looked):
             return
         self.before.looked = looked
-        device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
-        light = kept("light", (kept.one(mean), automatic), lambda: light_of(simulator, mean))
+        light = device.fetch(values["light"])
         if plan.watch is not None and plan.scene is not self.scene and self._given is None:
-            watch, (entries, ids) = plan.watch, made.stored
-            found = device.fetch(
-                self.before.kept(
-                    "survey",
-                    (made.samples, One(plan)),
-                    lambda: survey(
-                        entries, watch.table, watch.first, ids, watch.scale, device=device
-                    ),
-                )
-            )
-        self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
+            found = device.fetch(values["survey"])
+        self._pending = _Look(self.scene, plan, light, found, prod(mean.shape), seconds)
 
     def judge(self) -> None:
         """Wait for what the device saw of the last scene; drop the plan where it does not fit.
@@ -471,10 +343,13 @@ class Program:
                 None,
             )  # it is refused again where it is not taken away
             raise BadData(
-                f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light"
+                f"{look.scene.name}: {light[4]:.0f} of {look.pixels} pixels have NaN or infinite light"
             )
         if self.meters_late and light[0] > 0:
-            self._metered = chosen(self.simulator, light, look.shape, look.seconds)
+            sensor, readout = self.simulator.camera.sensor, self.simulator.readout
+            self._metered = choose_exposure(
+                light, look.pixels, look.seconds, **metering_numbers(sensor, readout)
+            )
         if look.plan.scene is not look.scene and self._given is None:
             self._seen(look, light)
 
@@ -495,7 +370,7 @@ class Program:
     @property
     def shots(self) -> Shots:
         """Frames of the exposure."""
-        return Shots(self.simulator, self._exposed(), self.kept)
+        return Shots(self.simulator, self._exposed(), self.values)
 
     def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
         """One of OUTPUTS by its name, on the device; nothing beyond it and the exposure is computed.
@@ -505,7 +380,15 @@ class Program:
         """
         if name not in [*OUTPUTS]:
             raise UnknownName("output", str(name), OUTPUTS)
-        return output_of(self, name, seed, frame)
+        shots, values = self.shots, self.values
+        if name == "irradiance":
+            self._use("irradiance", self.simulator.imaging.irradiance_steps, shots.exposure.plan)
+        if name in ("irradiance", "electrons", "mean", "chip_mean"):
+            return values[name]
+        raw = shots.raw(seed, frame)
+        if name == "raw":
+            return raw
+        return shots.codes(raw) if name == "codes" else values[name]
 
     def raw(self, *, seed: int = 0, frame: int = 0) -> Any:
         """Digital numbers (rows, cols) of one frame, on the device."""
@@ -522,7 +405,7 @@ class Program:
         if not self._does():
             exposure = self.exposure
         exposure = dataclasses.replace(exposure, plan=self._told(exposure.plan))
-        return Shots(self.simulator, exposure, self.kept).frame(seed=seed, frame=frame)
+        return Shots(self.simulator, exposure, self.values).frame(seed=seed, frame=frame)
 
     @property
     def account(self) -> Account:
@@ -548,80 +431,58 @@ class Program:
     def _judged(self):
         """The plan that was given, with the errors that are predicted for the scene."""
         simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
-        return self.before.kept(
-            "given",
-            (One(scene), One(simulator), seconds),
-            lambda: judged_by(simulator, self._given, scene, self._facts(), seconds),
+        return self.before.cache(
+            "given", judged_by, simulator, self._given, scene, self._facts(), seconds
         )
 
 
-def chip_mean(simulator, mean, seconds, kept):
-    """What this very chip makes of mean electrons: see `Readout.chip_mean`."""
-    readout, of = simulator.readout, (kept.one(mean), simulator.readout.response_key, seconds)
-    return kept(
-        "chip_mean",
-        of,
-        lambda: readout.chip_mean(mean, seconds),
-        lambda tape: retime_chip(tape, readout.dark_time(seconds)),
-    )
+def _plan(simulator, scene, facts, seconds, least, words) -> Plan:
+    """Return the plan of a scene. words: why it is made again."""
+    return dataclasses.replace(simulator.plan(scene, facts, seconds, least), probed=words)
 
 
-def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:
-    """The exposure of mean electrons [e-], an array of the device, without the times that it took.
+def read_facts(scene: Scene, device) -> Facts:
+    """Return facts of a scene that the host looks at."""
+    whole = Reading(device, scene.content).whole()
+    if not scene.content.is_seen:
+        return Facts.of(dataclasses.replace(scene, content=whole))  # which looks at the values
+    return Facts.of(scene.stored(**{name: getattr(whole, name) for name in whole.samples}))
 
-    seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. kept: what was made before for exposures alike.
+
+def facts_on_device(content, stored, device) -> Facts:
+    """Return facts of a content that the device looks at."""
+    return Facts(content, None, Reading(device, content, stored))
+
+
+def operated_camera(camera: Camera, readout, gain: float) -> Camera:
+    """Return a camera as operated: its sensor binned, with its analog gain multiplied by `gain`."""
+    return dataclasses.replace(camera, sensor=readout.operated(gain))
+
+
+def expose_mean(simulator, plan: Plan, mean, seconds: float, gain: float) -> Exposure:
+    """Return the exposure of mean electrons, without the time that it took.
+
+    Args:
+        simulator: The simulator.
+        plan: Plan of the scene.
+        mean: Mean electrons, an array of the device [e-].
+        seconds: Exposure time [s].
+        gain: Analog gain, next to the sensor's [1].
     """
-    sensor, readout, processor = (
-        simulator.camera.sensor,
-        simulator.readout,
-        simulator.camera.processor,
-    )
-    of_chip = chip_mean(simulator, mean, seconds, kept)
-    camera = kept(
-        "operated",
-        (simulator.camera, gain),
-        lambda: dataclasses.replace(simulator.camera, sensor=readout.operated(gain)),
-    )
-    shading = None
-    if processor.shading:
-        nodes = None if plan.distortion is None else plan.distortion.nodes
-        falls = (
-            plan.scene.shape,
-            plan.slope,
-            plan.falloff,
-            nodes,
-            sensor.cfa,
-            sensor.stacked,
-            sensor.binning,
-            sensor.binning_mode,
-        )
-        shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
-    colors = (
-        plan.white_rate,
-        plan.scene.illuminant,
-        plan.scene.light_is_known,
-        camera.optics,
-        One(camera.sensor),
-        without_tone(processor),
-        camera.display,
-        seconds,
-        readout.pixels,
-    )
-    colored = kept(
-        "rendering",
-        colors,
-        lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept),
-    )
-    blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
+    camera = operated_camera(simulator.camera, simulator.readout, gain)
+    values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: simulator.tables})
+    values.use(exposure_steps(simulator, plan))
+    values.give(mean=mean, sensor=camera.sensor)
+    values.set_numbers(**exposure_numbers(simulator, seconds, gain))
     return Exposure(
-        plan, camera, mean, of_chip, seconds, gain, colored, blur, shading, device=simulator.device
+        plan,
+        camera,
+        mean,
+        values["chip_mean"],
+        seconds,
+        gain,
+        values["rendering"],
+        values["blur"] or 0.0,
+        values["shading"],
+        device=simulator.device,
     )
-
-
-def _shading(simulator, plan):
-    """Gains of the shading correction for each pixel of the mosaic's period, see `Developer.demosaicked`."""
-    readout = simulator.readout
-    response, period = relative_response(plan), readout.output.cfa_indices.shape
-    if simulator.camera.sensor.binning == (1, 1):
-        return shading_gains(response, period[0] * period[1])
-    return phase_gains(readout.mean(simulator.device.array(response)), period)[0]

@@ -1,6 +1,7 @@
 """A content's samples on a device: how they come there, planes of them, and what of them the host reads."""
 
 from dataclasses import replace
+from math import prod
 
 import numpy as np
 
@@ -14,7 +15,10 @@ from gpusim.kernels.spectral.illuminate import illuminate
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
+from gpusim.optics.fusion import row_pairs
 from gpusim.planner.facts import OnHost
+from gpusim.planner.plan import Plan
+from gpusim.planner.probes import COUNT, SIDE
 
 WHOLE = (slice(None), slice(None))
 LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
@@ -37,6 +41,22 @@ def looked_at_there(device: Device, scene: Scene) -> bool:
     ):
         return False
     return LARGE <= content.nbytes <= device.largest_array
+
+
+def bytes_looked_at(plan: Plan, device: Device) -> int:
+    """Return the memory of what the planner reads of a scene on a device before the frame [byte].
+
+    That is its brightness, windows and rows of it. Probes of later scenes look at other windows.
+    """
+    if not looked_at_there(device, plan.scene):
+        return 0
+    rows, cols = plan.content.shape
+    windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
+    entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (
+        rows * cols
+    )
+    times = 1 if plan.watch is None else 2
+    return 4 * (rows * cols + entries * (times * windows + 2 * cols * len(row_pairs(rows, cols))))
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):

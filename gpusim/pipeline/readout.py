@@ -1,12 +1,14 @@
 """A sensor's electronics on a device: from mean electrons to digital numbers."""
 
 import dataclasses
+from dataclasses import replace
 from math import prod
 from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device, open_device
+from gpusim.backends.tape import Tape, noted
 from gpusim.domain.binning import binned
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
@@ -17,9 +19,10 @@ from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
-from gpusim.kernels.sensor.noise import MOST, noise, redraw
+from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
-from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 RESET = 2**30  # number of the read whose random numbers the reset has
 GAINS = 16  # operated sensors that are kept
@@ -27,14 +30,24 @@ BATCH = 2**26  # [pixel] of frames that are drawn at once
 
 
 class Readout:
-    """One chip of a sensor on a device (or the name of one).
+    """One chip of a sensor on a device.
 
-    sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
-    output pixel's; averaged: whose digital numbers' mean it is. kept: where fixed patterns are kept.
-    response_key: what the chip's mean electrons depend on beside the scene's.
+    Args:
+        sensor: Properties of the sensor.
+        device: A device or its name.
+        tables: Cache of the chip's fixed patterns; by default its own.
+
+    Attributes:
+        output: The sensor as its raw values look: binned.
+        pixels: Number of pixels whose charge is added to one output pixel.
+        averaged: Number of pixels whose digital numbers are averaged to one output pixel.
+
+    Raises:
+        BadData: `sensor` is no Sensor.
+        DeviceError: There is no such device.
     """
 
-    def __init__(self, sensor: Sensor, device: Device | str = "auto", kept: Kept | None = None):
+    def __init__(self, sensor: Sensor, device: Device | str = "auto", tables: Cache | None = None):
         if not isinstance(sensor, Sensor):
             raise BadData(f"readout: {type(sensor).__name__}, wanted a Sensor, such as a camera's")
         self.sensor, self.device = (
@@ -55,25 +68,172 @@ class Readout:
         )
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
-        self._kept = Kept() if kept is None else kept
+        self._tables = Cache() if tables is None else tables
         self._operated = {1.0: self.output}
-        chip = sensor.noise
-        self.response_key = (
-            sensor.binning,
-            sensor.binning_mode,
-            sensor.cfa,
-            chip.prnu,
-            chip.row_prnu,
-            chip.column_prnu,
-            chip.dead_pixels,
-            chip.hot_pixels,
-            chip.hot_current,
-            chip.warmth,
-            chip.seed,
-        )
 
     def __repr__(self):
         return shortened(f"Readout({self.sensor!r}, {self.device!r})")
+
+    def steps(self, shape: tuple[int, ...]) -> list[Step]:
+        """Return the steps from the mean electrons "mean", by way of "chip_mean", to the digital numbers "raw".
+
+        Args:
+            shape: Shape of the mean electrons, (rows, cols) or (C, rows, cols).
+
+        Returns:
+            The steps in the order in which they run.
+        """
+        plane = prod(shape[:-1]), shape[-1]
+        read = plane
+        if self.sensor.binning != (1, 1) and not self._digital:
+            read = binned_shape(plane, self.sensor.binning, self.stride)
+        steps = [*self.chip_steps(plane), *self.noise_steps(read)]
+        # one line of the report for all patterns
+        patterns = [step for step in steps if step.stage == "sensor.pattern"]
+        return [replace(step, words="") if step in patterns[1:] else step for step in steps]
+
+    def chip_steps(self, plane: tuple[int, int]) -> list[Step]:
+        """Return the steps from "mean" to "chip_mean" for pixels of shape (rows, cols), layers below each other."""
+        patterns = self._patterns(plane, "response", "dark")
+        response, dark = (name if name in patterns else "" for name in ("response", "dark"))
+        pixels = prod(plane) if patterns else 0
+        chain = Chain("mean", "chip_mean", Rate.EXPOSURE, self.device)
+        chain.add(
+            "sensor.chip",
+            {},
+            response,
+            dark,
+            run=expose_chip,
+            numbers=("dark_time",) if dark else (),
+            words="mean electrons through this chip's response" if patterns else "",
+            nbytes=4 * pixels,
+            work=float(pixels),
+        )
+        if self.sensor.binning != (1, 1) and not self._digital:
+            self._add_binning(chain, plane, average=False)
+        return [*patterns.values(), *chain.end()]
+
+    def noise_steps(self, plane: tuple[int, int]) -> list[Step]:
+        """Return the steps from "chip_mean" of shape (rows, cols) to "raw"."""
+        noise_, sensor = self.sensor.noise, self.output
+        patterns = self._patterns(plane, "offset", "amplitude")
+        offset, amplitude = (name if name in patterns else "" for name in ("offset", "amplitude"))
+        chain = Chain("chip_mean", "raw", Rate.FRAME, self.device)
+        chain.add(
+            "sensor.noise",
+            {
+                "row_noise": noise_.row,
+                "column_noise": noise_.column,
+                "telegraph_switching": noise_.telegraph_switching,
+                "full_well": sensor.full_well,
+                "white_level": None if sensor.bits == FLOAT_BITS else sensor.white_level,
+                "photon": noise_.photon,
+            },
+            offset,
+            amplitude,
+            numbers=("dark_electrons", "read_noise", "gain", "black_level", "seed", "frame"),
+            words=self._noise_words(bool(amplitude)),
+            nbytes=prod(plane) * (4 if sensor.bits == FLOAT_BITS else 2),
+            work=float(prod(plane)),
+        )
+        if self._digital:
+            self._add_binning(chain, plane, average=True)
+        return [*patterns.values(), *chain.end()]
+
+    def _add_binning(self, chain, plane, average):
+        sensor = self.sensor
+        binned_pixels = prod(binned_shape(plane, sensor.binning, self.stride))
+        chain.add(
+            "sensor.bin",
+            {"binning": sensor.binning, "stride": self.stride, "average": average},
+            words=f"{sensor.binning[0]}x{sensor.binning[1]} pixels by {sensor.binning_mode}",
+            nbytes=(2 if average else 4) * binned_pixels,
+            work=float(prod(plane)),
+        )
+
+    def _patterns(self, plane, *wanted) -> dict[str, Step]:
+        """Return the steps of the fixed patterns that this chip has, of (rows, cols), by name."""
+        noise_ = self.sensor.noise
+        planes = {
+            "response": {
+                "pixel": noise_.prnu,
+                "row": noise_.row_prnu,
+                "column": noise_.column_prnu,
+                "dead": noise_.dead_pixels,
+            },
+            "dark": {"share": noise_.hot_pixels, "scale": noise_.hot_current},
+            "offset": {
+                "pixel": noise_.dsnu,
+                "row": noise_.row_dsnu,
+                "column": noise_.column_dsnu,
+            },
+            "amplitude": {"share": noise_.telegraph_pixels, "scale": noise_.telegraph},
+        }
+        # an exponential needs both numbers, a sum of normal numbers one
+        has = {
+            name: all(numbers.values()) if "share" in numbers else any(numbers.values())
+            for name, numbers in planes.items()
+        }
+        words = [
+            name
+            for name, on in (
+                ("PRNU", noise_.prnu or noise_.row_prnu or noise_.column_prnu),
+                ("DSNU", has["offset"]),
+                ("dead pixels", noise_.dead_pixels),
+                ("hot pixels", has["dark"]),
+                ("traps", has["amplitude"]),
+            )
+            if on
+        ]
+        return {
+            name: Step(
+                name,
+                "sensor.pattern",
+                (),
+                {
+                    "rows": plane[0],
+                    "cols": plane[1],
+                    "plane": "telegraph" if name == "amplitude" else name,
+                    "seed": noise_.seed,
+                    "mean": float(name == "response"),
+                    **planes[name],
+                    "device": self.device,
+                },
+                words=f"{', '.join(words)} of chip {noise_.seed}",
+                nbytes=4 * prod(plane),
+                rate=Rate.CAMERA,
+                run=make_pattern,
+            )
+            for name in wanted
+            if has[name]
+        }
+
+    def _noise_words(self, has_traps):
+        """Return the report's line of the noise."""
+        noise_ = self.sensor.noise
+        temporal = [
+            name
+            for name, on in (
+                (f"photon ({noise_.photon})", noise_.photon != "none"),
+                ("dark current", noise_.dark_current),
+                ("read", noise_.read),
+                ("reset", noise_.reset),
+                ("converter", noise_.adc),
+                ("rows", noise_.row),
+                ("columns", noise_.column),
+                ("telegraph", has_traps),
+            )
+            if on
+        ]
+        bits = self.sensor.bits
+        converter = "no converter" if bits == FLOAT_BITS else f"{bits} bit"
+        return f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
+
+    def _values(self, steps) -> Values:
+        """Return values that are kept for this call only; the chip's patterns stay."""
+        values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: self._tables})
+        values.use(steps)
+        return values
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last ones are kept."""
@@ -101,27 +261,25 @@ class Readout:
                 )
         return tuple(shape)
 
-    def chip_mean(self, mean, exposure_time: float, scale: float = 1.0) -> Any:
-        """Electrons that this chip is expected to collect, without the dark current all pixels have in common.
+    def chip_mean(self, mean: Any, exposure_time: float, scale: float = 1.0) -> Any:
+        """Return the electrons that this chip is expected to collect, without the common dark current.
 
-        mean: of the scene, array of the device, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
-        exposure_time: [s]. scale: multiplies the mean [1]. Returns shape (rows, cols), layers one below the other,
-        binned where charge is.
+        Args:
+            mean: Mean electrons of the scene, an array of the device, shape (rows, cols) or, for stacked pixels,
+                (C, rows, cols) [e-].
+            exposure_time: Exposure time [s].
+            scale: Factor of the mean [1].
+
+        Returns:
+            An array of the device, shape (rows, cols), layers one below the other, binned if charge is binned [e-].
         """
-        sensor = self.sensor
         rows, cols = prod(mean.shape[:-1]), mean.shape[-1]
-        mean = self.device.reshape(mean, (rows, cols))
-        response, dark = self._response(rows, cols), self._dark(rows, cols)
-        if response is not None or dark is not None or scale != 1:
-            mean = chip(
-                mean,
-                response,
-                dark,
-                scale=scale,
-                dark_time=self.dark_time(exposure_time),
-                device=self.device,
-            )
-        return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
+        if scale != 1:
+            mean = expose_chip(mean, scale=scale, device=self.device)
+        values = self._values(self.chip_steps((rows, cols)))
+        values.give(mean=mean)
+        values.set_numbers(dark_time=self.dark_time(exposure_time))
+        return values["chip_mean"]
 
     def defects(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> np.ndarray | None:
         """Where this chip's pixels are dead or hot: 1 there, else 0, NumPy uint8 like the raw values; None: nowhere.
@@ -140,16 +298,15 @@ class Readout:
 
     def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> Any:
         """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
-        rows, cols = prod(shape[:-1]), shape[-1]
-        noise_, dark = self.sensor.noise, self._dark(rows, cols)
-        response = self._response(rows, cols) if noise_.dead_pixels else None
-        if response is None and dark is None:
-            return None
-        dark_time = self.dark_time(exposure_time)
-        return flag(
+        values = self._values(self.chip_steps((prod(shape[:-1]), shape[-1])))
+        dead = "response" in values and self.sensor.noise.dead_pixels
+        response = values["response"] if dead else None
+        dark = values["dark"] if "dark" in values else None
+        return flag_pixels(
             response,
             dark,
-            least=least / dark_time if dark_time else 0.0,
+            least=least,
+            dark_time=self.dark_time(exposure_time),
             binning=self.sensor.binning,
             stride=self.stride,
             device=self.device,
@@ -163,12 +320,32 @@ class Readout:
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
     def draw(
-        self, chip_mean, exposure_time: float, gain: float = 1.0, seed=0, frame=0, frames=None
+        self,
+        chip_mean: Any,
+        exposure_time: float,
+        gain: float = 1.0,
+        seed: int = 0,
+        frame: int = 0,
+        frames: int | None = None,
+        tape: Tape | None = None,
     ) -> Any:
-        """Raw values (rows, cols), or (frames, rows, cols), around `chip_mean` electrons (see the method).
+        """Return raw values around the electrons that the chip is expected to collect.
 
-        gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
-        Raises DoesNotFit, OutOfRange.
+        Args:
+            chip_mean: See the method of this name, an array of the device, (rows, cols) [e-].
+            exposure_time: Exposure time [s].
+            gain: Analog gain, next to the sensor's [1].
+            seed: Names the noise.
+            frame: Number of the frame.
+            frames: Number of frames from `frame` on; None: this one only.
+            tape: Where the kernels are recorded, or None.
+
+        Returns:
+            An array of the device, (rows, cols) or (frames, rows, cols): uint16, or float32 without a converter.
+
+        Raises:
+            DoesNotFit: The frames need more memory than the device has.
+            OutOfRange: A seed or number that names no noise.
         """
         if frames is not None:
             needed = (
@@ -176,16 +353,13 @@ class Readout:
             )
             if needed > self.device.memory:
                 raise DoesNotFit(f"{frames} frames", needed, self.device.memory, self.device.name)
-        raw = self._read(
-            chip_mean,
-            exposure_time,
-            self.operated(gain),
-            sigma=self.operated(gain).read_sigma,
-            photon=self.sensor.noise.photon,
-            seed=seed,
-            frame=frame,
-            frames=frames,
-        )
+        steps = self.noise_steps(tuple(chip_mean.shape))
+        values, read = self._values(steps), steps[-1 - self._digital]
+        values.give(chip_mean=chip_mean)
+        planes = [values[name] if name else None for name in read.inputs]
+        numbers = self.numbers(exposure_time, gain) | {"seed": seed, "frame": frame}
+        with noted(tape):
+            raw = noise(*planes, **read.constants, **numbers, frames=frames)
         if not self._digital:
             return raw
         if frames is None:
@@ -202,13 +376,16 @@ class Readout:
         """Whether the stage `sensor.noise` is all that `draw` takes for one frame."""
         return not self._digital and self.device.kind != "numpy"
 
-    def draw_again(self, tape, shape, *, seed=0, frame=0) -> Any:
-        """Raw values (rows, cols) of another frame, by what `draw` noted on a tape for one: see `draws_at_once`."""
-        kind = np.float32 if self.sensor.bits == FLOAT_BITS else np.uint16
-        raw = self.device.empty((1, *shape), kind)
-        redraw(tape, seed, frame, out=raw)
+    def draw_again(self, tape, shape, last, *, seed=0, frame=0) -> Any:
+        """Return another frame (rows, cols) by the kernels that `draw` recorded on a tape.
+
+        last: the array that they wrote to before, (1, rows, cols). See `draws_at_once`.
+        """
+        raw = self.device.empty((1, *shape), last.dtype)
+        if not (tape.renumber({"seed": seed, "frame": frame}) and tape.replaced([(last, raw)])):
+            raise RuntimeError("the recorded frame cannot be drawn again")
         tape.replay()
-        return self.device.reshape(raw, shape)
+        return raw
 
     def draw_electrons(
         self,
@@ -239,7 +416,7 @@ class Readout:
         return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 
     def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
-        """What `draw` tells the stage `sensor.noise` that depends on exposure time [s] and analog gain."""
+        """Return the numbers of the noise that depend on exposure time [s] and analog gain."""
         sensor = self.operated(gain)
         return {
             "dark_electrons": self.dark_electrons(exposure_time),
@@ -277,6 +454,16 @@ class Readout:
         """
         times = self.checked_reads(times)
         sensor, device, noise_ = self.operated(gain), self.device, self.sensor.noise
+        shape = prod(mean.shape[:-1]), mean.shape[-1]
+        shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
+        steps = self.noise_steps(shape)
+        values, read = self._values(steps), steps[-1]
+        offset, amplitude = (values[name] if name else None for name in read.inputs[1:])
+        numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": frame}
+        # the kernel takes no negative electrons: a reset below 0 is part of the offset
+        numbers["read_noise"] = float(
+            np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
+        )
         common = {
             "gain": 1.0,
             "full_well": MOST,
@@ -310,18 +497,14 @@ class Readout:
                             **common,
                         )
                     )
-            # the kernel takes no negative electrons: what the reset leaves below 0 is part of the offset
-            sigma = np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
-            raw = self._read(
+                offset = device.array(reset if offset is None else reset + device.numpy(offset))
+            raw = noise(
                 device.array(charge),
-                0.0,
-                sensor,
-                sigma=float(sigma),
-                photon="none",
-                seed=seed,
-                frame=frame,
+                offset,
+                amplitude,
+                **{**read.constants, "photon": "none"},
+                **numbers,
                 read=number,
-                offset=reset,
             )
             reads.append(np.array(device.numpy(raw)))
             previous = time
@@ -349,101 +532,6 @@ class Readout:
             )
         return times
 
-    def models(self) -> dict[str, str]:
-        """Stage -> what is modelled; a part that is off has no stage and no name."""
-        sensor, noise_ = self.sensor, self.sensor.noise
-        found = {}
-        fixed = [
-            name
-            for name, on in (
-                ("PRNU", noise_.prnu or noise_.row_prnu or noise_.column_prnu),
-                ("DSNU", noise_.dsnu or noise_.row_dsnu or noise_.column_dsnu),
-                ("dead pixels", noise_.dead_pixels),
-                ("hot pixels", noise_.hot_pixels and noise_.hot_current),
-                ("traps", noise_.telegraph_pixels and noise_.telegraph),
-            )
-            if on
-        ]
-        if fixed:
-            found["sensor.pattern"] = f"{', '.join(fixed)} of chip {noise_.seed}"
-        if {"PRNU", "dead pixels", "hot pixels"} & {*fixed}:
-            found["sensor.chip"] = "mean electrons through this chip's response"
-        if sensor.binning != (1, 1):
-            found["sensor.bin"] = (
-                f"{sensor.binning[0]}x{sensor.binning[1]} pixels by {sensor.binning_mode}"
-            )
-        temporal = [
-            name
-            for name, on in (
-                (f"photon ({noise_.photon})", noise_.photon != "none"),
-                ("dark current", noise_.dark_current),
-                ("read", noise_.read),
-                ("reset", noise_.reset),
-                ("converter", noise_.adc),
-                ("rows", noise_.row),
-                ("columns", noise_.column),
-                ("telegraph", "traps" in fixed),
-            )
-            if on
-        ]
-        converter = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bit"
-        found["sensor.noise"] = f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
-        return found
-
-    def _read(
-        self,
-        chip_mean,
-        exposure_time,
-        sensor,
-        *,
-        sigma,
-        photon,
-        seed,
-        frame,
-        frames=None,
-        read=0,
-        offset=None,
-    ):
-        """Raw values of the output sensor; offset: added to that of the chip [e-]."""
-        noise_, device = sensor.noise, self.device
-        rows, cols = chip_mean.shape
-        fixed = amplitude = None
-        if noise_.dsnu or noise_.row_dsnu or noise_.column_dsnu:
-            fixed = self._pattern(
-                "offset",
-                rows,
-                cols,
-                pixel=noise_.dsnu,
-                row=noise_.row_dsnu,
-                column=noise_.column_dsnu,
-            )
-        if offset is not None:
-            fixed = device.array(offset if fixed is None else offset + device.numpy(fixed))
-        if noise_.telegraph_pixels and noise_.telegraph:
-            amplitude = self._pattern(
-                "telegraph", rows, cols, share=noise_.telegraph_pixels, scale=noise_.telegraph
-            )
-        return noise(
-            chip_mean,
-            fixed,
-            amplitude,
-            dark_electrons=self.dark_electrons(exposure_time),
-            read_noise=sigma,
-            row_noise=noise_.row,
-            column_noise=noise_.column,
-            telegraph_switching=noise_.telegraph_switching,
-            full_well=sensor.full_well,
-            gain=sensor.gain_dn_per_electron,
-            black_level=sensor.dark_level,
-            white_level=None if sensor.bits == FLOAT_BITS else sensor.white_level,
-            photon=photon,
-            seed=seed,
-            frame=frame,
-            frames=frames,
-            read=read,
-            device=device,
-        )
-
     def dark_time(self, exposure_time: float) -> float:
         """The time [s] in which dark current at the table's temperature would collect what it does in an exposure."""
         return min(exposure_time * self.sensor.noise.warmth, MOST)
@@ -462,37 +550,29 @@ class Readout:
             device=self.device,
         )
 
-    def _response(self, rows, cols):
-        """Relative response of every pixel, None where all are alike."""
-        noise_ = self.sensor.noise
-        if not (noise_.prnu or noise_.row_prnu or noise_.column_prnu or noise_.dead_pixels):
-            return None
-        return self._pattern(
-            "response",
-            rows,
-            cols,
-            mean=1.0,
-            pixel=noise_.prnu,
-            row=noise_.row_prnu,
-            column=noise_.column_prnu,
-            dead=noise_.dead_pixels,
-        )
 
-    def _dark(self, rows, cols):
-        """Dark current of hot pixels beyond the common one [e- s-1], None where there are none."""
-        noise_ = self.sensor.noise
-        if not (noise_.hot_pixels and noise_.hot_current):
-            return None
-        return self._pattern("dark", rows, cols, share=noise_.hot_pixels, scale=noise_.hot_current)
+def make_pattern(*, device: Device, **numbers) -> Any:
+    """Return a plane of fixed values as an array of the device: see `sensor.pattern`."""
+    return device.array(pattern(**numbers, device=device))
 
-    def _pattern(self, plane, rows, cols, **parts):
-        """A fixed pattern on the device, kept from its first use."""
-        seed, device = self.sensor.noise.seed, self.device
-        return self._kept(
-            f"pattern of {plane}",
-            (rows, cols, seed, *parts.values()),
-            lambda: device.array(pattern(rows, cols, plane, seed=seed, device=device, **parts)),
-        )
+
+def expose_chip(mean, response=None, dark=None, *, device, dark_time=0.0, scale=1.0) -> Any:
+    """Return what a chip is expected to collect, shape (rows, cols), layers below each other: see `sensor.chip`."""
+    mean = device.reshape(mean, (prod(mean.shape[:-1]), mean.shape[-1]))
+    if response is None and dark is None and scale == 1:
+        return mean
+    return chip(mean, response, dark, scale=scale, dark_time=dark_time, device=device)
+
+
+def flag_pixels(response, dark, *, least, dark_time, binning, stride, device) -> Any:
+    """Return a map of dead and hot pixels as an array of the device; None if there can be none.
+
+    least: charge of a hot pixel beyond the common dark current [e-]. dark_time: [s]. The rest as for `sensor.flag`.
+    """
+    if response is None and dark is None:
+        return None
+    least = least / dark_time if dark_time else 0.0
+    return flag(response, dark, least=least, binning=binning, stride=stride, device=device)
 
 
 def checked_electrons(mean, layers: int | None) -> np.ndarray:

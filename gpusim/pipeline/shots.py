@@ -1,188 +1,217 @@
-"""From an exposure on: frames are drawn, processed and reported; what a change does not touch is kept."""
+"""Frames of an exposure: they are drawn, processed and reported."""
 
 import time
 from dataclasses import replace
 from functools import cached_property
+from math import prod
+from typing import Any
 
 import numpy as np
 
-from gpusim.color.rendering import transforms_by, transforms_of, without_tone
+from gpusim.color.rendering import choose_colors, render_exposure
 from gpusim.color.speed import iso_speed
 from gpusim.domain.exposure import exposure_value
-from gpusim.kernels.sensor.noise import check_drawn, redraw
-from gpusim.pipeline.cache import Kept, One
-from gpusim.pipeline.developer import Developer, edges_of
+from gpusim.domain.sensor import Sensor
+from gpusim.kernels.processor.color import color
+from gpusim.kernels.sensor.noise import check_drawn
+from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame, Later
+from gpusim.pipeline.imaging import nothing
+from gpusim.pipeline.metering import metering_steps
+from gpusim.pipeline.readout import Readout, flag_pixels
 from gpusim.pipeline.report import Error, Report, StageReport, merged
+from gpusim.pipeline.step import Rate, Step, Values
+from gpusim.pipeline.tables import LensTables
+from gpusim.planner.plan import Plan
 
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
+
+
+def exposure_steps(simulator, plan: Plan) -> list[Step]:
+    """Return the steps of a plan's exposures, from the scene to digital numbers.
+
+    Besides the values "content" and "view" they use "sensor", the sensor as operated, and the numbers of
+    `exposure_numbers`.
+    """
+    camera, readout, imaging = simulator.camera, simulator.readout, simulator.imaging
+    processor, sensor, scene = camera.processor, camera.sensor, plan.scene
+    layers = (len(sensor.channels),) if sensor.stacked else ()
+    without_tone = replace(camera, processor=replace(processor, tone=()))
+    steps = [
+        *imaging.steps(plan),
+        *metering_steps(plan, sensor, readout),
+        *readout.steps((*layers, *scene.shape)),
+        Step(
+            "transforms",
+            "",
+            (),
+            {
+                "white_rate": plan.white_rate,
+                "light": scene.illuminant if scene.light_is_known else None,
+                "camera": without_tone,
+                "cache": simulator.cache,
+            },
+            rate=Rate.EXPOSURE,
+            run=choose_colors,
+        ),
+        Step(
+            "rendering",
+            "",
+            ("transforms", "sensor"),
+            {"scaling": processor.scaling, "pixels": readout.pixels},
+            ("exposure_time",),
+            rate=Rate.EXPOSURE,
+            run=render_exposure,
+        ),
+        Step("blur", "", run=nothing, rate=Rate.EXPOSURE),
+        Step(
+            "mean of pixels",
+            "",
+            ("mean",),
+            {"readout": readout},
+            rate=Rate.EXPOSURE,
+            host="a Frame, with its report, is NumPy",
+            run=read_mean,
+        ),
+    ]
+    if processor.demosaic == "best":
+        constants = {"plan": plan, "tables": imaging.tables}
+        steps.append(
+            Step("blur", "", (), constants, rate=Rate.EXPOSURE, run=LensTables.deviation_of)
+        )
+    known = {step.output for step in steps}
+    response = "response" if "response" in known and sensor.noise.dead_pixels else ""
+    dark = "dark" if "dark" in known else ""
+    if processor.defects == "known" and (response or dark):
+        constants = {
+            "binning": sensor.binning,
+            "stride": readout.stride,
+            "device": simulator.device,
+        }
+        steps.append(
+            Step(
+                "defects",
+                "",
+                (response, dark, "sensor"),
+                constants,
+                ("dark_time",),
+                rate=Rate.EXPOSURE,
+                run=flag_defects,
+            )
+        )
+    else:
+        steps.append(Step("defects", "", run=nothing, rate=Rate.EXPOSURE))
+    return steps
+
+
+def picture_steps(simulator, camera) -> list[Step]:
+    """Return the steps from digital numbers "raw" to pictures. camera: as operated."""
+    readout, device = simulator.readout, simulator.device
+    developer = Developer(camera, device, readout.averaged, simulator.cache)
+    layers = len(camera.sensor.channels) if camera.sensor.stacked else 1
+    steps = developer.steps((layers, 1))
+    constants = {"matrix": camera.display.xyz_from_rgb, "device": device}
+    steps.append(Step("xyz", "", ("linear",), constants, rate=Rate.FRAME, run=convert_to_xyz))
+    return [*steps, developer.codes_at_once()] if camera.is_developed_at_once else steps
+
+
+def exposure_numbers(simulator, seconds: float, gain: float) -> dict[str, float]:
+    """Return the numbers of an exposure by name. seconds: exposure time [s]. gain: analog, chosen by the exposure."""
+    readout = simulator.readout
+    times = {"exposure_time": seconds, "dark_time": readout.dark_time(seconds)}
+    return times | readout.numbers(seconds, gain)
+
+
+def flag_defects(response, dark, sensor: Sensor, *, binning, stride, device, dark_time) -> Any:
+    """Return the map of the chip's dead pixels and of those whose own current shows in this exposure."""
+    return flag_pixels(
+        response,
+        dark,
+        least=HOT * sensor.read_sigma,
+        dark_time=dark_time,
+        binning=binning,
+        stride=stride,
+        device=device,
+    )
+
+
+def read_mean(mean, *, readout: Readout) -> np.ndarray:
+    """Return the mean electrons of the pixels as they are read, NumPy float32 (..., rows, cols) [e-]."""
+    shape = tuple(mean.shape)
+    found = readout.mean(readout.device.reshape(mean, (prod(shape[:-1]), shape[-1])))
+    return found.reshape(*shape[:-2], -1, found.shape[-1])
+
+
+def convert_to_xyz(linear, *, matrix, device) -> Any:
+    """Return CIE XYZ of linear display RGB (3, rows, cols)."""
+    return color(linear, device.array(matrix), device=device)
 
 
 class Shots:
     """Frames of one exposure by a Simulator. Arrays are the device's, layers of stacked pixels one below the other.
 
-    kept: what the steps gave before, for this exposure or one alike.
+    values: by the exposure's steps; by default new ones.
     """
 
-    def __init__(self, simulator, exposure: Exposure, kept: Kept | None = None):
+    def __init__(self, simulator, exposure: Exposure, values: Values | None = None):
         self.simulator, self.exposure = simulator, exposure
-        self._kept = Kept() if kept is None else kept
+        if values is None:
+            values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: simulator.tables})
+            values.use(
+                [
+                    *exposure_steps(simulator, exposure.plan),
+                    *picture_steps(simulator, exposure.camera),
+                ]
+            )
+            names = ("mean", "chip_mean", "rendering", "shading", "blur")
+            values.give(**{name: getattr(exposure, name) for name in names})
+            values.give(sensor=exposure.camera.sensor)
+            numbers = exposure_numbers(simulator, exposure.exposure_time, exposure.gain)
+            values.set_numbers(**numbers)
+        self.values = values
 
-    def raw(self, seed: int = 0, frame: int = 0):
-        """Digital numbers (rows, cols) of one frame."""
-        exposure, readout = self.exposure, self.simulator.readout
-        seconds, gain = exposure.exposure_time, exposure.gain
-        of = self._kept.one(exposure.chip_mean), One(readout), (seconds, gain, seed, frame)
-        return self._kept(
-            "raw",
-            of,
-            lambda: readout.draw(exposure.chip_mean, seconds, gain=gain, seed=seed, frame=frame),
-            lambda tape: redraw(tape, seed, frame, **readout.numbers(seconds, gain)),
-        )
+    def raw(self, seed: int = 0, frame: int = 0) -> Any:
+        """Return the digital numbers (rows, cols) of one frame."""
+        self.values.withdraw("raw")
+        self.values.set_numbers(seed=seed, frame=frame)
+        return self.values["raw"]
+
+    def _of(self, raw, name):
+        self.values.give(raw=raw)
+        return self.values[name]
 
     @property
     def developer(self) -> Developer:
         """The camera's image processor."""
-        simulator, camera = self.simulator, self.exposure.camera
-        sensor = camera.sensor
-        kept, averaged = simulator.kept, simulator.readout.averaged
-        of = One(sensor), camera.optics, camera.processor, camera.display, averaged
-
-        def transforms():
-            return kept("transforms", transforms_by(camera), lambda: transforms_of(camera))
-
-        return kept(
-            "developer",
-            of,
-            lambda: Developer(
-                camera,
-                simulator.device,
-                averaged,
-                transforms,
-                kept(
-                    "edges of codes",
-                    (camera.display, camera.processor.tone),
-                    lambda: edges_of(camera),
-                ),
-            ),
+        simulator = self.simulator
+        return Developer(
+            self.exposure.camera, simulator.device, simulator.readout.averaged, simulator.cache
         )
 
     @property
-    def defects(self):
-        """Map of the chip's dead pixels and of those whose own current shows in this exposure, on the device.
+    def defects(self) -> Any:
+        """Map of the chip's defects on the device; None if the camera does not ask for it, or there are none."""
+        return self.values["defects"]
 
-        None where it is not asked for, or the chip has none.
-        """
-        exposure, readout = self.exposure, self.simulator.readout
-        if exposure.camera.processor.defects != "known":
-            return None
-        shape, seconds, sensor = (
-            tuple(exposure.mean.shape),
-            exposure.exposure_time,
-            exposure.camera.sensor,
-        )
-        return self._kept(
-            "defects",
-            (shape, seconds, sensor, readout.sensor),
-            lambda: readout.flags(shape, seconds, HOT * sensor.read_sigma),
-        )
+    def planes(self, raw) -> Any:
+        """Return camera values of every pixel, (C, rows, cols)."""
+        return self._of(raw, "camera")
 
-    def planes(self, raw):
-        """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
-        exposure, processor, known = self.exposure, self.exposure.camera.processor, self.defects
-        white, shading, blur = exposure.rendering.neutral, exposure.shading, exposure.blur
-        asked = (
-            processor.demosaic,
-            processor.table,
-            processor.denoise,
-            processor.defects,
-            white,
-            shading,
-            blur,
-        )
-        sensor = exposure.camera.sensor
-        knows_noise = (
-            processor.denoise
-            or processor.defects != "none"
-            or processor.demosaic in ("best", "learned")
-        )
-        of = (
-            self._kept.one(raw),
-            self._kept.one(known),
-            self._numbers,
-            One(sensor) if knows_noise else None,
-        )
-        return self._kept(
-            "camera planes",
-            (*of, *asked),
-            lambda: self.developer.demosaicked(
-                raw, white=white, known=known, shading=shading, blur=blur
-            ),
-        )
+    def linear(self, raw) -> tuple:
+        """Return linear display RGB (3, rows, cols), before clipping and tone curve, and its rendering."""
+        is_estimated = self.exposure.camera.processor.estimates_white
+        rendering = "picture rendering" if is_estimated else "rendering"
+        return self._of(raw, "linear"), self.values[rendering]
 
-    @property
-    def _numbers(self):
-        """What digital numbers mean, but for their noise, as a part of a key."""
-        sensor = self.exposure.camera.sensor
-        return (
-            sensor.cfa,
-            sensor.channels,
-            sensor.stacked,
-            sensor.bits,
-            sensor.dark_level,
-            sensor.white_level,
-            self.simulator.readout.averaged,
-        )
-
-    def linear(self, raw):
-        """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""
-        kept, planes, rendering, camera = (
-            self._kept,
-            self.planes(raw),
-            self.exposure.rendering,
-            self.exposure.camera,
-        )
-        if camera.processor.estimates_white:
-            once = rendering
-            by = (
-                without_tone(camera.processor),
-                camera.display,
-                One(camera.sensor),
-                camera.optics.transmission,
-            )
-            rendering = kept(
-                "white",
-                (kept.one(planes), One(once), *by),
-                lambda: self.developer.balanced(planes, once),
-            )
-        of = kept.one(planes), rendering.display_from_camera, rendering.ceiling
-        return kept("linear", of, lambda: self.developer.colored(planes, rendering)), rendering
-
-    def developed(self, raw):
-        """Linear display RGB, display codes (rows, cols, 3), and the rendering."""
+    def developed(self, raw) -> tuple:
+        """Return linear display RGB, display codes (rows, cols, 3), and the rendering."""
         shown, rendering = self.linear(raw)
-        camera = self.exposure.camera
-        codes = self._kept(
-            "codes",
-            (self._kept.one(shown), camera.processor.tone, camera.display),
-            lambda: self.developer.encoded(shown),
-        )
-        return shown, codes, rendering
+        return shown, self.values["codes"], rendering
 
-    def codes(self, raw):
-        """Display codes (rows, cols, 3) alone: in one pass where the camera allows it."""
-        camera, rendering = self.exposure.camera, self.exposure.rendering
-        if not camera.is_developed_at_once:
-            return self.developed(raw)[1]
-        of = (
-            self._kept.one(raw),
-            self._numbers,
-            rendering.display_from_camera,
-            rendering.ceiling,
-            camera.processor.tone,
-            camera.display,
-        )
-        return self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
+    def codes(self, raw) -> Any:
+        """Return display codes (rows, cols, 3), in one pass if the camera allows it."""
+        return self._of(raw, "codes at once" if "codes at once" in self.values else "codes")
 
     def frame(
         self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True
@@ -204,7 +233,7 @@ class Shots:
             exposure.camera,
             exposure.exposure_time,
             Later(lambda: shot.developed[2]),
-            Later(lambda: shot.timed(self.mean_of_pixels)),
+            Later(lambda: shot.timed(lambda: np.array(self.values["mean of pixels"]))),
             Later(lambda: exposure.layered(shot.copied(shot.raw))),
             Later(lambda: np.moveaxis(shot.copied(shot.developed[0], np.float32), 0, -1)),
             Later(lambda: shot.copied(shot.developed[1])),
@@ -215,36 +244,26 @@ class Shots:
         )
         return wanted.complete() if exposure.is_rewritten else wanted
 
-    def mean_of_pixels(self) -> np.ndarray:
-        """Mean electrons of the pixels as they are read, NumPy, float32 [e-]."""
-        of = self._kept.one(self.exposure.mean), self.simulator.readout.sensor
-        return np.array(self._kept("mean of pixels", of, self._mean))
-
-    def _mean(self):
-        exposure, shape = self.exposure, self.exposure.mean.shape
-        mean = self.simulator.device.reshape(exposure.mean, (int(np.prod(shape[:-1])), shape[-1]))
-        return exposure.layered(self.simulator.readout.mean(mean))
-
     @property
     def _speed(self):
         # of the sensor as it is, not as binned
         own = replace(
             self.simulator.camera.sensor, analog_gain=self.exposure.camera.sensor.analog_gain
         )
-        return self.simulator.kept("speed", own, lambda: iso_speed(own))
+        return self.simulator.cache("speed", iso_speed, own)
 
     def _report(self, rendering, times, wall, seed, number, error):
         exposure, simulator, camera = self.exposure, self.simulator, self.exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
-        shown = f"{camera.display.name}, 8 bit" + (
-            ", with a tone curve" if camera.processor.tone else ""
-        )
-        models = (
-            plan.models
-            | simulator.readout.models()
-            | self.developer.models()
-            | {"processor.color": rendering.model, "display.encode": shown}
-        )
+        lines = {
+            step.stage: step.words
+            for step in (
+                *simulator.readout.steps(tuple(exposure.mean.shape)),
+                *self.developer.steps((1, 1)),
+            )
+            if step.words
+        }
+        models = plan.models | lines | {"processor.color": rendering.model}
         if "sensor.meter" in times:
             models["sensor.meter"] = (
                 "light looked at"

@@ -7,23 +7,27 @@ from operator import is_
 from typing import Any, overload
 
 from gpusim.backends import Device, open_device
-from gpusim.backends.tape import OwnTape, noted
+from gpusim.backends.tape import OwnTape
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shortened
 from gpusim.domain.tolerance import Tolerance
+from gpusim.kernels.sensor.bin import binned_shape
+from gpusim.kernels.sensor.noise import OUT
 from gpusim.pipeline import truths
 from gpusim.pipeline.batch import Batch
-from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.imaging import Imaging
 from gpusim.pipeline.planning import checked_reach, planned
 from gpusim.pipeline.program import Program
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.report import Error
-from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.shots import Shots, exposure_steps
+from gpusim.pipeline.step import Step
 from gpusim.pipeline.stream import Stream
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs.noise import without_negligible
@@ -73,27 +77,42 @@ class Simulator:
             )
         self.launched: list[str] = []  # names of stages in their order
         self._drawing = OwnTape()
-        self._connect(camera, Kept(), Kept())
+        self._connect(camera, Cache(), Cache())
 
     def __repr__(self):
         asked = "exact" if self.tolerance is None else repr(self.tolerance)
         return shortened(f"Simulator({self.camera!r}, {self.device!r}, {asked})")
 
-    def _connect(self, camera, kept, tables):
-        """Kept: what depends on the camera. Tables: of its lens, patterns of its chip, for frames of the same kind."""
-        self.camera, self.kept, self.tables = checked_camera(camera), kept, tables
+    def _connect(self, camera, cache, tables):
+        """Use a camera. cache: of a camera's values. tables: of lens tables and patterns, for frames of one kind."""
+        self.camera, self.cache, self.tables = checked_camera(camera), cache, tables
         sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
-        self.readout = kept("readout", sensor, lambda: Readout(sensor, self.device, tables))
+        self.readout = cache("readout", Readout, sensor, self.device, tables)
         self.imaging = Imaging(camera, self.device, tables)
         return self
 
     def update(self, camera: Camera) -> "Simulator":
         """The same with another camera, for which what does not change is kept. Raises as the class does."""
-        return copy(self)._connect(camera, self.kept, self.tables)
+        return copy(self)._connect(camera, self.cache, self.tables)
 
-    def apart(self, camera: Camera, tables: Kept) -> "Simulator":
+    def apart(self, camera: Camera, tables: Cache) -> "Simulator":
         """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
-        return copy(self)._connect(camera, Kept(), tables)
+        return copy(self)._connect(camera, Cache(), tables)
+
+    def steps(self, plan: Plan) -> list[Step]:
+        """Return the steps of a frame by a plan, from the scene to display codes.
+
+        Args:
+            plan: Plan for this simulator's camera.
+        """
+        readout, shape = self.readout, plan.scene.shape
+        layers = len(self.camera.sensor.channels) if self.camera.sensor.stacked else 1
+        camera = replace(self.camera, sensor=readout.output)
+        developer = Developer(camera, self.device, readout.averaged, self.cache)
+        raw_shape = layers * shape[0], shape[1]
+        if self.camera.sensor.binning != (1, 1):
+            raw_shape = binned_shape(raw_shape, self.camera.sensor.binning, readout.stride)
+        return [*exposure_steps(self, plan), *developer.steps(raw_shape)]
 
     def batch(
         self,
@@ -277,15 +296,15 @@ class Simulator:
             self._drawing,
             (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout),
         )
+        shape = tuple(exposure.chip_mean.shape)
         if frames is None and drawing.of and all(map(is_, drawing.of, of)):
-            return self.readout.draw_again(
-                drawing.tape, exposure.chip_mean.shape, seed=seed, frame=frame
-            )
+            raw = self.readout.draw_again(drawing.tape, shape, drawing.raw, seed=seed, frame=frame)
+            drawing.raw = raw
+            return self.device.reshape(raw, shape)
         drawing.of = ()
-        with noted(drawing.tape):
-            raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames)
+        raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames, tape=drawing.tape)
         if frames is None and self.readout.draws_at_once:
-            drawing.of = of
+            drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
         return raw
 
     def develop(self, raw, exposure: Exposure) -> tuple[Any, Any]:

@@ -1,5 +1,6 @@
 """Transfer tables of a camera's lens, integrated over its pixels."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import ceil
 
@@ -16,7 +17,6 @@ from gpusim.optics.lens import spread_radius, wavelength_nodes
 from gpusim.optics.psf import psf_tables
 from gpusim.optics.tables import pupil as folded_pupil
 from gpusim.optics.tables import transfer_tables
-from gpusim.pipeline.cache import Kept
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
@@ -26,7 +26,7 @@ SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 class LensTables:
     """Tables of a camera on a device, each kept until lens, pixels, wavelengths or period change."""
 
-    def __init__(self, camera: Camera, device: Device, kept: Kept):
+    def __init__(self, camera: Camera, device: Device, kept: Callable):
         self.camera, self.device, self._kept = camera, device, kept
         sensor = camera.sensor
         self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
@@ -43,6 +43,16 @@ class LensTables:
             if samples_per_pixel == 1
             else (1.0, 1.0),
         )
+
+    @staticmethod
+    def transfer_of(*, plan: Plan, tables: "LensTables"):
+        """Return the transfer tables of a plan: see `transfer`."""
+        return tables.transfer(plan)
+
+    @staticmethod
+    def deviation_of(*, plan: Plan, tables: "LensTables") -> float:
+        """Return the lens's blur: see `deviation`."""
+        return tables.deviation(plan)
 
     def transfer(self, plan: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""

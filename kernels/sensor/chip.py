@@ -47,17 +47,10 @@ def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
         *(() if device.kind == "opencl" else use),
         size,
         float(scale),
-        float(dark_time),
+        numbers={"dark_time": dark_time},
         defines={"RESPONSE": use[0], "DARK": use[1]},
     )
     return device.reshape(expected, tuple(mean.shape))
-
-
-def retime(tape, dark_time):
-    """Have a tape on which a chip's means were made make them of another dark time [s]."""
-    for command in tape.commands:
-        if command.name == "chip":
-            command.set((*command.args[:-1], float(dark_time)))
 
 
 def cases():

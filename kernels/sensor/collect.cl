@@ -6,9 +6,11 @@ __kernel void collect(
     // out:
     __global float *restrict mean,
     // params:
-    const float exposure_time, const float slope,
+    const float slope,
     // sizes:
-    const int rows, const int cols)
+    const int rows, const int cols,
+    // numbers by name:
+    const float exposure_time)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)

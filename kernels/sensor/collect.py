@@ -32,21 +32,14 @@ def collect(device, rates, cfa, exposure_time, slope):
         rates,
         cfa,
         mean,
-        float(exposure_time),
         float(slope),
         rows,
         cols,
         *(() if device.kind == "opencl" else cfa.shape),
+        numbers={"exposure_time": exposure_time},
         defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
     )
     return mean
-
-
-def retime(tape, exposure_time):
-    """Have a tape on which electrons were collected collect them for another time [s]."""
-    for command in tape.commands:
-        if command.name == "collect":
-            command.set((*command.args[:3], float(exposure_time), *command.args[4:]))
 
 
 def cases():

@@ -14,13 +14,14 @@ def collect(
     # out:
     mean: wp.array2d[float],
     # params:
-    exposure_time: float,
     slope: float,
     # sizes:
     rows: int,
     cols: int,
     period_y: int,
     period_x: int,
+    # numbers by name:
+    exposure_time: float,
 ):
     y, x = wp.tid()
     u = (float(x) - 0.5 * float(cols - 1)) * slope

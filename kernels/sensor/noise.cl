@@ -51,10 +51,11 @@ __kernel void noise(
     // out:
     __global OUT *restrict out,                // [frames][rows][cols]
     // sizes and numbers:
-    const int rows, const int cols, const int first_pixel, const int frame_cols, const float dark_electrons,
-    const float read_noise, const int switching, const float full_well, const float gain, const float black_level,
-    const float white_level, const int seed_low, const int seed_high, const int first_frame,
-    const int read)
+    const int rows, const int cols, const int first_pixel, const int frame_cols, const int switching,
+    const float full_well, const float white_level, const int read,
+    // numbers by name, which may change from frame to frame:
+    const float dark_electrons, const float read_noise, const float gain, const float black_level,
+    const int seed_low, const int seed_high, const int first_frame)
 {
     const int x = get_global_id(0) * WIDTH, y = get_global_id(1), number = get_global_id(2);
     const int lanes = min(WIDTH, cols - x), start = y * cols + x;
@@ -114,7 +115,9 @@ __kernel void lines(
     __global float *restrict out,  // [frames][rows + cols]
     // sizes and numbers:
     const int frames, const int rows, const int cols, const int first_row, const int first_col, const float row_noise,
-    const float column_noise, const int seed_low, const int seed_high, const int first_frame, const int read)
+    const float column_noise, const int read,
+    // numbers by name:
+    const int seed_low, const int seed_high, const int first_frame)
 {
     const int row_items = (rows + WIDTH - 1) / WIDTH, item = get_global_id(0), number = get_global_id(1);
     const bool down = item < row_items;

@@ -30,8 +30,7 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
-# places among the arguments of the kernel `noise`
-PLACES = {"out": 4, "dark_electrons": 9, "read_noise": 10, "gain": 13, "black_level": 14}
+OUT = 4  # place of its output among the arguments of the kernel `noise`
 MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
@@ -107,7 +106,7 @@ def noise(
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    drawn = *_key(int(seed)), signed(int(frame)), int(read)  # what launches end with: see `redraw`
+    drawn = {"seed": seed, "frame": frame}
     common = {
         "WIDTH": width,
         "PHOTON": PHOTONS.index(photon),
@@ -131,13 +130,15 @@ def noise(
             *first,
             float(row_noise),
             float(column_noise),
-            *drawn,
+            int(read),
+            numbers=drawn,
+            words=_drawn,
             defines=common,
         )
     planes = [
         expected if plane is None else plane for plane in (expected, offset, amplitude, lines)
     ]
-    scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
+    scale = (1.0, 0.0) if electrons else (gain, black_level)
     device.launch(
         "sensor.noise",
         "noise",
@@ -148,32 +149,27 @@ def noise(
         cols,
         signed((first[0] * frame_cols + first[1]) % 2**32),
         frame_cols,
-        float(dark_electrons),
-        float(read_noise),
         chance_word(telegraph_switching, 31),
         float(full_well),
-        *scale,
         float(white_level or 0.0),
-        *drawn,
+        int(read),
+        numbers={
+            "dark_electrons": dark_electrons,
+            "read_noise": read_noise,
+            "gain": scale[0],
+            "black_level": scale[1],
+            **drawn,
+        },
+        words=_drawn,
         defines=common,
     )
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def redraw(tape, seed, frame, **others):
-    """Have a tape on which one frame was drawn draw another one, by other arguments of PLACES. Raises OutOfRange.
-
-    out: an array of shape (1, rows, cols) to write to.
-    """
+def _drawn(seed, frame, **numbers):
+    """Return a kernel's last arguments: these numbers, the seed's two words and the frame. Raises OutOfRange."""
     check_drawn(seed, frame, None, 0)
-    drawn = *_key(int(seed)), signed(int(frame))
-    for command in tape.commands:
-        if command.stage == "sensor.noise":
-            args = [*command.args[:-4], *drawn, command.args[-1]]
-            if command.name == "noise":
-                for name, value in others.items():
-                    args[PLACES[name]] = value
-            command.set(tuple(args))
+    return *map(float, numbers.values()), *_key(int(seed)), signed(int(frame))
 
 
 @functools.lru_cache(maxsize=64)

@@ -67,17 +67,18 @@ def specialised(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER,
         cols: int,
         first_pixel: int,
         frame_cols: int,
-        dark_electrons: float,
-        read_noise: float,
         switching: int,
         full_well: float,
+        white_level: float,
+        read: int,
+        # numbers by name:
+        dark_electrons: float,
+        read_noise: float,
         gain: float,
         black_level: float,
-        white_level: float,
         seed_low: int,
         seed_high: int,
         first_frame: int,
-        read: int,
     ):
         number, y, x = wp.tid()
         frame = wp.uint32(first_frame) + wp.uint32(number)
@@ -128,10 +129,11 @@ def lines(
     first_col: int,
     row_noise: float,
     column_noise: float,
+    read: int,
+    # numbers by name:
     seed_low: int,
     seed_high: int,
     first_frame: int,
-    read: int,
 ):
     """What every row and every column of a frame have in common: rows first."""
     number, i = wp.tid()

@@ -1,0 +1,195 @@
+"""A frame is a list of steps. Everything else about a frame is a sum or a walk over this list.
+
+A new stage in a frame is the four files of its kernels and one `Step`. The report's lines and their order, the memory,
+the predicted time, what an update runs again and where the host may read follow from the step.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import Any
+
+from gpusim.kernels.stage import public_function
+from gpusim.pipeline.cache import Cache
+
+
+class Rate(IntEnum):
+    """How often a step runs at most: once for a camera, a scene, an exposure or a frame."""
+
+    CAMERA = 0
+    SCENE = 1
+    EXPOSURE = 2
+    FRAME = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One computation of a frame: `run(*inputs, **constants, **numbers)`.
+
+    The run has no other arguments, no closure and no object behind it. So inputs, constants and numbers are all that
+    the result depends on, and nobody writes a cache key.
+
+    Attributes:
+        output: Name of the value that it makes.
+        stage: Stage that the report names, such as "sensor.noise". Several steps may be of one stage.
+        inputs: Names of values. "" stands for None.
+        constants: Arguments by name that do not change from frame to frame, the device among them.
+        numbers: Names of numbers that change from frame to frame, such as "seed".
+        words: The report's line; "" if another step of the stage has it.
+        nbytes: Device memory that stays allocated [byte].
+        work: Amount of work in the stage's unit, see `gpusim.judge.speeds`; 0 if it is part of another stage's.
+        rate: How often it runs at most.
+        host: Why the host may read values of the device or compute in this step; "" if it may not.
+        run: The function; by default the stage's public function.
+    """
+
+    output: str
+    stage: str
+    inputs: tuple[str, ...] = ()
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    numbers: tuple[str, ...] = ()
+    words: str = ""
+    nbytes: int = 0
+    work: float = 0.0
+    rate: Rate = Rate.SCENE
+    host: str = ""
+    run: Callable | None = None
+
+    def __post_init__(self):
+        if self.run is None:
+            object.__setattr__(self, "run", public_function(self.stage))
+
+
+class Chain:
+    """Builds steps that each take the output of the one before.
+
+    Args:
+        first: Name of the first value.
+        last: Name of the last value.
+        rate: Rate of the steps.
+        device: Device of the steps.
+    """
+
+    def __init__(self, first: str, last: str, rate: Rate, device):
+        self.value, self.steps = first, []
+        self._last, self._rate, self._device = last, rate, device
+
+    def add(self, stage: str, constants: Mapping | None = None, *others: str, **fields) -> None:
+        """Add a step whose first input is the last value.
+
+        Args:
+            stage: Stage of the step.
+            constants: Constants, without the device.
+            others: Names of further inputs.
+            fields: Other fields of the `Step`.
+        """
+        constants = {**(constants or {}), "device": self._device}
+        step = Step(
+            f"{self._last}, step {len(self.steps) + 1}",
+            stage,
+            (self.value, *others),
+            constants,
+            **({"rate": self._rate} | fields),
+        )
+        self.steps.append(step)
+        self.value = step.output
+
+    def end(self) -> list[Step]:
+        """Return the steps; the last one makes the last value."""
+        return [*self.steps[:-1], replace(self.steps[-1], output=self._last)]
+
+
+class Values:
+    """Values of a frame by name. Each is computed if it is needed and something before it has changed.
+
+    Args:
+        caches: Where the values of each rate are kept.
+    """
+
+    def __init__(self, caches: Mapping[Rate, Cache]):
+        self._caches, self._token = caches, object()
+        self._steps: dict[str, Step] = {}
+        self._given: dict[str, Any] = {}
+        self._numbers: dict[str, Any] = {}
+        self._known: dict[str, Any] = {}  # values that nothing has changed since they were computed
+        self._users: dict[str, set[str]] = {}  # of a value, a number: outputs that are made of it
+
+    def use(self, steps: Iterable[Step]) -> None:
+        """Take steps in place of all that were used before."""
+        new = {step.output: step for step in steps}
+        before, self._steps = self._steps, new
+        for name in before.keys() - new.keys():
+            self.forget(name)
+        self._users = {}
+        for step in new.values():
+            for name in (*step.inputs, *step.numbers):
+                self._users.setdefault(name, set()).add(step.output)
+        for name, step in new.items():
+            if before.get(name) is not step:
+                self.forget(name)
+
+    def give(self, **values) -> None:
+        """Set values that no step makes, or in place of a step's."""
+        for name, value in values.items():
+            if name not in self._given or self._given[name] is not value:
+                self._given[name] = value
+                self.forget(name)
+
+    def withdraw(self, name: str) -> None:
+        """Have a step make a value again that was given."""
+        if self._given.pop(name, None) is not None:
+            self.forget(name)
+
+    def set_numbers(self, **numbers) -> None:
+        """Set numbers that steps take by name."""
+        for name, value in numbers.items():
+            if name not in self._numbers or self._numbers[name] != value:
+                self._numbers[name] = value
+                self.forget(name)
+
+    def forget(self, name: str) -> None:
+        """Have a value, and all that are made of it, looked at again when they are next needed."""
+        self._known.pop(name, None)
+        for user in self._users.get(name, ()):
+            if user in self._known:
+                self.forget(user)
+
+    def __getitem__(self, name: str) -> Any:
+        for cache in self._caches.values():
+            if (
+                cache.is_taped and cache.user is not self._token
+            ):  # another may have rewritten its arrays
+                self._known.clear()
+                cache.user = self._token
+        return self._value(name)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._given or name in self._steps
+
+    def _value(self, name):
+        if name in self._known:
+            return self._known[name]
+        if name in self._given or not name:
+            return self._given[name] if name else None
+        step = self._steps[name]
+        value = self._caches[step.rate].run(
+            name,
+            step.run,
+            tuple([self._value(one) for one in step.inputs]),
+            step.constants,
+            {number: self._numbers[number] for number in step.numbers},
+        )
+        self._known[name] = value
+        return value
+
+
+def steps_needed(steps: Iterable[Step], names: Iterable[str]) -> list[Step]:
+    """Return the steps that make values of these names, and all that they are made of, in the order of the list."""
+    by_output = {step.output: step for step in steps}
+    wanted, found = [*names], set()
+    while wanted:
+        name = wanted.pop()
+        if name in by_output and name not in found:
+            found.add(name)
+            wanted += by_output[name].inputs
+    return [step for name, step in by_output.items() if name in found]
