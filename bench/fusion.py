@@ -72,8 +72,9 @@ def _of_rank(camera, device, scene, rank):
 
 
 def _mean(simulator, plan):
-    imaging = simulator.imaging
-    return simulator.device.numpy(imaging.exposed(plan, imaging.rates(plan), SECONDS))
+    values = simulator.imaging.values(plan)
+    values.set_numbers(exposure_time=SECONDS)
+    return simulator.device.numpy(values["mean"])
 
 
 if __name__ == "__main__":

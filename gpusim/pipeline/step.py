@@ -163,6 +163,16 @@ class Values:
                 cache.user = self._token
         return self._value(name)
 
+    def unexpected_host_accesses(self) -> list[tuple[str, str]]:
+        """Return (value, stage) of steps that read device values or worked on the host without `Step.host`."""
+        found = []
+        for cache in {id(cache): cache for cache in self._caches.values()}.values():
+            for name, reads, work in cache.host_accesses():
+                step = self._steps.get(name)
+                if step is not None and not step.host:
+                    found += [(name, stage) for stage in sorted({*reads, *work})]
+        return found
+
     def __contains__(self, name: str) -> bool:
         return name in self._given or name in self._steps
 

@@ -10,7 +10,6 @@ from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
-from gpusim.pipeline.host import undeclared
 
 SIZE, COUNT = (96, 64), 3
 
@@ -127,13 +126,8 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
     drawn = stages(anew, seed=10)
     assert "sensor.noise" in drawn
     assert not {"spectral.integrate", *blurs, "sensor.collect", "sensor.chip"} & drawn
-    is_gpu = simulator.device.is_gpu
-    for kept in (
-        batch._kept,
-        *(program.kept for program in batch._items),
-        batch._items[0].before.kept,
-    ):
-        assert undeclared(kept.on_host(), is_gpu) == []
+    assert batch._cache.host_accesses() == []
+    assert all(program.values.unexpected_host_accesses() == [] for program in batch._items)
     assert len({id(program.before) for program in batch._items}) == 1
 
 

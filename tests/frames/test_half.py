@@ -9,6 +9,7 @@ import gpusim as gs
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.survey import survey
+from gpusim.pipeline.imaging import store_content
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -41,7 +42,7 @@ def test_float16_stays_float16_on_a_device(device):
         gs.Cube(WAVELENGTHS, values),
         gs.Cube(WAVELENGTHS, Tensor(cube(dtype=np.float16))),
     ):
-        stored, labels = simulator.imaging.stored(content)
+        stored, labels = store_content(content, device=simulator.device)
         assert type_of(stored) == np.float16 and labels is None
         assert content.nbytes == 2 * cube().size
     assert gs.Cube(WAVELENGTHS, cube()).nbytes == 4 * cube().size

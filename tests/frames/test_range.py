@@ -29,7 +29,7 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.truth import seen
 from gpusim.optics.planned_tables import made_anew
-from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan
 
 CPU = "opencl:pocl"
@@ -66,7 +66,7 @@ def planned(
 @pytest.mark.parametrize("lens", [lens for lens in LENSES if lens not in VARYING])
 def test_plans_of_any_light(lens):
     """Each light by another border, form and tolerance."""
-    kept = Kept()
+    kept = Cache().by_key
     for number, light in enumerate(LIGHTS):
         asked = FORMS[number % 5], BORDERS[number % 4], TOLERANCES[1 + number % 4]
         assert planned(lens, light, *asked, kept=kept) < SECONDS

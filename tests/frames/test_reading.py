@@ -7,14 +7,12 @@ import pytest
 from devices import ALL_KINDS, KINDS
 from foreign_arrays import Tensor
 
-import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.tape import Tape, noted
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.foreign import type_of
 from gpusim.pipeline import reading
-from gpusim.pipeline.cache import Kept
-from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline.imaging import store_content
 from gpusim.pipeline.reading import Reading, store
 
 WAVELENGTHS = np.linspace(400, 700, 31)
@@ -71,9 +69,7 @@ def readings(name, content):
     yield Reading(device, there(device, content))
     yield Reading(device, content.with_samples(Tensor))
     yield Reading(device, content, store(device, content))
-    yield Reading(
-        device, content, Imaging(gs.open_camera("phone"), device, Kept(device)).stored(content)
-    )
+    yield Reading(device, content, store_content(content, device=device))
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)

@@ -17,8 +17,7 @@ from gpusim.domain.psf import PointSpread
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.processor.color import color
-from gpusim.pipeline.cache import Kept
-from gpusim.pipeline.host import STAGES, STEPS, undeclared
+from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.program import Program
 
 SIZE, FRAMES = (64, 48), 5
@@ -241,6 +240,15 @@ def scenes_of(kind, device):
     return [replace(one, content=one.content.with_samples(there)) for one in made]
 
 
+# of a program's own work between its steps
+PLANNING = {"facts", "probes", "plan"}
+
+
+def may_read(program):
+    """Names of the values in whose making the host may read the device."""
+    return PLANNING | {name for name, step in program.values._steps.items() if step.host}
+
+
 class Reads:
     """The steps in which a device is read, whoever reads it."""
 
@@ -248,7 +256,7 @@ class Reads:
         self.steps, inner = set(), device._numpy
 
         def read(array):
-            if not device._clock.host_work and device._clock.charged not in STAGES:
+            if not device._clock.host_work:
                 self.steps |= self._steps(sys._getframe())
             return inner(array)
 
@@ -257,7 +265,7 @@ class Reads:
     @staticmethod
     def _steps(frame):
         while frame is not None:
-            if frame.f_code is Kept.__call__.__code__:
+            if frame.f_code in (Cache.run.__code__, Cache.by_key.__code__):
                 return {frame.f_locals["name"]}
             if frame.f_code is Program.judge.__code__:
                 return set()  # numbers of the frame before
@@ -278,8 +286,8 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
             reads = Reads(device, monkeypatch)
         program.update(scene=scene)
         raw, codes = program.raw(seed=1, frame=number), program.codes(seed=1, frame=number)
-    assert reads.steps <= {*STEPS}
-    assert undeclared(program.kept.on_host(), device.is_gpu) == []
+    assert reads.steps <= may_read(program)
+    assert program.values.unexpected_host_accesses() == []
     fresh = gs.Simulator(camera, device=device, **options).program(scenes[0])
     assert fresh.plan.scene is scenes[0]
     fresh.update(scene=scenes[-1])
@@ -347,5 +355,5 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
     reads = Reads(device, monkeypatch)
     for number, scene in enumerate(scenes_of("cube", device)):
         program.update(scene=scene).codes(seed=1, frame=number)
-    assert "linear" in reads.steps - {*STEPS}
-    assert undeclared(program.kept.on_host(), device.is_gpu) == [("linear", "between the stages")]
+    assert "linear" in reads.steps - may_read(program)
+    assert program.values.unexpected_host_accesses() == [("linear", "between the stages")]

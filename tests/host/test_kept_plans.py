@@ -7,7 +7,7 @@ import numpy as np
 from gpusim.data.charts import chart
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
-from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan
 
 PHONE = open_camera("phone")
@@ -54,7 +54,7 @@ SCENES = [
 
 def test_plans_are_those_of_a_planner_that_keeps_nothing():
     """Bit for bit, with cameras, scenes and tolerances in turn; and once more, when all of it is known."""
-    kept = Kept()
+    kept = Cache().by_key
     for number, one in enumerate(CAMERAS):
         for scene in SCENES if number % 5 == 0 else SCENES[:1]:
             tolerance = Tolerance(rms=(1e-2, 2e-3)[number % 3 % 2])

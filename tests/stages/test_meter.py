@@ -191,8 +191,16 @@ def exposed(automatic, stacked, device):
     simulator = gs.Simulator(replace(camera, sensor=sensor, processor=processor), device=device)
     if (stacked, device) not in LIGHT:
         plan = simulator.plan(gs.chart("deadleaves", size=(83, 59)))
-        LIGHT[stacked, device] = simulator.imaging.exposed(plan, simulator.imaging.rates(plan), 1.0)
+        LIGHT[stacked, device] = simulator.imaging.values(plan)["per second"]
     return simulator, LIGHT[stacked, device]
+
+
+def choose(simulator, rates):
+    """Exposure time and gain for electrons a second, an array of the device."""
+    sensor, device = simulator.camera.sensor, simulator.device
+    light = metering.meter_light(rates, automatic=sensor.auto_exposure, device=device)
+    numbers = metering.metering_numbers(sensor, simulator.readout)
+    return metering.choose_exposure(device.numpy(light), np.prod(rates.shape), **numbers)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -216,7 +224,7 @@ def test_the_exposure_is_that_of_the_downloaded_frame(automatic, stacked, device
         7.7 * simulator.camera.sensor.noise.warmth
     )
     wanted = automatic.choose(frame, simulator.readout.output.saturation)
-    found = metering.metered(simulator, rates)
+    found = choose(simulator, rates)
     exact = not automatic.averages
     assert found == (wanted if exact else pytest.approx(wanted, rel=MEAN))
 
@@ -230,7 +238,7 @@ def test_light_that_is_not_finite_is_refused(method, device):
     rates = np.ones((20, 30), np.float32)
     rates[3, 4], rates[5, :2] = np.nan, np.inf
     with pytest.raises(BadData, match="3 of 600 pixels have NaN or infinite light"):
-        metering.metered(simulator, simulator.device.array(rates))
+        choose(simulator, simulator.device.array(rates))
 
 
 def test_statistics_of_more_light_are_those_of_the_sum():

@@ -493,7 +493,7 @@ def test_what_is_off_costs_no_launch(monkeypatch):
     mean = device.array(np.full((4, 5), 9.0, f32))
     readout.draw(readout.chip_mean(mean, 1.0), 1.0)
     assert launched == ["noise"]
-    assert set(readout.models()) == {"sensor.noise"}
+    assert {step.stage for step in readout.steps((4, 6)) if step.words} == {"sensor.noise"}
 
 
 # ---------------------------------------------------------------- converter and refusals

@@ -11,12 +11,10 @@ from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.sensor.bin import bin as binned
 from gpusim.kernels.sensor.chip import chip
-from gpusim.kernels.sensor.chip import retime as chip_for
 from gpusim.kernels.sensor.collect import collect
-from gpusim.kernels.sensor.collect import retime as collect_for
-from gpusim.kernels.sensor.noise import noise, redraw
+from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.cache import Cache
 
 RANDOM = np.random.default_rng(3)
 BAYER = np.array([[0, 1], [1, 2]], np.int32)
@@ -242,14 +240,15 @@ def test_another_frame_is_drawn_by_the_launches_of_one(device):
             (1, 1, {"gain": 2.5}),
             (1, 1, {"read_noise": 7.0, "dark_electrons": 0.0, "black_level": 3.0}),
         ):
-            redraw(tape, seed, frame, **(numbers | other))
+            assert tape.renumber({"seed": seed, "frame": frame, **numbers, **other})
             tape.replay()
             fresh = noise(
                 expected, traps, traps, seed=seed, frame=frame, **(numbers | other), **sensor
             )
             np.testing.assert_array_equal(values(device, raw), values(device, fresh))
         with pytest.raises(OutOfRange, match="frame"):
-            redraw(tape, 1, 2**32)
+            tape.renumber({"frame": 2**32})
+        assert not tape.renumber({"frame": 1, "unknown": 2})
 
 
 def test_another_time_is_set_in_the_launches_of_one(device):
@@ -262,8 +261,8 @@ def test_another_time_is_set_in_the_launches_of_one(device):
         mean = collect(rates, BAYER, 0.1, 1e-3, device=device)
     with noted(tapes[1]):
         expected = chip(mean, None, dark, dark_time=0.1, device=device)
-    collect_for(tapes[0], 0.7)
-    chip_for(tapes[1], 2.5)
+    assert tapes[0].renumber({"exposure_time": 0.7})
+    assert tapes[1].renumber({"dark_time": 2.5})
     for tape in tapes:
         tape.replay()
     fresh = collect(rates, BAYER, 0.7, 1e-3, device=device)
@@ -304,17 +303,20 @@ def test_a_computation_that_fails_leaves_no_trace(device):
 def test_an_array_is_not_taken_for_one_that_is_gone(device):
     """What a step that failed had given is freed, and Python gives its place, and its `id`, to other arrays."""
     device = open_device(device)
-    kept = Kept(device)
+    cache = Cache(device)
     for name in range(20):
-        kept(f"first {name}", 1, lambda: device.empty((2, 3)))
+        cache(f"first {name}", empty, device, 1)
         with pytest.raises(ZeroDivisionError):
-            kept(f"first {name}", 2, lambda: 1 / 0)
+            cache(f"first {name}", empty, device, 0)
     gc.collect()
-    assert len(kept._owners) == 0  # nothing is known of what is gone, wherever the next array is
+    assert len(cache._owners) == 0  # nothing is known of what is gone, wherever the next array is
     for name in range(20):
-        made = kept(f"second {name}", 1, lambda: device.empty((2, 3)))
-        before = kept.one(made)
-        assert (
-            kept(f"second {name}", 2, lambda: device.empty((2, 3))) is made
-        )  # written again, as by tapes
-        assert kept.one(made).version > before.version
+        made = cache(f"second {name}", empty, device, 1)
+        before = cache.versioned(made)
+        assert cache(f"second {name}", empty, device, 2) is made  # written again, as by tapes
+        assert cache.versioned(made).version > before.version
+
+
+def empty(device, number):
+    """An array of the device; fails for 0."""
+    return device.empty((2, 3 * number // number))
