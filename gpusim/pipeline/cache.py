@@ -26,6 +26,11 @@ PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
 NUMBERS = (int, float, str, bool)
 OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
+# of each array that a step writes to again: the step, and the version of its contents
+_OWNERS: WeakKeyDictionary = WeakKeyDictionary()
+_VERSIONS = itertools.count(1)
+NOBODY = (None, 0)
+
 
 @dataclass(eq=False, slots=True)
 class One:
@@ -48,23 +53,14 @@ class Cache:
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
-        # step and version of each array that is written to again
-        self._owners: WeakKeyDictionary = WeakKeyDictionary()
-        self._versions = itertools.count(1)
-        self.user: object | None = (
-            None  # the last `gpusim.pipeline.step.Values` whose values are here
-        )
+        self._token = object()
+        # the last `gpusim.pipeline.step.Values` whose values are here
+        self.user: object | None = None
 
     @property
     def is_taped(self) -> bool:
         """Whether repeated computations write to the arrays of the ones before."""
         return self._device is not None
-
-    def sibling(self) -> "Cache":
-        """Return another cache that knows the array versions of this one."""
-        other = Cache(self._device)
-        other._owners, other._versions = self._owners, self._versions
-        return other
 
     def __call__(self, name: str, function: Callable, *args, **kwargs) -> Any:
         """Return `function(*args, **kwargs)`, computed only if an argument has changed since the last call.
@@ -140,7 +136,7 @@ class Cache:
         if type(value) is tuple or type(value) is list:
             return tuple([self.versioned(part) for part in value])
         if self._device is not None and isinstance(value, self._device.array_type):
-            return One(value, self._owners.get(value, ("", 0))[1])
+            return One(value, _OWNERS.get(value, NOBODY)[1])
         return value
 
     @staticmethod
@@ -169,22 +165,20 @@ class Cache:
 
     def _renew(self, name, before, value):
         """Give the arrays of a new result a new version."""
-        owners, none = self._owners, (name, 0)
+        own = self._token, name
         parts = value if isinstance(value, tuple) else (value,)
         if before is not value:
             for part in before if isinstance(before, tuple) else (before,):
                 if (
                     self._is_array(part)
-                    and owners.get(part, ("", 0))[0] == name
+                    and _OWNERS.get(part, NOBODY)[0] == own
                     and not any(part is other for other in parts)
                 ):
-                    del owners[part]
+                    del _OWNERS[part]
         for part in parts:
-            if self._is_array(part) and owners.get(part, none)[0] == name:
-                owners[part] = (
-                    name,
-                    next(self._versions),
-                )  # an array that is handed on has its version already
+            # an array that is handed on has its version already
+            if self._is_array(part) and _OWNERS.get(part, (own, 0))[0] == own:
+                _OWNERS[part] = own, next(_VERSIONS)
 
     def _is_array(self, value):
         return self._device is not None and isinstance(value, self._device.array_type)

@@ -93,7 +93,7 @@ class Program:
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = Before(simulator.device) if before is None else before
-        self.cache = self.before.cache if before is None else before.cache.sibling()
+        self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
             {
                 Rate.CAMERA: simulator.tables,

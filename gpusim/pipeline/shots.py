@@ -233,7 +233,7 @@ class Shots:
             exposure.camera,
             exposure.exposure_time,
             Later(lambda: shot.developed[2]),
-            Later(lambda: shot.timed(lambda: np.array(self.values["mean of pixels"]))),
+            Later(lambda: shot.timed(self.mean_of_pixels)),
             Later(lambda: exposure.layered(shot.copied(shot.raw))),
             Later(lambda: np.moveaxis(shot.copied(shot.developed[0], np.float32), 0, -1)),
             Later(lambda: shot.copied(shot.developed[1])),
@@ -243,6 +243,10 @@ class Shots:
             self.simulator.readout.averaged,
         )
         return wanted.complete() if exposure.is_rewritten else wanted
+
+    def mean_of_pixels(self) -> np.ndarray:
+        """Return the mean electrons of the pixels as they are read, NumPy, float32 [e-]."""
+        return np.array(self.values["mean of pixels"])
 
     @property
     def _speed(self):

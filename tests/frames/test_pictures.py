@@ -16,7 +16,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
-from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline import imaging
 from gpusim.planner.facts import Facts
 
 SHAPE = (48, 64)
@@ -182,10 +182,8 @@ def test_a_highlight_is_found_in_a_later_picture(device):
 @pytest.mark.parametrize("device", KINDS)
 def test_pictures_are_decoded_to_one_place(device, monkeypatch):
     """From the second on, the steps behind are started again without their host code, as for all scenes of a loop."""
-    calls, inner = [], Imaging.planes
-    monkeypatch.setattr(
-        Imaging, "planes", lambda self, *given: calls.append(number) or inner(self, *given)
-    )
+    calls, inner = [], imaging.planes
+    monkeypatch.setattr(imaging, "planes", lambda *given: calls.append(number) or inner(*given))
     program = gs.Simulator(METERED, device=device).program(gs.picture(frame()), 0.01)
     for number in range(5):
         program.update(scene=gs.picture(frame(number))).raw()

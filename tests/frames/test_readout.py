@@ -25,7 +25,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs
-from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline import imaging
 from gpusim.pipeline.simulator import Simulator
 
 Z = 4.5
@@ -381,10 +381,8 @@ def test_noise_off_is_the_mean_rounded():
 
 def counting(monkeypatch):
     """List that grows by one each time the optics is computed."""
-    calls, rates = [], Imaging.rates
-    monkeypatch.setattr(
-        Imaging, "rates", lambda self, *given: calls.append(1) or rates(self, *given)
-    )
+    calls, planes = [], imaging.planes
+    monkeypatch.setattr(imaging, "planes", lambda *given: calls.append(1) or planes(*given))
     return calls
 
 

@@ -14,6 +14,7 @@ from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.malvar import malvar
+from gpusim.pipeline.developer import balance_of
 from gpusim.pipeline.shots import Shots
 from gpusim.pipeline.simulator import Simulator
 
@@ -153,9 +154,7 @@ def test_balances_that_are_none_are_refused(method):
 
 def test_a_channel_that_is_blind_to_the_light_is_not_amplified_without_limit():
     """A green line: red and blue have next to nothing of it."""
-    simulator = Simulator(noise_free("best"), device="numpy")
-    scene = chart("colorchecker", size=(24, 16))
-    developer = Shots(simulator, simulator.expose(scene)).developer
-    assert developer._balance(np.array([0.0, 1.0, 1e-9])) == (64.0, 64.0)
-    assert developer._balance(np.array([0.5, 1.0, 0.25])) == (2.0, 4.0)
-    assert developer._balance(np.array([1.0, 0.0, 0.3])) == (1.0, 1.0)
+    places = (0, 1, 2)
+    assert balance_of(np.array([0.0, 1.0, 1e-9]), places) == (64.0, 64.0)
+    assert balance_of(np.array([0.5, 1.0, 0.25]), places) == (2.0, 4.0)
+    assert balance_of(np.array([1.0, 0.0, 0.3]), places) == (1.0, 1.0)

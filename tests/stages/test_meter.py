@@ -1,6 +1,7 @@
 """Statistics of light against NumPy's own, and automatic exposure by them against the frame's own pixels."""
 
 from dataclasses import replace
+from math import prod
 
 import numpy as np
 import pytest
@@ -200,7 +201,7 @@ def choose(simulator, rates):
     sensor, device = simulator.camera.sensor, simulator.device
     light = metering.meter_light(rates, automatic=sensor.auto_exposure, device=device)
     numbers = metering.metering_numbers(sensor, simulator.readout)
-    return metering.choose_exposure(device.numpy(light), np.prod(rates.shape), **numbers)
+    return metering.choose_exposure(device.numpy(light), prod(rates.shape), **numbers)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
