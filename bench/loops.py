@@ -157,7 +157,7 @@ def _baseline(loops, simulator, scenes):
             program.update(scene=scenes.cubes[k]).raw(seed=1, frame=k)
         device.sync()
 
-    slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube beside it"
+    slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube, alternating"
     times = rounds({slow: lambda: baseline.raw(next(values), SECONDS), fast: ours}, LOOPS, warm=2)
     exact = Simulator(simulator.camera, device=device).expose(scenes.cubes[0], SECONDS).mean
     error = rms(baseline.mean(scenes.cubes[0].content.values, SECONDS), device.numpy(exact))

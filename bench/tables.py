@@ -44,13 +44,13 @@ def main():
 def stored_results(folder) -> dict:
     """Path -> result of all files in a folder. Raises BadFile."""
     if not Path(folder).is_dir():
-        raise BadFile(folder, "is no folder; wanted one with results (.json)")
+        raise BadFile(folder, "is not a folder; wanted one with results (.json)")
     stored = {path: load(path) for path in sorted(Path(folder).glob("*.json"))}
     for path, result in stored.items():
         if result["bench"] not in TABLES:
             raise BadFile(
                 path,
-                f"is a result of {result['bench']!r}, of which there are no tables; known: "
+                f"is a result of {result['bench']!r}, which has no tables; known: "
                 f"{', '.join(sorted(TABLES))}",
             )
     return stored
@@ -63,7 +63,7 @@ def filled(text: str, stored: dict, readme="README.md") -> str:
         if text.count(first) != 1 or text.count(last) != 1 or text.index(first) > text.index(last):
             raise BadFile(
                 readme,
-                f"has no place for the tables of {name}: wanted one {first}, and behind it one "
+                f"has no place for the tables of {name}: wanted one {first}, followed by one "
                 f"{last}",
             )
         tables = [table(path, result) for path, result in stored.items() if result["bench"] == name]
@@ -77,7 +77,7 @@ def table(path: Path, result: dict) -> str:
     try:
         parts = [_head(result), *TABLES[result["bench"]](result)]
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise BadFile(path, f"lacks what its table shows: {error!r}; measure it anew") from error
+        raise BadFile(path, f"lacks values of its table: {error!r}; measure again") from error
     if result["bench"] in FIGURES:
         parts.append(f"![{path.stem}]({path.parent.name}/{path.stem}.png)")
     return "\n\n".join(parts)
@@ -243,7 +243,7 @@ def _threads(result):
 
 
 def _peers(result):
-    columns = ("what", "ms", "quartiles", "compared with", "its time over this", "error")
+    columns = ("form", "ms", "quartiles", "compared with", "its time / this", "error")
     rows = [
         (row["name"], row["failed"], *[""] * 4)
         if "failed" in row
@@ -262,15 +262,15 @@ def _triples(result):
     found = summary(result["rows"])[1]["promise"]
     yield (
         f"{result['half']} half: {found['rows']} triples, {len(found['refused'])} refused, "
-        f"{len(found['crashes'])} crashed. Said met: {found['met']}, of which within the tolerance "
-        f"{found['met_within']}; said NOT met: {found['unmet']}, of which beyond it {found['unmet_beyond']}. "
-        f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, root mean squares "
-        f"alone {found['rms_in_band']} of {found['rms_ratios']}."
+        f"{len(found['crashes'])} crashed. Reported as met: {found['met']} (within the tolerance: "
+        f"{found['met_within']}); as NOT met: {found['unmet']} (beyond it: {found['unmet_beyond']}). "
+        f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, for root mean "
+        f"squares only {found['rms_in_band']} of {found['rms_ratios']}."
     )
     columns = (
         "tolerance",
         "triples",
-        "said met",
+        "reported met",
         "within",
         "silent misses",
         "needless NOT met",
@@ -305,9 +305,9 @@ def _tolerances(result):
         "tolerance",
         "met",
         "rms, median",
-        "exact over it",
+        "exact / plan",
         "least .. most",
-        "SciPy over it",
+        "SciPy / plan",
         "least .. most",
     )
     yield _markdown(
