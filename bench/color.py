@@ -66,7 +66,7 @@ def matrices(tables, qe):
             for light in LIGHTS
         ]
         tables.row(
-            "stored D65 alone (F D)",
+            "only the stored D65 matrix (F D)",
             *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors),
         )
 
@@ -149,11 +149,9 @@ def main():
     made.add_argument(
         "--scenes",
         action="store_true",
-        help="simulate scenes for the estimates of the light as well",
+        help="also simulate scenes to estimate their light",
     )
-    made.add_argument(
-        "--photo", nargs="*", default=[], help="photographs to be lit and taken as well"
-    )
+    made.add_argument("--photo", nargs="*", default=[], help="photographs for these scenes")
     arguments = made.parse_args()
     device, old = ready(arguments, "color")
     camera, tables = open_camera(arguments.camera), Tables()

@@ -433,7 +433,7 @@ def main():
         "--tolerance",
         type=float,
         default=4e-4,
-        help="of the fused frame (default: 4e-4); 0: without it",
+        help="tolerance of the fused frame (default: 4e-4); 0: none",
     )
     made.add_argument("--repeat", type=count, default=9)
     arguments = made.parse_args()

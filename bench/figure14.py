@@ -169,7 +169,7 @@ def main():
         "--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png"
     )
     made.add_argument(
-        "--seed", type=int, default=3, help="of the frames' noise; the training has its own"
+        "--seed", type=int, default=3, help="seed of the frames' noise, not of the training"
     )
     arguments = made.parse_args()
     device, old = ready(arguments, "figure14")

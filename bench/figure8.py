@@ -225,7 +225,7 @@ def main():
     figure.savefig(arguments.out, dpi=100)
     tables = results.Tables()
     tables.table(
-        "Cycles/mm on the sensor where the contrast is halved",
+        "MTF50 [cycles/mm on the sensor]",
         "out of focus",
         *(f"{1e6 * defocus:g} um" for defocus in DEFOCUS),
     )

@@ -115,7 +115,9 @@ def main():
     made.add_argument("--demosaic", default="bilinear")
     made.add_argument("--tolerance", type=float)
     made.add_argument("--repeat", type=count, default=20)
-    made.add_argument("--only", default="", metavar="TEXT", help="rows whose name has this in it")
+    made.add_argument(
+        "--only", default="", metavar="TEXT", help="only rows with this text in their name"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "loops")
     base = camera_with(open_camera(arguments.camera), "processor", demosaic=arguments.demosaic)

@@ -53,7 +53,7 @@ def parser(doc: str, device: str = "auto") -> argparse.ArgumentParser:
     made.add_argument(
         "--against", metavar="OLD.json", help="compare with a stored result of the same script"
     )
-    made.add_argument("--commit", help="where there is no checkout to ask")
+    made.add_argument("--commit", help="commit, if there is no checkout")
     return made
 
 

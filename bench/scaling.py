@@ -45,10 +45,10 @@ def options(made):
         "--content",
         choices=("cube", "materials"),
         default="cube",
-        help="of the scenes (default: cube)",
+        help="form of the scenes (default: cube)",
     )
     made.add_argument(
-        "--repeat", type=count, default=200, help="frames of a loop at most; it takes 2 s at most"
+        "--repeat", type=count, default=200, help="most frames of a loop; it takes 2 s at most"
     )
 
 
@@ -81,7 +81,9 @@ def main():
     """Print the rows, and write them if requested."""
     made = parser(__doc__)
     options(made)
-    made.add_argument("--only", default="", metavar="TEXT", help="rows whose name has this in it")
+    made.add_argument(
+        "--only", default="", metavar="TEXT", help="only rows with this text in their name"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "scaling")
     given, rows = settings(arguments, device), []

@@ -29,7 +29,7 @@ def main():
     options(made)
     arguments = made.parse_args()
     device, old = ready(arguments, "threads")
-    require_cpu(device, "threads are those of the processor")
+    require_cpu(device, "it counts processor threads")
     given, rows = settings(arguments, device), []
     for number in counts(cores()):
         row = in_process(

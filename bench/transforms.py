@@ -109,7 +109,7 @@ def main():
         type=size,
         default=(2048, 1200),
         metavar="COLSxROWS",
-        help="of the transforms (default: 2048x1200)",
+        help="size of the transforms (default: 2048x1200)",
     )
     made.add_argument("--planes", type=count, nargs="*", default=[3, 4, 6])
     add_repeat(made, 50)

@@ -229,13 +229,13 @@ def summary(rows: list[dict]) -> str:
     found = [
         f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
         f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
-        f"{sum(row['status'] == 'crash' for row in rows)} crashed; the outside judges "
+        f"{sum(row['status'] == 'crash' for row in rows)} crashed; judged by independent sums: "
         f"{sum(row['within'] is not None for row in good)}",
         f"met: {len(says['met'])}, judged {len(met)}: true {len(met) - len(false)}, false {len(false)}"
         + (f" ({100 * (1 - len(false) / len(met)):.1f} % true)" if met else ""),
-        f"not met: {len(says['not met'])}, judged {len(unmet)}: of them beyond "
+        f"not met: {len(says['not met'])}, judged {len(unmet)}, beyond the tolerance "
         f"{sum(not row['within'] for row in unmet)}",
-        f"not judged by the planner: {len(says['not judged'])}, the outside judges {len(unsure)}: of them beyond "
+        f"cannot be judged by the planner: {len(says['not judged'])}, judged by the sums {len(unsure)}, beyond "
         f"{sum(not row['within'] for row in unsure)}",
     ]
     found += [f"crash: {row['words']}: {row['text']}" for row in rows if row["status"] == "crash"]
@@ -253,7 +253,7 @@ def summary(rows: list[dict]) -> str:
     ]
     reasons = Counter(row["why"][:80] for row in good if row["within"] is None)
     found += [
-        f"outside does not say, {count} times: {text}" for text, count in reasons.most_common(8)
+        f"not covered by the sums, {count} times: {text}" for text, count in reasons.most_common(8)
     ]
     slow = sorted((row for row in good), key=lambda row: -row["planning_s"])[:SLOW]
     return "\n".join(

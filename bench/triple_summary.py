@@ -38,9 +38,9 @@ def summary(rows: list[dict]) -> tuple[str, dict]:
     if ladders:
         parts["order"] = order(ladders)
         told += [
-            f"ladders: {parts['order']['ladders']}; less accurate where the tolerance is tighter: "
+            f"ladders: {parts['order']['ladders']}; less accurate at a tighter tolerance: "
             f"{'; '.join(parts['order']['less_accurate']) or 'none'}",
-            f"slower where it is looser: {'; '.join(parts['order']['slower']) or 'none'}",
+            f"slower at a looser one: {'; '.join(parts['order']['slower']) or 'none'}",
         ]
     return "\n".join(told), parts
 
@@ -136,9 +136,9 @@ def promise_lines(found: dict) -> list[str]:
     lines = [
         f"{found['rows']} triples: {found['ok']} judged, {len(found['refused'])} refused, "
         f"{len(found['crashes'])} crashed",
-        f"said met: {found['met']}, of which within the tolerance {found['met_within']}; said NOT met: "
-        f"{found['unmet']}, of which beyond it {found['unmet_beyond']}; undecided: {found['undecided']}",
-        f"predicted over true, of the bound asked for: {found['in_band']} of {found['ratios']} within 1/{BAND} .. "
+        f"reported as met: {found['met']} (within the tolerance: {found['met_within']}); as NOT met: "
+        f"{found['unmet']} (beyond it: {found['unmet_beyond']}); undecided: {found['undecided']}",
+        f"predicted over true, in the tolerance's unit: {found['in_band']} of {found['ratios']} within 1/{BAND} .. "
         f"{BAND}; quantiles {shown(found['quantiles'])}",
         f"predicted over true, rms: {found['rms_in_band']} of {found['rms_ratios']}; quantiles "
         f"{shown(found['rms_quantiles'])}",
@@ -158,7 +158,7 @@ def promise_lines(found: dict) -> list[str]:
         for _, words, nearest, name in found["silent"]
     ]
     lines += [
-        f"needless NOT met, {nearest} (said {said}): {words}"
+        f"needless NOT met, {nearest} (predicted {said}): {words}"
         for _, words, nearest, said in found["needless"]
     ]
     lines += [
@@ -202,11 +202,11 @@ def truth(rows) -> dict:
 def truth_lines(found: dict) -> list[str]:
     """Return `truth` as text."""
     return [
-        f"truth against brute force: {found['judged']} triples ({found['refused']} not), lenses "
+        f"reference against brute force: {found['judged']} triples ({found['refused']} refused), lenses "
         f"{', '.join(found['lenses'])}; borders {', '.join(found['borders'])}; relative rms "
         f"{shown(found['quantiles'])}",
         *(
-            f"truth {off:.2g} from it, the frame {frame:.2g} from it and {true:.2g} from the truth: {words}"
+            f"reference {off:.2g} from it, frame {frame:.2g} from it and {true:.2g} from the reference: {words}"
             for _, off, frame, true, words in found["worst"]
         ),
     ]

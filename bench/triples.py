@@ -42,36 +42,40 @@ def main():
     """Ask, judge, print and store."""
     made = parser(__doc__)
     made.add_argument(
-        "--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside"
+        "--kinds",
+        choices=triple_judge.KINDS,
+        help="judge new seeds of these kinds by independent sums",
     )
     made.add_argument(
         "--limit",
         type=count,
         default=triple_judge.LIMIT,
         metavar="SECONDS",
-        help=f"for a question of --kinds (default: {triple_judge.LIMIT})",
+        help=f"time limit of a question of --kinds (default: {triple_judge.LIMIT})",
     )
     made.add_argument(
-        "--only-met", action="store_true", help="with --kinds: judge only frames called met"
+        "--only-met", action="store_true", help="with --kinds: judge only frames reported as met"
     )
     made.add_argument(
-        "--half", choices=HALVES, default="development", help="which seeds (default: development)"
+        "--half", choices=HALVES, default="development", help="seeds (default: development)"
     )
-    made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
+    made.add_argument("--seeds", metavar="LIST", help="only these of them, for example 3,5,20-29")
     made.add_argument(
-        "--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none"
+        "--data", type=Path, metavar="FOLDER", help="folder of measured scenes (default: none)"
     )
     made.add_argument("--jobs", "--workers", type=count, default=1, help="processes (default: 1)")
     made.add_argument(
-        "--time", action="store_true", help="time frames with and without the tolerance, too"
+        "--time", action="store_true", help="also time frames with and without the tolerance"
     )
     made.add_argument(
-        "--brute", action="store_true", help="judge the truth by sums that share nothing with it"
+        "--brute", action="store_true", help="judge the reference by independent sums"
     )
     made.add_argument(
         "--monotone", action="store_true", help="ask some scenes for every tolerance instead"
     )
-    made.add_argument("--summary", metavar="FILE", help="of a stored result: nothing is run")
+    made.add_argument(
+        "--summary", metavar="FILE", help="print the summary of a stored result and end"
+    )
     arguments = made.parse_args()
     if arguments.kinds:
         ask_kinds(arguments)
@@ -81,7 +85,7 @@ def main():
         return
     device, old = ready(arguments, "triples")
     if arguments.data is not None and not arguments.data.is_dir():
-        raise BadFile(arguments.data, "is no folder")
+        raise BadFile(arguments.data, "is not a folder")
     seeds = [
         seed
         for seed in HALVES[arguments.half]
