@@ -1,8 +1,8 @@
-"""The baseline of every ratio: what a careful user of NumPy and SciPy writes, float32, as many workers as cores.
+"""Baseline of every ratio: careful NumPy and SciPy code in float32, with one worker per core.
 
-`Baseline` is a frame from a cube to digital numbers: transforms of the lengths that are fast, every band transformed
-once, channels added up in the frequency domain, one inverse transform a channel, NumPy's own noise. The functions are
-single steps.
+`Baseline` computes a frame from a cube to digital numbers. It uses transforms of fast lengths, one
+transform per band, a sum over bands in the frequency domain, one inverse transform per channel, and
+NumPy's noise. The functions are single steps.
 """
 
 import os
@@ -16,7 +16,7 @@ from gpusim.pipeline.simulator import Simulator
 
 
 class Baseline:
-    """What `gpusim` computes of a scene's cube without a tolerance, to within the rounding of float32."""
+    """The frame that `gpusim` computes from a cube without a tolerance, to float32 rounding."""
 
     def __init__(self, simulator: Simulator, scene: Scene):
         exact = Simulator(simulator.camera, device="numpy")
@@ -37,15 +37,15 @@ class Baseline:
         self.random = np.random.default_rng(1)
 
     def forward(self, plane) -> np.ndarray:
-        """Spectrum of a plane of the period's shape, which may be written over."""
+        """Return the spectrum of a plane with the period's shape. It may overwrite the plane."""
         return scipy.fft.rfft2(plane, workers=os.cpu_count(), overwrite_x=True)
 
     def inverse(self, spectra) -> np.ndarray:
-        """Planes of spectra (C, rows, cols // 2 + 1), which may be written over."""
+        """Return the planes of spectra (C, rows, cols // 2 + 1). It may overwrite the spectra."""
         return scipy.fft.irfft2(spectra, self.plan.period, workers=os.cpu_count(), overwrite_x=True)
 
     def mean(self, cube, seconds: float) -> np.ndarray:
-        """Mean electrons (rows, cols) float32 of a cube (L, rows, cols) float32."""
+        """Return mean electrons (rows, cols) float32 of a cube (L, rows, cols) float32."""
         rows, cols = cube.shape[1:]
         pads = [
             (before, length - n - before)
@@ -69,7 +69,7 @@ class Baseline:
         return np.maximum(mosaic, 0) * (self.falloff * np.float32(seconds))
 
     def raw(self, cube, seconds: float) -> np.ndarray:
-        """Digital numbers (rows, cols) uint16 of a cube."""
+        """Return digital numbers (rows, cols) uint16 of a cube."""
         sensor = self.sensor
         electrons = np.minimum(
             self.random.poisson(self.mean(cube, seconds)), sensor.full_well
@@ -82,12 +82,12 @@ class Baseline:
 
 
 def noise(random: np.random.Generator, mean, read: float) -> np.ndarray:
-    """Electrons (rows, cols) around their mean, with Gaussian read noise [e-]."""
+    """Return electrons (rows, cols) with photon noise and Gaussian read noise [e-]."""
     return random.poisson(mean) + random.normal(0.0, read, mean.shape)
 
 
 def bilinear(raw, scale: float) -> np.ndarray:
-    """RGB (3, rows, cols) float32 of an RGGB mosaic (rows, cols), bilinear; scale: of its values."""
+    """Return RGB (3, rows, cols) float32 of an RGGB mosaic (rows, cols). scale: of its values."""
     rows, cols = raw.shape
     p = np.pad(raw.astype(np.float32), 1, mode="reflect")
     p *= np.float32(scale)
@@ -113,7 +113,7 @@ def bilinear(raw, scale: float) -> np.ndarray:
 
 
 def convolve(plane, kernel) -> np.ndarray:
-    """A plane (rows, cols) by an odd kernel, what lies outside as at the edge: SciPy's overlap-add."""
+    """Convolve a plane (rows, cols) with an odd kernel, edges repeated: SciPy's overlap-add."""
     rows, cols = (n // 2 for n in kernel.shape)
     return oaconvolve(
         np.pad(plane, ((rows, rows), (cols, cols)), mode="edge"), kernel, mode="valid"
@@ -121,7 +121,7 @@ def convolve(plane, kernel) -> np.ndarray:
 
 
 def overlap_add(plane, blur, dtype=np.float32) -> np.ndarray:
-    """A plane by the kernels of `gpusim.optics.field`, bilinear between them: each on its own window, added up."""
+    """Blur a plane by the kernels of `gpusim.optics.field`, each on its window, and add them up."""
     half, grid = blur.kernels.shape[-1] // 2, [len(edge) for edge in blur.edges]
     edges = [np.clip(edge, 0, n) for edge, n in zip(blur.edges, plane.shape, strict=True)]
     weights, kernels = blur.coefficients.astype(dtype), blur.kernels.astype(dtype)

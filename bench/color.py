@@ -1,11 +1,12 @@
-"""Colour of a camera: every way of choosing its matrix, the right and the wrong light, and estimates of the light.
+"""Colour of a camera: all ways to choose its matrix, right and wrong light, estimated light.
 
     python bench/color.py [--json bench/results/color-NAME.json]       # tables of matrices
     python bench/color.py --scenes --device opencl:0 [--photo kodim01.png ...]   # and estimates of the light
 
-CIEDE2000 between the 24 ColorChecker patches as the matrix shows them and as they are in D65, mean / maximum, without
-noise. Estimates are made from thumbnails of simulated, noisy pictures; for each its angular error from the true white
-[degree], and the mean CIEDE2000 of the ColorChecker in that light by the stored transform that the estimate leads to.
+CIEDE2000 between the 24 ColorChecker patches through the matrix and their colours in D65, mean /
+maximum, without noise. The light is estimated from thumbnails of simulated, noisy pictures. For
+each estimate the table has the angle to the true white [degree], and the mean CIEDE2000 of the
+ColorChecker in this light with the stored transform that the estimate selects.
 """
 
 import numpy as np
@@ -27,13 +28,11 @@ from gpusim.optics.weights import product_weights
 
 LIGHTS = ("D65", "A", "FL11", "FL2")
 PATCHES = reflectances("colorchecker")
-CEILING = (
-    0.95  # of saturation: where a neighbour is clipped, interpolated values are a little lower
-)
+CEILING = 0.95  # of saturation: next to a clipped pixel, interpolated values are a little lower
 
 
 def differences(qe, light, matrix):
-    """CIEDE2000 of the 24 patches in `light` through a matrix to linear sRGB."""
+    """Return CIEDE2000 of the 24 patches in `light` through a matrix to linear sRGB."""
     import colour
 
     weights = product_weights(PATCHES.wavelengths, qe, photons_from_energy(illuminant(light)))
@@ -48,7 +47,7 @@ def differences(qe, light, matrix):
 
 
 def matrices(tables, qe):
-    """Each method, trained on objects and on Munsell chips."""
+    """Print the errors of each method, trained on objects and on Munsell chips."""
     for training in ("objects", "munsell"):
         tables.table(
             f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS
@@ -67,13 +66,13 @@ def matrices(tables, qe):
             for light in LIGHTS
         ]
         tables.row(
-            "stored D65 alone (F D)",
+            "only the stored D65 matrix (F D)",
             *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors),
         )
 
 
 def right_and_wrong(tables, qe):
-    """Figure 12 of Farrell & Wandell: each light's transform in each light."""
+    """Print Figure 12 of Farrell & Wandell: each light's transform in each light."""
     tables.table(
         "Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS
     )
@@ -88,7 +87,7 @@ def right_and_wrong(tables, qe):
 
 
 def estimates(tables, camera, device, photos):
-    """Every estimate, in every light, from a chart, from overlapping discs of surfaces and from photographs."""
+    """Print every estimate in every light, for a chart, discs of surfaces and photographs."""
     from gpusim.pipeline.simulator import Simulator  # the other tables need no device
 
     sensor = camera.sensor
@@ -144,17 +143,15 @@ def estimates(tables, camera, device, photos):
 
 
 def main():
-    """Print the tables, and write them where asked."""
+    """Print the tables, and write them if requested."""
     made = parser(__doc__)
     made.add_argument("--camera", default="phone")
     made.add_argument(
         "--scenes",
         action="store_true",
-        help="simulate scenes for the estimates of the light as well",
+        help="also simulate scenes to estimate their light",
     )
-    made.add_argument(
-        "--photo", nargs="*", default=[], help="photographs to be lit and taken as well"
-    )
+    made.add_argument("--photo", nargs="*", default=[], help="photographs for these scenes")
     arguments = made.parse_args()
     device, old = ready(arguments, "color")
     camera, tables = open_camera(arguments.camera), Tables()

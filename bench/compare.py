@@ -1,15 +1,17 @@
-"""Peers that are installed, each in turns with ours, and each with its error against the float64 reference.
+"""Times gpusim and other libraries in turns, with errors against a float64 reference.
 
     python bench/compare.py --device opencl --json bench/results/compare-NAME.json [--subject frame] [--size 1920x1080]
 
-frame: a cube to mean electrons by a transform per band, in SciPy, ducc0 and PyTorch, and by us with and without a
-tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16 bit to RGB; error: relative RMS against
-the float64 reference of the same method where we have one, and CPSNR against the picture that the mosaic was made of,
-both without a border of 10 pixels. LibRaw's time is that of postprocess() with its colour steps. convolve-15,
-convolve-63: a plane by one kernel; error: the largest local one beside a highlight of 1e6.
+frame: a cube to mean electrons by a transform per band, in SciPy, ducc0 and PyTorch, and by gpusim
+with and without a tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16
+bit to RGB; error: relative RMS against the float64 reference of the same method if there is one,
+and CPSNR against the original picture, both without a border of 10 pixels. LibRaw's time is for
+postprocess() with its colour steps. convolve-15, convolve-63: a plane by one kernel; error: the
+largest local error next to a highlight of 1e6.
 
-Ratios are over what NumPy and SciPy take, bench/baseline.py. Peers take as many threads as there are cores, and read
-and write host memory; ours stays on the device. What is not installed is said in its row.
+Ratios are relative to NumPy and SciPy, bench/baseline.py. The other libraries use one thread per
+core, and read and write host memory; gpusim stays on the device. A row says if its library is not
+installed.
 """
 
 import os
@@ -53,19 +55,22 @@ PACKAGES = {
     "ducc0": "ducc0",
     "halide": "halide",
 }
-BORDER = 10  # [pixel] that methods treat in other ways
-ERROR_SIZE = (480, 270)  # of the mosaic that errors are measured on
+BORDER = 10  # [pixel] that methods treat differently
+ERROR_SIZE = (480, 270)  # of the mosaic for the errors
 WHITE = 65535  # of the mosaic
 
 
 class Subject:
-    """Forms of one task: what runs, its error, and which are missing; the base is that of NumPy or SciPy."""
+    """Forms of one task: functions, errors, missing libraries. The base is NumPy or SciPy."""
 
     def __init__(self, name: str, base: str):
         self.name, self.base, self.forms, self.errors, self.missing = name, base, {}, {}, []
 
     def add(self, name: str, make, package: str | None = None):
-        """A form. make(): a function that does the task and waits, and the text of its error."""
+        """Add a form.
+
+        make(): returns a function that does the task and waits, and its error as text.
+        """
         name = f"{self.name}: {name}"
         if package is not None and find_spec(package) is None:
             self.missing.append(
@@ -75,7 +80,7 @@ class Subject:
             self.forms[name], self.errors[name] = make()
 
     def rows(self, repeat) -> list[dict]:
-        """Time all in turns."""
+        """Time all forms in turns."""
         base = f"{self.name}: {self.base}"
         times = rounds(self.forms, repeat)
         return (
@@ -109,7 +114,7 @@ class WithDucc(Baseline):
 
 
 class WithTorch(Baseline):
-    """The same in PyTorch, the cube and the tables on its device."""
+    """The baseline in PyTorch, with the cube and the tables on its device."""
 
     def __init__(self, simulator: Simulator, scene: Scene, place: str):
         import torch
@@ -123,7 +128,7 @@ class WithTorch(Baseline):
         }
 
     def mean(self, cube, seconds):
-        """Mean electrons of a cube, a tensor, as a tensor."""
+        """Return the mean electrons of a cube; both are tensors."""
         import torch
 
         rows, cols = cube.shape[1:]
@@ -148,7 +153,7 @@ class WithTorch(Baseline):
 
 
 def frame(device, size, tolerance) -> Subject:
-    """A cube to mean electrons."""
+    """Compare a cube to mean electrons."""
     picture, camera = chart("deadleaves", size=size), open_camera("phone")
     values = cube(picture)
     cubes = [values, values * np.float32(1.01)]
@@ -200,7 +205,7 @@ def frame(device, size, tolerance) -> Subject:
 
 
 def demosaic(device, size, tolerance) -> Subject:
-    """An RGGB mosaic to RGB."""
+    """Compare an RGGB mosaic to RGB."""
     subject = Subject("demosaic", "NumPy, bilinear")
     raw, (small, truth) = _mosaic(size)[0], _mosaic(ERROR_SIZE)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
@@ -213,7 +218,10 @@ def demosaic(device, size, tolerance) -> Subject:
     }
 
     def judged(method, reference=None):
-        """method(raw) gives a function without arguments that gives RGB (rows, cols, 3), 1 = white."""
+        """Return the form and its error as text.
+
+        method(raw): gives a function that returns RGB (rows, cols, 3), 1 = white.
+        """
         shown = np.asarray(method(small)(), np.float64)[inner]
         cpsnr = -10 * np.log10(np.mean((shown - truth[inner]) ** 2))
         same = "" if reference is None else f"rms {rms(shown, references[reference][inner]):.1e}; "
@@ -268,7 +276,7 @@ def demosaic(device, size, tolerance) -> Subject:
 
 
 def _mosaic(size):
-    """Mosaic (rows, cols) uint16 and the picture it was made of (rows, cols, 3), 1 = white."""
+    """Return a mosaic (rows, cols) uint16 and its original picture (rows, cols, 3), 1 = white."""
     from scipy.ndimage import gaussian_filter
 
     content = chart("deadleaves", size=size, wavelengths=[450.0, 540.0, 610.0]).content
@@ -315,12 +323,12 @@ def _libraw(name, raw):
 
 
 def _scaled(run, raw):
-    """The same with 1 for white, on the mosaic that errors are measured on; scaling is not to be timed."""
+    """Return the picture with white 1, on the judged part of the mosaic; scaling is not timed."""
     return (lambda: run() / WHITE) if raw.shape == ERROR_SIZE[::-1] else run
 
 
 def convolve(taps, device, size, tolerance) -> Subject:
-    """A plane by one kernel of taps x taps."""
+    """Compare the convolution of a plane with one kernel of taps x taps."""
     from gpusim.kernels.optics.convolve import convolve
     from gpusim.kernels.optics.convolve_ref import convolve as reference
 
@@ -331,7 +339,7 @@ def convolve(taps, device, size, tolerance) -> Subject:
     kernel = (kernel / kernel.sum()).astype(np.float32)
     flipped = np.ascontiguousarray(kernel[::-1, ::-1])  # most peers correlate
     wide = np.pad(plane, half, mode="edge")
-    # near the highlight: that it takes part in, and what these take part in
+    # near the highlight: pixels in its reach, and their reach
     near = np.s_[rows // 2 - half : rows // 2 + half + 1, cols // 2 - half : cols // 2 + half + 1]
     around = np.s_[near[0].start : near[0].stop + 2 * half, near[1].start : near[1].stop + 2 * half]
     truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][
@@ -378,7 +386,10 @@ def convolve(taps, device, size, tolerance) -> Subject:
 
 
 def _halide(padded, flipped):
-    """Direct sums in Halide: vectors along the rows, blocks of four rows by four vectors in registers, strips apart."""
+    """Return direct sums in Halide.
+
+    Vectors along the rows, blocks of four rows by four vectors in registers, strips in parallel.
+    """
     os.environ.setdefault("HL_NUM_THREADS", str(cores()))
     import halide as hl
 
@@ -396,7 +407,7 @@ def _halide(padded, flipped):
     result = np.empty((rows, cols), np.float32)
     target = hl.Buffer(result)
 
-    def run(kept=(padded, flipped)):  # Halide's buffers do not keep the memory that they show
+    def run(kept=(padded, flipped)):  # Halide's buffers do not own their memory
         out.realize(target)
         return result
 
@@ -412,7 +423,7 @@ SUBJECTS = {
 
 
 def main():
-    """Print the rows, and write them where asked."""
+    """Print the rows, and write them if requested."""
     made = parser(__doc__)
     add_size(made)
     made.add_argument(
@@ -422,7 +433,7 @@ def main():
         "--tolerance",
         type=float,
         default=4e-4,
-        help="of the fused frame (default: 4e-4); 0: without it",
+        help="tolerance of the fused frame (default: 4e-4); 0: none",
     )
     made.add_argument("--repeat", type=count, default=9)
     arguments = made.parse_args()

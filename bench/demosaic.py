@@ -1,11 +1,13 @@
-"""Quality of demosaicking on photographs, ours and Menon 2007; times and peers stand in compare.py.
+"""Quality of demosaicking on photographs, gpusim and Menon 2007. For times see compare.py.
 
     python bench/demosaic.py --device opencl:0 --photographs DIR [--json bench/results/demosaic-NAME.json]
 
-Every sub-folder of DIR with PNG pictures is a set. RGGB, 8 bits, interpolated as encoded (domain "linear"), CPSNR over
-the three channels without a border of 10 pixels, mean over the set; of `best` also on the first, third .. picture of
-each set, on which its constants were chosen, and on the others. Then through a lens that blurs (Gaussian on linear
-light, CPSNR after sRGB encoding), and with Poisson and 2 e- read noise at a mean of 5 .. 1000 electrons.
+Every sub-folder of DIR with PNG pictures is a set. RGGB, 8 bits, interpolated in their encoding
+(domain "linear"), CPSNR over the three channels without a border of 10 pixels, mean over the set.
+For `best` there are also separate means over the first, third .. picture of each set, on which its
+constants were chosen, and over the others. Further tables: a lens that blurs (Gaussian on linear
+light, CPSNR after sRGB encoding), and Poisson noise with 2 e- read noise at a mean of 5 .. 1000
+electrons.
 """
 
 import sys
@@ -26,7 +28,7 @@ SEEN = ("bilinear", "adaptive", "best", "learned")
 
 
 def quality(tables, device, sets):
-    """CPSNR of every mode on every set, as they are encoded."""
+    """Return the CPSNR of every mode on every set, in the pictures' encoding."""
     from test_best import ENCODED
     from test_demosaic import cpsnr, mosaic
 
@@ -62,7 +64,7 @@ def quality(tables, device, sets):
 
 
 def seen(tables, device, sets):
-    """The same as a camera sees the pictures: blurred, and with noise."""
+    """Return the CPSNR for the pictures as a camera sees them: blurred and noisy."""
     from test_best import captured
 
     methods = [public_function(f"processor.{name}") for name in SEEN]
@@ -93,7 +95,7 @@ def seen(tables, device, sets):
 
 
 def main():
-    """Print both tables, and write them where asked."""
+    """Print both tables, and write them if requested."""
     made = parser(__doc__)
     made.add_argument(
         "--photographs",

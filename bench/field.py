@@ -1,10 +1,10 @@
-"""Speed of field-varying blur against SciPy's overlap-add on the same kernels: one run, ratios.
+"""Speed of field-varying blur against SciPy's overlap-add with the same kernels, in one run.
 
     python bench/field.py [--device opencl] [--bands 4] [--json bench/results/field-NAME.json]
 
-8 x 8 kernels of 31 x 31 (rotating comatic Gaussians), bilinear between them, a 1080p scene with 60 highlights of 1e5;
-milliseconds are of one band. The error is that of the worst 0.1 % of the pixels, |difference| over the local value,
-against float64.
+8 x 8 kernels of 31 x 31 (rotating comatic Gaussians), bilinear between them, a 1080p scene with 60
+highlights of 1e5; milliseconds are per band. The error is the 99.9 % quantile of |difference| over
+the local value, against float64.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ SHAPE, SIZE, GRID = (1080, 1920), 31, 8
 
 
 def comatic(places):
-    """A Gaussian that turns and grows with the field, with a tail to the outside."""
+    """Return a Gaussian that turns and grows with the field, with an outward tail."""
     y, x = np.mgrid[-(SIZE // 2) : SIZE // 2 + 1, -(SIZE // 2) : SIZE // 2 + 1]
     kernels = []
     for row, col in places:

@@ -1,16 +1,17 @@
-"""Figure 14 of Farrell & Wandell: RGB Bayer, RGBW and RGBN sensors by learned filters, in the dark and in the light.
+"""Figure 14 of Farrell & Wandell: RGB, RGBW and RGBN sensors with learned filters.
 
     python bench/figure14.py --out bench [--json bench/results/figure14.json]    writes figure14.png (learned filters)
 
-f/4, diffraction-limited, 3 mm focal length, 2.2 um pixels, 100 ms, scenes of 1 and 40 cd/m2 on average over the frame.
-The chapter leaves the rest to its reference [103]. Here: curves of the MT9V024 (R, G, B and clear) behind a phone's
-infrared cut, N being the clear curve behind a neutral density of 0.5 (transmission 0.3); and of the pixel what the
-authors' software (isetL3, functions/L3SensorCreate.m) sets: fill factor 0.45, 1.8 V at 0.2 mV/e-, hence 9000 e-; read
-noise 1.34 mV, hence 6.7 e-; DSNU 1.41 mV, hence 7.05 e-; dark voltage 10 uV/s, hence 0.05 e-/s; PRNU 0.0022 %. A
-converter of 12 bit with black level 64 is ours.
+f/4, diffraction-limited, 3 mm focal length, 2.2 um pixels, 100 ms, scenes with a mean of 1 and 40
+cd/m2 over the frame. For all other values the chapter cites its reference [103]. The script uses
+the curves of the MT9V024 (R, G, B and clear) with a phone's infrared cut; N is the clear curve with
+a neutral density of 0.5 (transmission 0.3). The pixel follows the authors' software (isetL3,
+functions/L3SensorCreate.m): fill factor 0.45; 1.8 V at 0.2 mV/e-, hence 9000 e-; read noise 1.34
+mV, hence 6.7 e-; DSNU 1.41 mV, hence 7.05 e-; dark voltage 10 uV/s, hence 0.05 e-/s; PRNU 0.0022 %.
+The 12-bit converter with black level 64 is our choice.
 
-The scene is none of the training's: a ColorChecker, shaded balls, print and lines before dead leaves of reflectances
-(ColorChecker SG) that no training scene has.
+The scene is not in the training set: a ColorChecker, shaded balls, print and lines in front of dead
+leaves of reflectances (ColorChecker SG) that no training scene uses.
 """
 
 import dataclasses
@@ -47,7 +48,7 @@ GREY = 0.2  # reflectance of a card that fills a frame
 
 
 def camera(name, cfa, **processor):
-    """A camera of the figure, with the processor's settings."""
+    """Return a camera of the figure, with the given processor settings."""
     table = curve("mt9v024")
     curves = dict(
         zip("RGBW", table.values * curve("ir-cut-phone").at(table.wavelengths), strict=True)
@@ -56,7 +57,7 @@ def camera(name, cfa, **processor):
     letters = tuple(letter for letter in "RGBWN" if letter in "".join(cfa))
     nodes = np.concatenate(
         [[40, 399], table.wavelengths, [701, 7000]]
-    )  # no light is counted outside the table
+    )  # light outside the table is not counted
     qe = Spectrum(
         nodes,
         np.pad([curves[letter] for letter in letters], ((0, 0), (2, 2))),
@@ -79,7 +80,7 @@ def camera(name, cfa, **processor):
 
 
 def test_scene() -> Scene:
-    """The scene, white at 100 cd m-2."""
+    """Return the scene, white at 100 cd m-2."""
     cols, rows = (FINE * n for n in SIZE)
     base = chart(
         "deadleaves",
@@ -123,7 +124,7 @@ def test_scene() -> Scene:
 
 
 def _print(shape):
-    """Ink, 0 .. 1: lines of text that become smaller, and a fan of lines."""
+    """Return ink, 0 .. 1: lines of text of decreasing size, and a fan of lines."""
     from PIL import Image, ImageDraw, ImageFont
 
     image = Image.new("L", (shape[1], shape[0]))
@@ -138,7 +139,7 @@ def _print(shape):
 
 
 def measures(shown, wanted):
-    """CPSNR of sRGB codes [dB] and mean CIEDE2000 of linear display RGB."""
+    """Return CPSNR of sRGB codes [dB] and mean CIEDE2000 of linear display RGB."""
     import colour
 
     def lab(rgb):
@@ -155,7 +156,7 @@ def measures(shown, wanted):
 
 
 def grey_snr(simulator, white, seed):
-    """Mean over standard deviation of the luminance of a grey card [dB], white at this luminance [cd m-2]."""
+    """Return mean over standard deviation of a grey card's luminance [dB]. luminance: of white."""
     card = chart("flat", size=SIZE, luminance=white, reflectance=GREY)
     luminance = simulator(card, seed=seed).linear[BORDER:-BORDER, BORDER:-BORDER] @ TO_XYZ[1]
     return 20 * np.log10(luminance.mean() / luminance.std())
@@ -168,7 +169,7 @@ def main():
         "--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png"
     )
     made.add_argument(
-        "--seed", type=int, default=3, help="of the frames' noise; the training has its own"
+        "--seed", type=int, default=3, help="seed of the frames' noise, not of the training"
     )
     arguments = made.parse_args()
     device, old = ready(arguments, "figure14")
@@ -225,7 +226,7 @@ def main():
 
 
 def draw(pictures, path):
-    """Rows of luminances, columns of mosaics, pixel for pixel; a part of the frames."""
+    """Draw rows of luminances and columns of mosaics, pixel for pixel, a part of the frames."""
     from PIL import Image, ImageDraw, ImageFont
 
     rows, cols = next(iter(pictures.values()))[SHOWN].shape[:2]

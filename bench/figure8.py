@@ -1,15 +1,16 @@
-"""Figure 8 of Farrell & Wandell, "Image Systems Simulation": a sensor 0, 10 and 40 um out of focus, by ISO 12233.
+"""Figure 8 of Farrell & Wandell: sharpness of a sensor 0, 10 and 40 um out of focus, ISO 12233.
 
     python bench/figure8.py [--device auto] [--out figure8.png] [--json bench/results/figure8.json]
 
-Prints where the contrast is halved [cycle/mm on the sensor]: measured by `gpusim.measure.sfr` from a picture that went
-through the whole simulator, bilinear demosaicking and colour included, and from the formula of lens, pixel and
+Prints MTF50 [cycle/mm on the sensor] from two sources: `gpusim.measure.sfr` on a picture from the
+whole simulator, including bilinear demosaicking and colour, and the formula of lens, pixel and
 demosaicking. The picture shows the three edges and their curves.
 
-The last row is the formula with what ISETCam, the chapter's software, puts in place of pixel and angle: samples of 5
-degrees / 512, spread by a Gaussian of a quarter of a pixel cut off at the pixel and interpolated linearly; light of
-equal photons; an edge of slope 7/3, whose frequencies count along the pixel rows and not along the edge's normal (a
-factor of cos 23 degrees); the quarter-pixel boxes of the reading left in; luminance of the camera's own RGB.
+The last row is the formula with the pixel and the angle of ISETCam, the chapter's software: samples
+of 5 degrees / 512, spread by a Gaussian of a quarter of a pixel that is cut off at the pixel, and
+interpolated linearly; light with equal photons; an edge of slope 7/3, with frequencies along the
+pixel rows instead of the edge's normal (a factor of cos 23 degrees); no correction for the
+quarter-pixel bins; luminance of the camera's RGB.
 """
 
 from dataclasses import replace
@@ -33,7 +34,7 @@ WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 
 
 def camera_at(defocus):
-    """The figure's camera without noise and converter, its sensor `defocus` [m] behind the focus."""
+    """Return the figure's camera without noise and converter. defocus: of the sensor [m]."""
     camera = open_camera("figure8")
     return replace(
         camera,
@@ -44,7 +45,7 @@ def camera_at(defocus):
 
 
 def picture(defocus, device="auto"):
-    """Frame of a slanted edge, contrast 4, in D65."""
+    """Return the frame of a slanted edge, contrast 4, in D65."""
     scene = chart(
         "slanted-edge", size=SIZE, samples_per_pixel=FINE, angle_deg=ANGLE, wavelengths=WAVELENGTHS
     )
@@ -52,16 +53,17 @@ def picture(defocus, device="auto"):
 
 
 def luminance(frame):
-    """Of the linear display picture, white 1, shape (rows, cols)."""
+    """Return the luminance of the linear display picture, white 1, shape (rows, cols)."""
     return frame.linear.astype(np.float64) @ frame.camera.display.xyz_from_rgb[1]
 
 
 def defocused_otf(frequency, wavelength, f_number, defocus):
-    """Transfer function of a circular pupil [1], shape of `frequency` [cycle/m]; wavelength, defocus [m].
+    """Return the transfer function of a circular pupil [1], shape of `frequency` [cycle/m].
 
-    Autocorrelation of the pupil whose edge has the path difference defocus / (8 N^2): with s = f lambda N,
-    4 / pi int_0^(1 - s) sqrt(1 - (u + s)^2) cos(8 pi W s u) du, W in waves. Hopkins 1955, Proc. R. Soc. A 231; u =
-    (1 - s) sin t takes the root's end out of the integrand.
+    wavelength, defocus: [m]. Autocorrelation of the pupil with a path difference at the edge of W =
+    defocus / (8 N^2): with s = f lambda N, 4 / pi int_0^(1 - s) sqrt(1 - (u + s)^2) cos(8 pi W s u)
+    du, W in waves. The substitution u = (1 - s) sin t removes the square root's singularity.
+    Source: Hopkins 1955, Proc. R. Soc. A 231.
     """
     waves = defocus / (8 * f_number**2 * wavelength)
     s = np.minimum(np.abs(frequency) * wavelength * f_number, 1.0)[..., None]
@@ -72,10 +74,10 @@ def defocused_otf(frequency, wavelength, f_number, defocus):
 
 
 def bilinear_transfer(x, y):
-    """Mean over the pixels of what bilinear demosaicking does to R, G, B, shape (3, F); x, y [cycle/pixel].
+    """Return the mean transfer of bilinear demosaicking for R, G, B, shape (3, F).
 
-    Each of the four places of the mosaic takes its mean of neighbours; an edge that meets all places at all phases is
-    their average.
+    x, y: [cycle/pixel]. Each of the four places of the mosaic is a mean of neighbours. An edge that
+    meets all places at all phases sees their average.
     """
     x, y = np.cos(2 * np.pi * x), np.cos(2 * np.pi * y)
     green = 0.5 + (x + y) / 4
@@ -84,13 +86,13 @@ def bilinear_transfer(x, y):
 
 
 def box(camera):
-    """Transfer function of the pixel's square aperture, of (x, y) [cycle/pixel]."""
+    """Return the transfer function of the pixel's square aperture. x, y: [cycle/pixel]."""
     side = np.sqrt(camera.sensor.fill_factor)
     return lambda x, y: np.sinc(side * x) * np.sinc(side * y)
 
 
 def chapter_pixel(camera):
-    """What ISETCam has in its place, as the docstring on top says."""
+    """Return ISETCam's counterpart, as described in the module's docstring."""
     step = (
         2 * camera.optics.focal_length * np.tan(np.radians(2.5)) / 512 / camera.sensor.pixel_pitch
     )  # [pixel]
@@ -106,10 +108,11 @@ def chapter_pixel(camera):
 
 
 def exact(defocus, weights, light, angle=TURN, pixel=None, fine=np.inf):
-    """The formula's EdgeResponse along the normal: lens, averaged over each channel's light, pixel, demosaicking.
+    """Return the formula's EdgeResponse along the normal.
 
-    weights: of the camera's R, G, B, each normalised to the step, shape (3,). light: photon radiance.
-    fine: scene samples per pixel, whose boxes blur as well; those of FINE leave no replica below 0.5 cycle/pixel.
+    Lens (mean over each channel's light), pixel, demosaicking. weights: of the camera's R, G, B,
+    each normalised to the step, shape (3,). light: photon radiance. fine: scene samples per pixel,
+    which also blur as boxes; the value FINE has no alias below 0.5 cycle/pixel.
     """
     camera = camera_at(defocus)
     pitch, optics = camera.sensor.pixel_pitch, camera.optics
@@ -128,13 +131,13 @@ def exact(defocus, weights, light, angle=TURN, pixel=None, fine=np.inf):
 
 
 def along_rows(found):
-    """The same response, its frequencies counted along the pixel rows and not along the edge's normal."""
+    """Return the response with frequencies along the pixel rows, not the edge's normal."""
     turned = np.cos(found.angle)
     return replace(found, frequencies=found.frequencies * turned, per_mm=found.per_mm * turned)
 
 
 def chapter(defocus):
-    """The formula with the chapter's software in mind; frequencies along the rows."""
+    """Return the formula for the chapter's software, frequencies along the rows."""
     light = photons_from_energy(illuminant("D65"))
     light = replace(light, values=np.ones_like(light.values))
     found = along_rows(exact(defocus, LUMINANCE, light, STEEP, chapter_pixel))
@@ -145,7 +148,7 @@ def chapter(defocus):
 
 
 def shown_weights(frame):
-    """Of the camera's R, G, B in the display's luminance, each normalised to a neutral step."""
+    """Return the weights of R, G, B in display luminance, each normalised to a neutral step."""
     weights = (
         frame.camera.display.xyz_from_rgb[1]
         @ frame.rendering.display_from_camera
@@ -156,7 +159,7 @@ def shown_weights(frame):
 
 def main():
     """Print the table and save the picture."""
-    import results  # tests load this file alone
+    import results  # tests load only this file
 
     made = results.parser(__doc__)
     made.add_argument("--out", default="figure8.png")
@@ -222,7 +225,7 @@ def main():
     figure.savefig(arguments.out, dpi=100)
     tables = results.Tables()
     tables.table(
-        "Cycles/mm on the sensor where the contrast is halved",
+        "MTF50 [cycles/mm on the sensor]",
         "out of focus",
         *(f"{1e6 * defocus:g} um" for defocus in DEFOCUS),
     )

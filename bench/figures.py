@@ -1,4 +1,4 @@
-"""Figures of stored results: stages in the plane of error and time and under the roofline, and how loops scale."""
+"""Figures of stored results: stages by error and time and under the roofline, scaling of loops."""
 
 import matplotlib
 
@@ -20,11 +20,11 @@ def draw(result: dict, path):
 
 
 def _stages(result):
-    """Median time against the largest error; operations a second against operations per byte."""
+    """Draw time against the largest error, and operations per second against those per byte."""
     rows = [row for row in result["rows"] if "failed" not in row]
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
     for row in rows:
-        error = max(row["max_error"], 1e-9)  # bit-exact stages stand at the left edge
+        error = max(row["max_error"], 1e-9)  # bit-exact stages are at the left edge
         _point(left, error, row["ms_p50"], row["name"])
     left.set(
         xscale="log",
@@ -59,7 +59,7 @@ def _stages(result):
 
 
 def _scaling(result):
-    """Time a megapixel against the size of the frame, and time a frame against the bands."""
+    """Draw time per megapixel against frame size, and time per frame against bands."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     rows = [row for row in result["rows"] if "failed" not in row]
     for axes, kept, x, label, scale in (

@@ -1,4 +1,4 @@
-"""Loops of frames, and how they are timed; `one` is the loop that scaling.py and threads.py run in their processes."""
+"""Loops of frames and their timing; scaling.py and threads.py run `one` in processes."""
 
 import os
 import resource
@@ -18,15 +18,15 @@ from gpusim.domain.memory import require_memory
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.simulator import Simulator
 
-LOOPS = 5  # of each kind, whose median and spread are shown
+LOOPS = 5  # of each kind, for median and spread
 WARM = 6  # frames before the clock runs
 SECONDS = 0.01  # exposure time
 LONGEST = 2.0  # [s] of a loop
-BLOCK = 64  # rows of a cube that are made at once
+BLOCK = 64  # rows of a cube per block
 
 
 def cube(picture) -> np.ndarray:
-    """All bands of a chart, float32 (L, rows, cols)."""
+    """Return all bands of a chart, float32 (L, rows, cols)."""
     content = picture.content
     values = np.empty((len(content.wavelengths), *content.shape), np.float32)
     for row in range(0, content.shape[0], BLOCK):
@@ -35,13 +35,13 @@ def cube(picture) -> np.ndarray:
 
 
 class Loops:
-    """Measures loops on a device, prints and keeps their rows."""
+    """Measures loops on a device, prints and stores their rows."""
 
     def __init__(self, device, repeat):
         self.device, self.repeat, self.rows = device, repeat, []
 
     def measure(self, name, frame, check=lambda: ""):
-        """A row of `frame(k)`, which launches frame k."""
+        """Add a row for `frame(k)`, which launches frame k."""
         for k in range(WARM):
             self.device.sync()
             start = time.perf_counter()
@@ -62,7 +62,7 @@ class Loops:
         self.add(name, walls, sum(ms.values()) / min(count, 20), check())
 
     def streamed(self, name, simulator, scenes, output, nbytes, check):
-        """A row of a stream of scenes from the host; the rate is that of their samples."""
+        """Add a row for a stream of scenes from the host; the rate counts the samples."""
         walls = []
         for loop in range(LOOPS + 1):
             frames = simulator.stream(
@@ -84,7 +84,7 @@ class Loops:
         self.add(name, walls, None, f"{rate:.1f} GB/s; {check(last)}")
 
     def add(self, name, walls, events, check):
-        """Print and keep a row."""
+        """Print and store a row."""
         row = {"name": name, **quartiles(walls), "events_ms": events, "check": check}
         clock = " " * 16 if events is None else f"{events:9.3f} {row['ms_p50'] / events:6.2f}"
         print(
@@ -95,9 +95,9 @@ class Loops:
 
 
 class Peak:
-    """The most memory [byte] that a device's arrays took at one time since this was made; None where nothing tells.
+    """Peak memory [byte] of a device's arrays since this object was made, or None if it is unknown.
 
-    Counted where the OpenCL device asks its driver for memory, and when that is let go; of CUDA by Warp's memory pool.
+    For OpenCL it counts each allocation and release; for CUDA by Warp it uses the memory pool.
     """
 
     def __init__(self, device):
@@ -109,7 +109,7 @@ class Peak:
 
     def _counted(self, nbytes):
         buffer, host = self._allocate(nbytes)
-        if host is None:  # pyopencl's own class knows no weak references
+        if host is None:  # pyopencl's class has no weak references
             cl = self.device._cl
             buffer = type("Buffer", (cl.Buffer,), {})(
                 self.device.context, cl.mem_flags.READ_WRITE, nbytes
@@ -124,7 +124,7 @@ class Peak:
 
     @property
     def bytes(self) -> int | None:
-        """The peak so far."""
+        """Peak memory until now [byte], or None."""
         if self.device.kind == "opencl":
             return self.most
         if self.device.is_gpu:
@@ -142,11 +142,12 @@ def one(
     content: str = "cube",
     threads: int | None = None,
 ) -> dict:
-    """Row of a loop in which every frame is of another resident scene, to raw: times, planning, memory.
+    """Return the row of a loop with a new resident scene in every frame: times, planning, memory.
 
-    threads: cores that this process keeps to. bytes_predicted: the plan's. bytes_peak: of the device's arrays beside
-    one of the two scenes [byte]; rss: the most memory of the whole process, both scenes included. busy: processor time
-    over wall time of the loops. Raises DoesNotFit before anything is allocated, and what Simulator does.
+    threads: cores that this process may use. bytes_predicted: the plan's. bytes_peak: peak of the
+    device's arrays with one of the two scenes [byte]; rss: peak memory of the process, with both
+    scenes. busy: processor time over wall time of the loops. Raises DoesNotFit before it allocates
+    memory, and errors of Simulator.
     """
     if threads and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
@@ -188,7 +189,7 @@ def one(
 
 
 def resident_scene(device, scene):
-    """The scene with its samples on the device."""
+    """Return the scene with its samples on the device."""
     return replace(
         scene,
         content=scene.content.with_samples(
@@ -198,7 +199,7 @@ def resident_scene(device, scene):
 
 
 def _two(picture, content):
-    """The chart, and the same a little brighter."""
+    """Return the chart, and a slightly brighter copy."""
     values = cube(picture) if content == "cube" else None
     for gain in np.float32((1, 1.01)):
         yield replace(
@@ -210,7 +211,7 @@ def _two(picture, content):
 
 
 def _require_room(device, size, bands, content):
-    """Raise DoesNotFit where two scenes and the values they are made of do not, or one is too much for a buffer."""
+    """Raise DoesNotFit if two scenes and their sources do not fit, or one is too big."""
     each = size[0] * size[1] * (4 * bands if content == "cube" else 6)
     what = f"a scene of {size[0]}x{size[1]}, {bands} bands,"
     require_memory(f"three times {what}", 3 * each)
@@ -220,7 +221,7 @@ def _require_room(device, size, bands, content):
 
 
 def _rss():
-    """Most memory that this process had at one time [byte]."""
+    """Return the peak memory of this process [byte]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
         1 if sys.platform == "darwin" else 1024
     )

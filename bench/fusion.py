@@ -2,8 +2,8 @@
 
     python bench/fusion.py --device opencl --repeat 5 [--json bench/results/fusion-NAME.json]
 
-All start from the 31 planes of a cube and end with mean electrons on the host; the base is bench/baseline.py, the error
-the relative RMS one against float64.
+All forms start from the 31 planes of a cube and end with mean electrons on the host. The base is
+bench/baseline.py, the error the relative RMS against float64.
 """
 
 from dataclasses import replace
@@ -60,7 +60,7 @@ def main():
 
 
 def _of_rank(camera, device, scene, rank):
-    """A simulator and its plan at the tolerance that makes the planner choose `rank`."""
+    """Return a simulator and its plan, with a tolerance for which the planner chooses `rank`."""
     for limit in np.geomspace(1e-2, 1e-6, 60):
         simulator = Simulator(
             camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH

@@ -1,13 +1,13 @@
-"""What a loop gets: wall time of a frame beside the sum of the device's events, for every kind of change.
+"""Wall time of a frame and the sum of the device's events, for loops with every kind of change.
 
     python bench/loops.py --device opencl --size 1280x720 --tolerance 4e-4 --repeat 200 --json bench/results/NAME.json
 
-Every row is a loop in which one thing changes from frame to frame: `wall` is its time a frame on the clock, from the
-first change until the device has ended the last frame; `events` the sum of what the device's own clock says, in a
-second loop of its own; the spread is of several such loops. `check` compares the last frame with one that is made anew
-by a plan of its own scene: differing values, and the relative RMS difference of the mean electrons from those of the
-plan that treats every band. On CPUs the last rows are the baseline (bench/baseline.py) and its ratio to a new cube, in
-turns.
+Every row is a loop in which one thing changes from frame to frame. `wall` is the time per frame on
+the clock, from the first change until the device has finished the last frame. `events` is the sum
+of times on the device's clock, in a second loop. The spread is over several loops of this kind.
+`check` compares the last frame with a new one that has a separate plan: the number of values that
+differ, and the relative RMS difference of the mean electrons from a plan with every band. On CPUs
+the last rows are the baseline (bench/baseline.py) and its ratio to a new cube, in turns.
 """
 
 from dataclasses import replace
@@ -25,14 +25,14 @@ from gpusim.pipeline.simulator import Simulator
 
 
 def camera_with(base, part, **settings):
-    """A camera with other settings of a part, `noise` that of its sensor."""
+    """Return a camera with other settings of a part; `noise` is a part of the sensor."""
     if part == "noise":
         return camera_with(base, "sensor", noise=replace(base.sensor.noise, **settings))
     return replace(base, **{part: replace(getattr(base, part), **settings)})
 
 
 class Scenes:
-    """Scenes of one size in all forms and places, three of each, so that a loop has a new one for every frame."""
+    """Scenes of one size in all forms and places, three of each, to give every frame a new one."""
 
     def __init__(self, device, size):
         self.device, picture = device, chart("deadleaves", size=size)
@@ -62,11 +62,11 @@ class Scenes:
         ]
 
     def resident(self, scenes):
-        """The same with their samples on the device."""
+        """Return the scenes with their samples on the device."""
         return [resident_scene(self.device, scene) for scene in scenes]
 
     def pinned(self, scenes):
-        """The same with their samples in memory that the device copies from at full rate."""
+        """Return the scenes with their samples in pinned memory, which is copied at full rate."""
 
         def there(array):
             values = self.device.pinned(
@@ -79,7 +79,7 @@ class Scenes:
 
 
 def scene_loops(scenes):
-    """Name, scenes and output of loops in which every frame is of a new scene."""
+    """Yield name, scenes and output of the loops with a new scene in every frame."""
     kinds = {"cube": scenes.cubes, "materials": scenes.materials, "basis": scenes.bases}
     for name, given in kinds.items():
         there = scenes.resident(given)
@@ -89,7 +89,7 @@ def scene_loops(scenes):
 
 
 def changes(base):
-    """Name -> what `Program.update` is given in frame k."""
+    """Return name -> function from k to the arguments of `Program.update` in frame k."""
     tones = [((0.0, 0.0), (0.4, 0.4 + 0.01 * k), (1.0, 1.0)) for k in range(4)]
     return {
         "frame number": lambda k: {},
@@ -108,14 +108,16 @@ def changes(base):
 
 
 def main():
-    """Print the table; write it as JSON where asked."""
+    """Print the table; write it as JSON if requested."""
     made = parser(__doc__)
     add_size(made, "1280x720")
     made.add_argument("--camera", default="phone")
     made.add_argument("--demosaic", default="bilinear")
     made.add_argument("--tolerance", type=float)
     made.add_argument("--repeat", type=count, default=20)
-    made.add_argument("--only", default="", metavar="TEXT", help="rows whose name has this in it")
+    made.add_argument(
+        "--only", default="", metavar="TEXT", help="only rows with this text in their name"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "loops")
     base = camera_with(open_camera(arguments.camera), "processor", demosaic=arguments.demosaic)
@@ -145,7 +147,7 @@ def main():
 
 
 def _baseline(loops, simulator, scenes):
-    """The baseline and a new cube in turns, and how many times as fast the latter is."""
+    """Measure the baseline and a new cube in turns, and the ratio of their times."""
     program, baseline = (
         simulator.program(scenes.cubes[0], SECONDS),
         Baseline(simulator, scenes.cubes[0]),
@@ -157,7 +159,7 @@ def _baseline(loops, simulator, scenes):
             program.update(scene=scenes.cubes[k]).raw(seed=1, frame=k)
         device.sync()
 
-    slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube beside it"
+    slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube, alternating"
     times = rounds({slow: lambda: baseline.raw(next(values), SECONDS), fast: ours}, LOOPS, warm=2)
     exact = Simulator(simulator.camera, device=device).expose(scenes.cubes[0], SECONDS).mean
     error = rms(baseline.mean(scenes.cubes[0].content.values, SECONDS), device.numpy(exact))
@@ -172,7 +174,7 @@ def _baseline(loops, simulator, scenes):
 
 
 def _differing(simulator, scene, output, last, number):
-    """In how many values an output differs from that of a program of this scene alone."""
+    """Return the number of values that differ from the output of a program for only this scene."""
     fresh = simulator.program(scene, SECONDS)
     again = np.array(simulator.device.numpy(getattr(fresh, output)(seed=1, frame=number)))
     return f"{np.count_nonzero(again != last)} of {last.size} values differ"

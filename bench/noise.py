@@ -2,12 +2,13 @@
 
     python bench/noise.py --device opencl:0 --repeat 15 [--size 1920x1080] [--json bench/results/noise-NAME.json]
 
-Rounds alternate between all forms. NumPy draws `poisson(mean)` and `normal(0, 2)`; "full" has every noise there is:
-photons, dark current, read, rows, columns, fixed offsets, traps in 1 of 1000 pixels, full well and a 12-bit converter;
-the mean electrons rise from 1 to 10000. "chip" is what comes before it once per exposure: the mean through the response
-and the hot pixels. "16 frames" draws them in one call; the time is that of one frame. All arrays stay on the device. On
-CUDA by Warp also the kernel's own time, 20 calls in one graph. There is no error: the digital numbers of given mean
-electrons are those of the reference bit for bit (`gpusim verify --stage sensor.noise`).
+Rounds alternate between all forms. NumPy draws `poisson(mean)` and `normal(0, 2)`. "full" has all
+noise sources: photons, dark current, read noise, rows, columns, fixed offsets, traps in 1 of 1000
+pixels, full well and a 12-bit converter; the mean electrons rise from 1 to 10000. "chip" is the
+step before it, once per exposure: the mean with the response and the hot pixels. "16 frames" draws
+them in one call; the time is per frame. All arrays stay on the device. On CUDA by Warp it also
+prints the kernel's time, from 20 calls in one graph. There is no error, since the digital numbers
+for given mean electrons equal the reference bit for bit (`gpusim verify --stage sensor.noise`).
 """
 
 from functools import partial
@@ -22,7 +23,7 @@ BATCH = 16
 
 
 def forms(device, rows, cols):
-    """Name -> (function, frames that it draws)."""
+    """Return name -> (function, number of frames it draws)."""
     full = noise.bench(rows, cols)
     mean, own = full["expected"], resident(device, chip.bench(rows, cols))
     full = resident(device, full)
@@ -50,9 +51,9 @@ def forms(device, rows, cols):
 
 
 def graph_us(device, run):
-    """Microseconds of one call among 20 in a CUDA graph, where Python has no part."""
+    """Return the microseconds of one call among 20 in a CUDA graph, without Python."""
     wp, times = device._wp, []
-    wait, device.sync = device.sync, lambda: None  # a graph cannot hold it
+    wait, device.sync = device.sync, lambda: None  # not possible in a graph
     with wp.ScopedCapture(device.wp_device) as capture:
         for _ in range(20):
             run()
@@ -68,7 +69,7 @@ def graph_us(device, run):
 
 
 def clock_us(device, run, frames):
-    """What the device's own clock says of a frame [us], as text; in a CUDA graph as well where there are such."""
+    """Return the device time of a frame [us] as text, also in a CUDA graph if possible."""
     events = []
     for _ in range(10):
         with device.timed() as ms:

@@ -1,16 +1,18 @@
-"""From raw numbers to a picture, against OpenCV's demosaicking and a camera pipeline in Halide.
+"""Raw numbers to a picture, against OpenCV's demosaicking and a camera pipeline in Halide.
 
     python bench/picture.py --device opencl [--json bench/results/picture-NAME.json]
 
-On a CPU rounds alternate between ours and the peers; on a GPU it is the time per launch, launches back to back.
+On a CPU, rounds alternate between gpusim and the other libraries; on a GPU it measures the time per
+launch, launches back to back.
 
-The pipeline in Halide is the one that its authors introduced it with (Ragan-Kelley et al. 2012, ACM Transactions on
-Graphics 31 (4), section 6; after Adams et al. 2010, The Frankencamera), from its description: hot pixels suppressed,
-edge-directed demosaicking on the four half-size planes, colour matrix in fixed point, curve by table, sharpening. It is
-scheduled by hand as theirs is, fused over strips of rows with line buffers; table look-ups are left scalar, which is
-faster on CPUs with slow gathers. It reads a margin of pixels instead of mirroring the border, so it has less to do at
-the edges, and more between them: `processor.develop` is bilinear and does not sharpen, but works in float32, with any
-phase, and rounds codes exactly.
+The pipeline in Halide is the example of its authors (Ragan-Kelley et al. 2012, ACM Transactions on
+Graphics 31 (4), section 6; after Adams et al. 2010, The Frankencamera), written from its
+description: hot pixels suppressed, edge-directed demosaicking on the four half-size planes, colour
+matrix in fixed point, curve by table, sharpening. It is scheduled by hand like theirs, fused over
+strips of rows with line buffers; table look-ups are scalar, which is faster on CPUs with slow
+gathers. It reads a margin of pixels instead of mirroring the border, so it has less work at the
+edges. Its work per pixel is larger: `processor.develop` is bilinear and does not sharpen, but works
+in float32, with any phase, and rounds codes exactly.
 
 Needs `pip install opencv-python-headless halide`.
 """
@@ -42,7 +44,11 @@ MARGIN_ROWS, MARGIN_COLS = 12, 16  # of the mosaic around Halide's picture
 
 
 def camera_pipeline(rows, cols, matrix, curve):
-    """Halide function of the picture (cols, rows, 3) uint8, and its input: GRBG mosaic with a margin, uint16."""
+    """Return a Halide function and its input.
+
+    The function gives the picture (cols, rows, 3) uint8; the input is a GRBG mosaic with a margin,
+    uint16.
+    """
     import halide as hl
 
     x, y, c, value = (hl.Var(name) for name in ("x", "y", "c", "value"))
@@ -81,9 +87,7 @@ def camera_pipeline(rows, cols, matrix, curve):
     at_red[x, y] = smoother((green_r(1), green_r()), (green_b(0, -1), green_b()))
     at_blue[x, y] = smoother((green_b(-1), green_b()), (green_r(0, 1), green_r()))
 
-    def carried(
-        color, green, here, p, q
-    ):  # a colour's mean, with what green does beyond its own mean
+    def carried(color, green, here, p, q):  # a colour's mean plus green's deviation from its mean
         return (
             here
             + mean(color(*p), color(*q))
@@ -176,7 +180,7 @@ def camera_pipeline(rows, cols, matrix, curve):
 
 
 def peers():
-    """Name -> function that does one frame."""
+    """Return name -> function that makes one frame, for the other libraries."""
     import cv2
     import halide as hl
 
@@ -190,7 +194,7 @@ def peers():
     raw.set(hl.Buffer(wide))
     shown = hl.Buffer(hl.UInt(8), [cols, rows, 3])
 
-    def halide(kept=(wide, curve)):  # Halide's buffers do not keep the memory that they show
+    def halide(kept=(wide, curve)):  # Halide's buffers do not own their memory
         picture.realize(shown)
 
     return {
@@ -200,7 +204,7 @@ def peers():
 
 
 def ours(device):
-    """Name -> function that does one frame and waits."""
+    """Return name -> function that makes one frame and waits, for gpusim."""
     made = {}
     for name in STAGES:
         made[name] = _frame(device, name, stage_module(name).bench(*SIZE))
@@ -221,7 +225,7 @@ def _frame(device, name, inputs):
 
 
 def _launches(device, stage):
-    """The launches that one call of a stage makes, with their arguments."""
+    """Return the launches of one call of a stage, with their arguments."""
     run, calls = _frame(device, stage, stage_module(stage).bench(*SIZE)), []
     launch = device.launch
     device.launch = lambda *arguments, **options: (
@@ -236,7 +240,7 @@ def _launches(device, stage):
 
 
 def _opencl(device, calls, rounds, repetitions=7, busy_bytes=2**31):
-    """Microseconds per launch, by the device's clock; the queue is filled while a copy keeps the device busy."""
+    """Return microseconds per launch by the device's clock; a copy fills the queue first."""
     import pyopencl as cl
 
     busy = [cl.Buffer(device.context, cl.mem_flags.READ_WRITE, busy_bytes) for _ in range(2)]
@@ -256,7 +260,7 @@ def _opencl(device, calls, rounds, repetitions=7, busy_bytes=2**31):
 
 
 def _warp(device, calls, rounds, repetitions=7):
-    """Microseconds per launch in a captured graph."""
+    """Return microseconds per launch in a captured graph."""
     import warp as wp
 
     with wp.ScopedCapture(device=device.wp_device) as capture:
@@ -276,7 +280,7 @@ def _warp(device, calls, rounds, repetitions=7):
 
 
 def main():
-    """Print the table, and write it where asked."""
+    """Print the table, and write it if requested."""
     made = parser(__doc__)
     add_repeat(made, 30)
     arguments = made.parse_args()
@@ -305,7 +309,7 @@ def main():
 
 
 def per_launch(device, stage, launches=200, frames=4):
-    """Milliseconds per launch, launches back to back over several frames, more than a GPU's cache holds."""
+    """Return milliseconds per launch, back to back over more frames than a GPU's cache holds."""
     calls = [call for _ in range(frames) for call in _launches(device, stage)]
     return (
         np.array((_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames))

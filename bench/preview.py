@@ -1,9 +1,9 @@
-"""Frames of the preview that a client gets: produced, encoded, sent and acknowledged.
+"""Frame rate of the preview at a client: produced, encoded, sent and acknowledged frames.
 
     python bench/preview.py deadleaves --size 1920x1080 --camera phone --device opencl [--seconds 5]
 
-What is not known here is given to `gpusim preview`, which runs as a process of its own. The client acknowledges each
-frame at once, and does not decode it. Two rows: two clients, one after the other.
+Unknown arguments go to `gpusim preview`, which runs in a separate process. The client acknowledges
+each frame immediately and does not decode it. Two rows: two clients, one after the other.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 
 
 def started(arguments):
-    """A server's process and its address."""
+    """Yield a server's process and its address."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -41,7 +41,7 @@ def started(arguments):
 
 
 def frames(address, seconds):
-    """Times of arrival [s] and sizes [byte] of a page's frames."""
+    """Return the arrival times [s] and sizes [byte] of a page's frames."""
     with urlopen(address, timeout=60) as page:
         token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
     times, sizes, numbers = [], [], []

@@ -1,9 +1,10 @@
-"""Noise of a tutorial against noise of a camera, on the same linear frames: variance of 8-bit codes against their mean.
+"""A tutorial's noise against a camera's noise, on the same linear frames.
 
     python bench/replacement.py --device opencl --out bench/replacement.png
 
-NVIDIA's Replicator tutorial for augmentations adds normal noise of one standard deviation to 8-bit RGB. Here that is
-done to frames as renderers give them (linear RGB and an alpha, float16), and the same frames go through a camera.
+NVIDIA's Replicator tutorial for augmentations adds normal noise with one standard deviation to
+8-bit RGB. This script does the same to frames of a renderer (linear RGB and alpha, float16), and
+sends the same frames through a camera.
 """
 
 import argparse
@@ -24,35 +25,35 @@ from matplotlib import pyplot
 SIGMA = 5.0  # of the tutorial's kernel [code]
 ROWS, COLS = 64, 256
 LEAST = 2e-3  # of a ramp of light up to 1
-SECONDS = 0.06  # in which white fills the codes
+SECONDS = 0.06  # exposure that puts white at the largest code
 
 
 def rendered() -> np.ndarray:
-    """A grey ramp of light with an alpha, as a renderer's linear frame: float16 (rows, cols, 4)."""
+    """Return a grey ramp with alpha, like a renderer's linear frame: float16 (rows, cols, 4)."""
     frame = np.ones((ROWS, COLS, 4), np.float16)
     frame[..., :3] = np.geomspace(LEAST, 1, COLS)[None, :, None]
     return frame
 
 
 def tutorial(frame, count, random) -> np.ndarray:
-    """8-bit codes with normal noise of one sigma, (count, rows, cols)."""
+    """Return 8-bit codes with normal noise of one sigma, (count, rows, cols)."""
     codes = np.round(255 * DISPLAYS["srgb"].encode(np.clip(frame[..., 1].astype(float), 0, 1)))
     return np.clip(np.round(codes + SIGMA * random.standard_normal((count, *codes.shape))), 0, 255)
 
 
 def moments(codes) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance over frames (count, rows, cols) in each column."""
+    """Return mean and variance over frames (count, rows, cols) in each column."""
     return codes.mean(axis=(0, 1)), codes.astype(float).var(axis=0, ddof=1).mean(axis=0)
 
 
 def expected(raw_mean, sensor) -> np.ndarray:
-    """Variance of raw values by theory: photons' and that of reading, both through the gain, and of rounding [DN^2]."""
+    """Return the theoretical variance of raw values [DN^2]: photons, read noise and rounding."""
     gain = sensor.gain_dn_per_electron
     return gain * (raw_mean - sensor.dark_level) + (gain * sensor.read_sigma) ** 2 + 1 / 12
 
 
 def several(text: str) -> int:
-    """A number of frames that have a variance, of the command line."""
+    """Parse a number of frames large enough for a variance."""
     value = count(text)
     if value < 2:
         raise argparse.ArgumentTypeError(f"{text!r}: wanted 2 frames or more")
@@ -60,7 +61,7 @@ def several(text: str) -> int:
 
 
 def main():
-    """Plot, and print how far the camera's raw variance is from theory."""
+    """Plot, and print the deviation of the camera's raw variance from theory."""
     made = OneLineParser(description=__doc__.splitlines()[0])
     made.add_argument("--device", default="auto", help="as for gpusim simulate (default: auto)")
     made.add_argument("--count", type=several, default=200, help="frames, 2 or more (default: 200)")
@@ -70,7 +71,7 @@ def main():
     base, frame = gs.open_camera("machine-vision"), rendered()
     noise = replace(
         base.sensor.noise, prnu=0.0, dsnu=0.0
-    )  # which differ from pixel to pixel, not in time
+    )  # fixed patterns vary over pixels, not in time
     base = replace(
         base,
         sensor=replace(base.sensor, noise=noise),

@@ -1,8 +1,9 @@
-"""How every script here writes, reads and compares its results, and what its command line has.
+"""Shared code of all scripts here: writes, reads and compares results, and parses the command line.
 
-A result is a dict, stored as JSON: what was measured ("bench", one of the names in bench/tables.py), where and when
-("device", "machine", "commit", "dirty", "date"), the settings, and "rows". A row has a "name", times in milliseconds as
-"ms_p25", "ms_p50", "ms_p75" or "ms_least", "ms_p50", "ms_most", and what else was found.
+A result is a dict, stored as JSON: its subject ("bench", one of the names in bench/tables.py),
+place and time ("device", "machine", "commit", "dirty", "date"), the settings, and "rows". A row has
+a "name", times in milliseconds as "ms_p25", "ms_p50", "ms_p75" or "ms_least", "ms_p50", "ms_most",
+and other figures.
 """
 
 import argparse
@@ -38,12 +39,12 @@ FOUND = {
     "dirty",
     "date",
     "device",
-}  # all else is settings
-PLACE = ("cpu", "cores", "device", "driver")  # of a machine: what makes times differ
+}  # all other keys are settings
+PLACE = ("cpu", "cores", "device", "driver")  # of a machine: keys that affect times
 
 
 def parser(doc: str, device: str = "auto") -> argparse.ArgumentParser:
-    """A command line with what all scripts have."""
+    """Return a command line with the options of all scripts."""
     made = OneLineParser(description=doc.splitlines()[0])
     made.add_argument(
         "--device", default=device, help=f"as for gpusim simulate (default: {device})"
@@ -52,19 +53,19 @@ def parser(doc: str, device: str = "auto") -> argparse.ArgumentParser:
     made.add_argument(
         "--against", metavar="OLD.json", help="compare with a stored result of the same script"
     )
-    made.add_argument("--commit", help="where there is no checkout to ask")
+    made.add_argument("--commit", help="commit, if there is no checkout")
     return made
 
 
 def add_size(made, default="1920x1080"):
-    """The option `--size`."""
+    """Add the option `--size`."""
     made.add_argument(
         "--size", type=size, default=size(default), metavar="COLSxROWS", help=f"default: {default}"
     )
 
 
 def count(text: str) -> int:
-    """A whole number of repetitions, from 1 on, of the command line."""
+    """Parse a whole number of repetitions, from 1."""
     value = int(text) if text.isascii() and text.isdecimal() and len(text) < 7 else 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, 1 .. 999999")
@@ -72,7 +73,7 @@ def count(text: str) -> int:
 
 
 def ready(arguments, bench: str):
-    """What can be refused is refused before anything is timed; returns the device and the old result, if any.
+    """Check all arguments before anything is timed; returns the device and the old result, if any.
 
     Raises BadFile, DeviceError, OutOfRange, DoesNotFit.
     """
@@ -92,7 +93,7 @@ def ready(arguments, bench: str):
 def finish(
     arguments, bench: str, device, rows: list[dict], old: dict | None = None, **settings
 ) -> dict:
-    """Write the result where asked, compare it with the old one where asked; returns it."""
+    """Write the result and compare it with the old one, as requested; returns it."""
     result = json.loads(
         json.dumps({"bench": bench, **about(device, arguments.commit), **settings, "rows": rows})
     )
@@ -104,7 +105,7 @@ def finish(
 
 
 def start(main):
-    """Run a script's `main()`; what a user did wrong is one line and exit status 2."""
+    """Run a script's `main()`; a user's mistake gives one line and exit status 2."""
     try:
         status = main()
     except GpusimError as error:
@@ -120,7 +121,7 @@ def start(main):
 
 
 def about(device, commit: str | None = None) -> dict:
-    """Device, machine, commit and date of a result."""
+    """Return device, machine, commit and date of a result."""
     found, dirty = (commit, None) if commit else _checkout()
     return {
         "device": device.name,
@@ -132,7 +133,7 @@ def about(device, commit: str | None = None) -> dict:
 
 
 def machine(device) -> dict:
-    """Processor, number of its cores, what the device runs on, and the versions that matter."""
+    """Return processor, number of its cores, device hardware and driver, and relevant versions."""
     cpu = platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
         cpu = next(
@@ -159,12 +160,12 @@ def machine(device) -> dict:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _checkout():
-    """What is checked out here, and whether files differ from it; nothing where git cannot say."""
+    """Return the commit checked out here and whether files differ; nothing without git."""
     try:
         said = [
             subprocess.run(
@@ -187,7 +188,7 @@ def save(result: dict, path):
 
 
 def load(path) -> dict:
-    """A stored result. Raises BadFile for what is missing, no JSON, or no result."""
+    """Return a stored result. Raises BadFile if it is missing, not JSON, or not a result."""
     try:
         result = json.loads(Path(path).read_text())
     except OSError as error:
@@ -211,12 +212,12 @@ def load(path) -> dict:
 
 
 def spread(row: dict) -> tuple[float, float]:
-    """Quartiles of a row's times [ms], or the smallest and the largest where those alone were stored."""
+    """Return the quartiles of a row's times [ms], or its extremes if only these are stored."""
     return row.get("ms_p25", row.get("ms_least")), row.get("ms_p75", row.get("ms_most"))
 
 
 def quartiles(times, key: str = "ms") -> dict:
-    """Smallest, quartiles and largest of times, as a row has them."""
+    """Return smallest, quartiles and largest of times, for a row."""
     values = np.percentile(np.asarray(times, np.float64), (0, 25, 50, 75, 100))
     return {
         f"{key}_{name}": float(value)
@@ -225,9 +226,9 @@ def quartiles(times, key: str = "ms") -> dict:
 
 
 def against(old: dict, new: dict) -> str:
-    """Each row's median over that of the old result, "same" where their quartiles overlap; of text what it was.
+    """Return each row's median over the old one, "same" if quartiles overlap; old text for text.
 
-    What else is not alike, machine or settings, is said in one line before.
+    One line before them states other differences in machine or settings.
     """
     lines, before = [], {_key(row): row for row in old["rows"]}
     differing = [
@@ -255,7 +256,7 @@ def _key(row):
 
 
 def _change(was, row):
-    """From an old row, or None, to the row of the same name."""
+    """Return the change from an old row, or None, to the row of the same name."""
     if was is None:
         return f"{'-':>7s}  new"
     if "cells" in row and "cells" in was:
@@ -272,7 +273,7 @@ def _change(was, row):
 
 
 def rms(values, truth) -> float:
-    """Root mean square difference over the root mean square of the truth, in float64."""
+    """Return the RMS difference over the RMS of the truth, in float64."""
     truth = np.asarray(truth, np.float64)
     return float(
         np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2))
@@ -280,10 +281,10 @@ def rms(values, truth) -> float:
 
 
 def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
-    """Milliseconds of each form in every round, name -> array (repeat,).
+    """Return milliseconds of each form in every round, name -> array (repeat,).
 
-    forms: name -> function that does the work and waits. Rounds alternate between all of them, so that other work on
-    the machine meets each; `warm` rounds go before.
+    forms: name -> function that does the work and waits. Rounds alternate between all forms, so
+    other work on the machine affects all of them; `warm` rounds run first.
     """
     times: dict = {name: [] for name in forms}
     for number in range(-warm, repeat):
@@ -298,10 +299,10 @@ def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
 def peer_rows(
     times: dict, bases: dict, errors: dict | None = None, each: dict | None = None
 ) -> list[dict]:
-    """Rows of forms that were timed in rounds, each with its ratio to a base within a round.
+    """Return rows of forms timed in rounds, each with its ratio to a base within a round.
 
-    bases: name of a form -> that it is compared with: "over" is the base's time over the form's. errors: text of the
-    error of each, if known. each: frames that one call of a form makes, 1 where nothing is said.
+    bases: name of a form -> name of its base: "over" is the base's time over the form's. errors:
+    text of the error of each, if known. each: frames per call of a form, by default 1.
     """
     each, errors = each or {}, errors or {}
     scaled = {name: taken / each.get(name, 1) for name, taken in times.items()}
@@ -343,19 +344,19 @@ def compared(
     each: dict | None = None,
     **settings,
 ):
-    """Time forms in turns, `--repeat` rounds, print their rows and finish: see `rounds`, `peer_rows`, `finish`."""
+    """Time forms in turns for `--repeat` rounds, print their rows and finish."""
     rows = peer_rows(rounds(forms, arguments.repeat, warm=2), bases, errors, each)
     show(rows)
     finish(arguments, bench, device, rows, old, repeat=arguments.repeat, **settings)
 
 
 def add_repeat(made, default=9):
-    """The option `--repeat`."""
+    """Add the option `--repeat`."""
     made.add_argument("--repeat", type=count, default=default, help=f"rounds (default: {default})")
 
 
 class Tables:
-    """Results that are no times: tables of text, printed as they grow. A row's cells are those of its table's columns.
+    """Results without times: tables of text, printed as they grow. A row has a cell per column.
 
     columns: title -> names of columns. rows: of the result.
     """
@@ -369,13 +370,13 @@ class Tables:
         print(f"\n{title}: {', '.join(columns)}")
 
     def row(self, name: str, *cells: str):
-        """A row of the table that was begun last."""
+        """Add a row to the last table."""
         self.rows.append({"name": name, "table": self.title, "cells": cells})
         print("  ", " | ".join((name, *cells)), flush=True)
 
 
 def resident(device, inputs: dict) -> dict:
-    """A stage's inputs with their arrays on the device."""
+    """Return a stage's inputs with their arrays on the device."""
     return {
         key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
         for key, value in inputs.items()
@@ -383,7 +384,10 @@ def resident(device, inputs: dict) -> dict:
 
 
 def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
-    """What `one(**settings)` of a module here gives, a dict, in a process of its own: {"failed": why} if it fails."""
+    """Return the dict from `one(**settings)` of a module here, run in a separate process.
+
+    {"failed": why} if it fails.
+    """
     command = [
         sys.executable,
         "-c",

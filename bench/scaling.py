@@ -1,11 +1,12 @@
-"""Time and memory of a loop of new scenes, resident on the device, to raw: VGA to 8K, and 3 to 301 bands.
+"""Time and memory of a loop of new resident scenes to raw: VGA to 8K, 3 to 301 bands.
 
     python bench/scaling.py --device opencl --tolerance 4e-4 --json bench/results/scaling-NAME.json [--only "31 bands"]
 
-Each row is measured in a process of its own (bench/frames.py): wall time a frame; planning of a scene of this kind with
-everything loaded; the device memory that the plan predicted, and the most that was allocated, one scene included; the
-most memory of the process, which holds two scenes. A chart's reflectances are interpolated to the bands, 400 to 700 nm.
-What does not fit is said in its row, and the others go on.
+Each row is measured in a separate process (bench/frames.py): wall time per frame; planning of a
+scene of this kind with everything loaded; the device memory that the plan predicted, and its peak,
+including one scene; the peak memory of the process, including two scenes. A chart's reflectances
+are interpolated to the bands, 400 to 700 nm. If a size does not fit, its row says so, and the
+others continue.
 """
 
 from results import count, finish, in_process, parser, ready, start
@@ -26,13 +27,13 @@ HD = (1920, 1080)
 
 
 def cases() -> dict:
-    """Name -> size and bands."""
+    """Return name -> size and bands."""
     pairs = [(size, 31) for size in SIZES] + [(HD, bands) for bands in BANDS if bands != 31]
     return {f"{cols}x{rows}, {bands} bands": ((cols, rows), bands) for (cols, rows), bands in pairs}
 
 
 def options(made):
-    """What the loop is given, here and in threads.py."""
+    """Add the options of the loop, for this script and threads.py."""
     made.add_argument(
         "--tolerance",
         type=float,
@@ -44,15 +45,15 @@ def options(made):
         "--content",
         choices=("cube", "materials"),
         default="cube",
-        help="of the scenes (default: cube)",
+        help="form of the scenes (default: cube)",
     )
     made.add_argument(
-        "--repeat", type=count, default=200, help="frames of a loop at most; it takes 2 s at most"
+        "--repeat", type=count, default=200, help="most frames of a loop; it takes 2 s at most"
     )
 
 
 def settings(arguments, device) -> dict:
-    """The same as arguments of `frames.one`. Raises what Simulator and `open_camera` do."""
+    """Return the options as arguments of `frames.one`, after a check by a Simulator."""
     Simulator(open_camera(arguments.camera), device=device, tolerance=arguments.tolerance or None)
     return {
         "device": device.name,
@@ -64,7 +65,7 @@ def settings(arguments, device) -> dict:
 
 
 def shown(name, row) -> str:
-    """A row as a line."""
+    """Return a row as a line."""
     if "failed" in row:
         return f"{name:24s} {row['failed']}"
     peak = "-" if row["bytes_peak"] is None else f"{row['bytes_peak'] / 2**20:.0f}"
@@ -77,10 +78,12 @@ def shown(name, row) -> str:
 
 
 def main():
-    """Print the rows, and write them where asked."""
+    """Print the rows, and write them if requested."""
     made = parser(__doc__)
     options(made)
-    made.add_argument("--only", default="", metavar="TEXT", help="rows whose name has this in it")
+    made.add_argument(
+        "--only", default="", metavar="TEXT", help="only rows with this text in their name"
+    )
     arguments = made.parse_args()
     device, old = ready(arguments, "scaling")
     given, rows = settings(arguments, device), []

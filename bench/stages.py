@@ -1,10 +1,11 @@
-"""Speed against error of every stage, with its share of what the device can do at best.
+"""Speed of every stage against its error, and against the limits of the device.
 
     python bench/stages.py --device opencl --json bench/results/stages-NAME.json [--stage optics.blur ...]
 
-Rows are those of `gpusim bench`: a stage that fails its verification on the device gets no speed. Ceilings are measured
-in the same run: the bandwidth of a copy kernel, and multiplications and additions in registers
-(`gpusim.judge.bench.fma_gflops`). `python bench/tables.py` makes the table and the figure.
+The rows are those from `gpusim bench`: a stage that fails its verification on the device gets no
+speed. The limits are measured in the same run: the bandwidth of a copy kernel, and multiplications
+and additions in registers (`gpusim.judge.bench.fma_gflops`). `python bench/tables.py` makes the
+table and the figure.
 """
 
 from results import add_size, finish, parser, ready, start

@@ -1,9 +1,9 @@
-"""Writes every generated table and figure of bench/README.md from the results that are stored in bench/results.
+"""Writes all generated tables and figures of bench/README.md from the results in bench/results.
 
     python bench/tables.py
 
-Between `<!-- NAME -->` and `<!-- end of NAME -->` stand the tables of all results of the script NAME, in the order of
-their files' names. What no stored result backs is left as it is.
+The tables of all results of the script NAME are between `<!-- NAME -->` and `<!-- end of NAME -->`,
+in the order of the file names. Text between marks without a stored result stays unchanged.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from triple_summary import BAND, summary
 from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path
 
-FIGURES = ("stages", "scaling")  # results that are drawn as well
+FIGURES = ("stages", "scaling")  # results with a figure
 
 
 def main():
@@ -42,28 +42,28 @@ def main():
 
 
 def stored_results(folder) -> dict:
-    """Path -> result of all files in a folder. Raises BadFile."""
+    """Return path -> result of all files in a folder. Raises BadFile."""
     if not Path(folder).is_dir():
-        raise BadFile(folder, "is no folder; wanted one with results (.json)")
+        raise BadFile(folder, "is not a folder; wanted one with results (.json)")
     stored = {path: load(path) for path in sorted(Path(folder).glob("*.json"))}
     for path, result in stored.items():
         if result["bench"] not in TABLES:
             raise BadFile(
                 path,
-                f"is a result of {result['bench']!r}, of which there are no tables; known: "
+                f"is a result of {result['bench']!r}, which has no tables; known: "
                 f"{', '.join(sorted(TABLES))}",
             )
     return stored
 
 
 def filled(text: str, stored: dict, readme="README.md") -> str:
-    """The text with all tables of `stored_results` between their marks. Raises BadFile where marks are missing."""
+    """Return the text with the tables between their marks. Raises BadFile if marks are missing."""
     for name in dict.fromkeys(result["bench"] for result in stored.values()):
         first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
         if text.count(first) != 1 or text.count(last) != 1 or text.index(first) > text.index(last):
             raise BadFile(
                 readme,
-                f"has no place for the tables of {name}: wanted one {first}, and behind it one "
+                f"has no place for the tables of {name}: wanted one {first}, followed by one "
                 f"{last}",
             )
         tables = [table(path, result) for path, result in stored.items() if result["bench"] == name]
@@ -73,18 +73,18 @@ def filled(text: str, stored: dict, readme="README.md") -> str:
 
 
 def table(path: Path, result: dict) -> str:
-    """One result in Markdown."""
+    """Return one result in Markdown."""
     try:
         parts = [_head(result), *TABLES[result["bench"]](result)]
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise BadFile(path, f"lacks what its table shows: {error!r}; measure it anew") from error
+        raise BadFile(path, f"lacks values of its table: {error!r}; measure again") from error
     if result["bench"] in FIGURES:
         parts.append(f"![{path.stem}]({path.parent.name}/{path.stem}.png)")
     return "\n\n".join(parts)
 
 
 def _head(result):
-    """Where and when it was measured, by which settings."""
+    """Return a line with device, settings, machine and commit."""
     told, size = result["machine"], result.get("size")
     shown = [f"{size[0]}x{size[1]}"] if size else []
     shown += [f"{result['bands']} bands"] if "bands" in result else []
@@ -115,12 +115,12 @@ def _markdown(columns, rows):
 
 
 def _number(value, form=".3g"):
-    """A number, in full from 1000 on; nothing for None."""
+    """Return a number as text, in full from 1000, or "" for None."""
     return "" if value is None else f"{value:.0f}" if abs(value) >= 1000 else f"{value:{form}}"
 
 
 def _times(row):
-    """Median and quartiles."""
+    """Return median and quartiles."""
     return _number(row["ms_p50"]), " .. ".join(map(_number, spread(row)))
 
 
@@ -243,7 +243,7 @@ def _threads(result):
 
 
 def _peers(result):
-    columns = ("what", "ms", "quartiles", "compared with", "its time over this", "error")
+    columns = ("form", "ms", "quartiles", "compared with", "its time / this", "error")
     rows = [
         (row["name"], row["failed"], *[""] * 4)
         if "failed" in row
@@ -262,15 +262,15 @@ def _triples(result):
     found = summary(result["rows"])[1]["promise"]
     yield (
         f"{result['half']} half: {found['rows']} triples, {len(found['refused'])} refused, "
-        f"{len(found['crashes'])} crashed. Said met: {found['met']}, of which within the tolerance "
-        f"{found['met_within']}; said NOT met: {found['unmet']}, of which beyond it {found['unmet_beyond']}. "
-        f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, root mean squares "
-        f"alone {found['rms_in_band']} of {found['rms_ratios']}."
+        f"{len(found['crashes'])} crashed. Reported as met: {found['met']} (within the tolerance: "
+        f"{found['met_within']}); as NOT met: {found['unmet']} (beyond it: {found['unmet_beyond']}). "
+        f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, for root mean "
+        f"squares only {found['rms_in_band']} of {found['rms_ratios']}."
     )
     columns = (
         "tolerance",
         "triples",
-        "said met",
+        "reported met",
         "within",
         "silent misses",
         "needless NOT met",
@@ -305,9 +305,9 @@ def _tolerances(result):
         "tolerance",
         "met",
         "rms, median",
-        "exact over it",
+        "exact / plan",
         "least .. most",
-        "SciPy over it",
+        "SciPy / plan",
         "least .. most",
     )
     yield _markdown(

@@ -1,10 +1,11 @@
-"""The same loop of new scenes to raw on 1, 2, 4 ... all cores, each in a process of its own.
+"""The same loop of new scenes to raw on 1, 2, 4 ... all cores, each in a separate process.
 
     python bench/threads.py --device opencl:0 --size 1920x1080 --json bench/results/threads-NAME.json
 
-The process keeps to the first cores by its affinity, and PoCL starts as many threads: POCL_MAX_PTHREAD_COUNT before
-version 5, POCL_CPU_MAX_CU_COUNT from then on; PoCL alone does not look at the affinity. `busy` is the processor time of
-all threads over the wall time, which shows that it worked. Only cores that no other work takes give a true speed-up.
+The process keeps to the first cores by its affinity, and PoCL starts the same number of threads,
+set by POCL_MAX_PTHREAD_COUNT before version 5 and by POCL_CPU_MAX_CU_COUNT afterwards, since PoCL
+ignores the affinity. `busy` is the processor time of all threads over the wall time. It shows
+whether this worked. The speed-up is valid only on cores without other work.
 """
 
 import os
@@ -17,18 +18,18 @@ LIMITS = "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT"
 
 
 def counts(most: int) -> list[int]:
-    """1, 2, 4 ... and all."""
+    """Return 1, 2, 4 ... and the number of cores."""
     return [*(2**power for power in range(most.bit_length()) if 2**power < most), most]
 
 
 def main():
-    """Print the rows, and write them where asked."""
+    """Print the rows, and write them if requested."""
     made = parser(__doc__, "opencl")
     add_size(made)
     options(made)
     arguments = made.parse_args()
     device, old = ready(arguments, "threads")
-    require_cpu(device, "threads are those of the processor")
+    require_cpu(device, "it counts processor threads")
     given, rows = settings(arguments, device), []
     for number in counts(cores()):
         row = in_process(

@@ -1,11 +1,13 @@
-"""What a tolerance saves: frames of new cubes to raw by the plan, without a tolerance, and by NumPy and SciPy in turns.
+"""Time saved by a tolerance, compared with exact frames and with NumPy and SciPy.
 
     python bench/tolerances.py --device opencl --size 1920x1080 --json bench/results/tolerances-NAME.json
 
-Cubes of 31 bands lie on the device, those of the baseline (bench/baseline.py) on the host, whose processor it runs on.
-The baseline computes what is computed without a tolerance. Errors are those of mean electrons (gpusim/judge/truth.py).
-Predicted times are of all stages of a frame, codes included, over what those stages were measured to take. The result
-has a row for every question and the table one for every tolerance: medians, and the least and the most.
+Frames are new cubes to raw. Cubes of 31 bands are on the device; for the baseline
+(bench/baseline.py) they are on the host, which computes it. The baseline makes the same frame as
+gpusim without a tolerance. Errors are in the mean electrons (gpusim/judge/truth.py). Predicted
+times are for all stages of a frame, including codes, and are compared with measured times of these
+stages. The result has a row for every question; the table has one for every tolerance, with
+medians, minima and maxima.
 """
 
 from dataclasses import replace
@@ -28,18 +30,18 @@ CHARTS = ("deadleaves", "colorchecker", "slanted-edge")
 STEADY, GPU_STEADY = (
     3,
     100,
-)  # frames of a call that is timed: as a loop has them, its first and last of no matter
+)  # frames of a timed call: enough to make the first and last negligible
 
 
 def main():
-    """Print and store."""
+    """Print and store the rows."""
     made = parser(__doc__)
     add_size(made)
     add_repeat(made, 5)
     made.add_argument("--cameras", nargs="+", default=CAMERAS, help=f"default: {' '.join(CAMERAS)}")
     arguments = made.parse_args()
     device, old = ready(arguments, "tolerances")
-    with TemporaryDirectory() as folder:  # those of the cache are of another hour
+    with TemporaryDirectory() as folder:  # cached speeds may be old
         rows = all_rows(arguments, device, Speeds(device, Path(folder) / "speeds.json"))
     print("\n".join(table(rows)))
     finish(
@@ -56,7 +58,7 @@ def main():
 
 
 def all_rows(arguments, device, speeds) -> list[dict]:
-    """Rows of all questions, which are printed as they come."""
+    """Return the rows of all questions; they are printed when they are ready."""
     rows = []
     for camera in [gs.open_camera(name) for name in arguments.cameras]:
         for chart in CHARTS:
@@ -69,7 +71,7 @@ def all_rows(arguments, device, speeds) -> list[dict]:
 
 
 def asked(device, camera, picture, speeds, repeat) -> list[dict]:
-    """A row for every tolerance."""
+    """Return a row for every tolerance."""
     values = cube(picture)
     scenes = [
         resident_scene(device, replace(picture, content=Cube(picture.wavelengths, values * gain)))
@@ -119,14 +121,14 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
 
 
 def frames(program, scenes, count):
-    """Raw values of so many new scenes."""
+    """Compute raw values of `count` new scenes."""
     for k in range(count):
         program.update(scene=scenes[k % 2]).raw(seed=1, frame=k)
     program.simulator.device.sync()
 
 
 def stages(program, scenes) -> float:
-    """Milliseconds of all stages of a frame, codes included: the median of a few."""
+    """Return the milliseconds of all stages of a frame, including codes: the median of a few."""
     return float(
         np.median(
             [program.update(scene=scenes[k % 2]).frame(seed=1, frame=k).report.ms for k in range(5)]
@@ -135,7 +137,7 @@ def stages(program, scenes) -> float:
 
 
 def line(row) -> str:
-    """A row in words."""
+    """Return a row as text."""
     return (
         f"{row['name']:44s} {row['ms_p50']:8.3f} ms, {row['exact_p50']:5.2f} times as fast as exact, "
         f"{row['baseline_p50']:6.2f} as the baseline; rms {row['error']:.1e} ({row['predicted']:.1e} predicted); "
@@ -144,7 +146,7 @@ def line(row) -> str:
 
 
 def by_tolerance(rows) -> list[dict]:
-    """For every tolerance: the least, the median and the most of its questions."""
+    """Return minimum, median and maximum for every tolerance."""
     found = []
     for name in dict.fromkeys(row["tolerance"] for row in rows):
         own = [row for row in rows if row["tolerance"] == name]
@@ -165,7 +167,7 @@ def by_tolerance(rows) -> list[dict]:
 
 
 def table(rows) -> list[str]:
-    """`by_tolerance` in words, and how many times were predicted within a factor of 1.5."""
+    """Return `by_tolerance` as text, and the number of times predicted within a factor of 1.5."""
     lines = [
         f"{one['tolerance']:10s} {one['exact']['exact_p50']:6.2f} times as fast as exact "
         f"({one['exact']['exact_least']:.2f} .. {one['exact']['exact_most']:.2f}), "
@@ -177,7 +179,7 @@ def table(rows) -> list[str]:
 
 
 def within(rows) -> str:
-    """How many times were predicted within a factor of 1.5, and the least and the most of predicted over measured."""
+    """Return the number of times predicted within a factor of 1.5, and the range of the ratio."""
     ratios = [row["predicted_ms"] / row["stages_ms"] for row in rows]
     good = sum(1 / 1.5 <= ratio <= 1.5 for ratio in ratios)
     return f"{good} of {len(rows)} ({min(ratios):.2f} .. {max(ratios):.2f})"

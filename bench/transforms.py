@@ -1,9 +1,9 @@
-"""What the optics' kernels take on a GPU: reduce, forward, fold, inverse; and cuFFT, where PyTorch has it.
+"""Times of the optics' kernels on a GPU: reduce, forward, fold, inverse; also cuFFT.
 
     python bench/transforms.py --device opencl:nvidia [--json bench/results/transforms-NAME.json]
 
-1080p, 31 bands to r planes, border extended to the period, Bayer mosaic. Rounds of planes alternate. Device events; a
-copy of 2 GB goes first, so that no kernel waits for the host to launch it.
+1080p, 31 bands to r planes, border extended to the period, Bayer mosaic. Rounds of planes
+alternate. Times are device events; a copy of 2 GB goes first, so no kernel waits for the host.
 """
 
 from collections import defaultdict
@@ -23,7 +23,7 @@ ROWS, COLS, BANDS, CFA = 1080, 1920, 31, np.array([[0, 1], [1, 2]], np.int32)
 
 @contextmanager
 def by_kernel(device):
-    """Microseconds of each kernel launched inside, after a long one that keeps the device busy meanwhile."""
+    """Collect the microseconds of each kernel launched inside; a long one fills the queue."""
     launch = device.launch
     ahead = device.empty((2**28,)), device.empty((2**28,))
 
@@ -43,7 +43,7 @@ def by_kernel(device):
 
 
 def of_device(device, period, planes):
-    """Function that runs once and returns microseconds by stage and kernel."""
+    """Return a function that runs once and returns microseconds by stage and kernel."""
     random = np.random.default_rng(planes)
     content = device.array(random.random((BANDS, ROWS, COLS), np.float32))
     weights = device.array(random.random((planes, BANDS), np.float32))
@@ -75,7 +75,7 @@ def of_device(device, period, planes):
 
 
 def of_library(period, planes):
-    """The same for cuFFT's transforms through PyTorch: planes that are extended already, a fold not counted."""
+    """Return the same for cuFFT through PyTorch: planes already extended, without a fold."""
     import torch
 
     extended = torch.rand((planes, *period), device="cuda")
@@ -102,14 +102,14 @@ def of_library(period, planes):
 
 
 def main():
-    """Print a row for each part, and write them where asked."""
+    """Print a row for each part, and write them if requested."""
     made = parser(__doc__)
     made.add_argument(
         "--period",
         type=size,
         default=(2048, 1200),
         metavar="COLSxROWS",
-        help="of the transforms (default: 2048x1200)",
+        help="size of the transforms (default: 2048x1200)",
     )
     made.add_argument("--planes", type=count, nargs="*", default=[3, 4, 6])
     add_repeat(made, 50)
@@ -130,7 +130,7 @@ def main():
     except (ImportError, RuntimeError, AssertionError) as error:
         print(f"cuFFT: {one_line(error)}")
     times: dict = defaultdict(list)
-    for number in range(-1, arguments.repeat):  # warm: built, tables kept
+    for number in range(-1, arguments.repeat):  # warm: compiled, tables cached
         for run, once in runs.items():
             for stage, value in once().items():
                 if number >= 0:

@@ -1,9 +1,10 @@
-"""A camera by sums in real space: mean electrons that share nothing with the planner, its truth or its kernels.
+"""A camera by sums in real space: mean electrons independent of planner, reference and kernels.
 
-Every wavelength has its own point spread, by Hankel's integral over a round pupil, or by Gauss's rule over the chords
-of any other. It is sampled as finely as its band limit asks for and integrated over the pixels' apertures by the
-transform of a box. Within a reach all light is summed, in a world that the border rule goes on with. Beyond, the
-pattern is the mean of its rings, or of straight blades the rays that their edges throw: light is summed along rays.
+Every wavelength has a separate point spread: from Hankel's integral for a round pupil, or from
+Gauss's rule over the chords of any other pupil. It is sampled as finely as its band limit requires,
+and integrated over the pixels' apertures by the transform of a box. Within a reach all light is
+summed, with the scene continued by the border rule. Beyond it, the pattern is replaced by the mean
+of its rings or, for straight blades, by the rays from their edges: light is summed along rays.
 """
 
 from dataclasses import dataclass
@@ -20,13 +21,13 @@ from scipy.special import j0
 from gpusim.domain.errors import OutOfRange
 
 NEAREST, FARTHEST = 96, 320  # [sample] within which all light is summed
-RINGS = 48  # of the diffraction within that reach
-ROOM = 8.0  # the reach over the radius of the rays' spread, at least
+RINGS = 48  # of the diffraction inside this reach
+ROOM = 8.0  # minimum of the reach over the radius of the geometric spread
 RAYS, STEP, ENDS = (
     240,
     1.03,
     300.0,
-)  # directions; growth of the steps along them; where they end over where they begin
+)  # directions; growth of the steps along them; end over start
 ROOM_AROUND = 12  # [sample] that a Gaussian of 3 spreads
 STEP_NM = 0.05  # of the spectral integrals
 MODES = {
@@ -41,10 +42,10 @@ CLEAR = 550.0  # [nm] reference of the generator's wavefronts
 
 @dataclass(frozen=True)
 class Spread:
-    """What spreads a point's light at one wavelength.
+    """Parameters of a point spread at one wavelength.
 
-    q: wavelength times f-number over the samples' distance. w020, w040: of a round pupil [waves]. hole: its
-    obstruction. blades, turned: of a polygon. apart, diffused: of a low-pass [sample].
+    q: wavelength times f-number over the samples' distance. w020, w040: of a round pupil [waves].
+    hole: its obstruction. blades, turned: of a polygon. apart, diffused: of a low-pass [sample].
     """
 
     q: float
@@ -58,7 +59,7 @@ class Spread:
 
     @property
     def radius(self) -> float:
-        """Where the rays of the rim land [sample]: 2 q times the slope of the wavefront there."""
+        """Radius of the geometric spread [sample]: 2 q times the wavefront's slope at the rim."""
         slopes = np.linspace(0, 1, 65)
         return (
             2 * self.q * float(np.abs(2 * self.w020 * slopes + 4 * self.w040 * slopes**3).max())
@@ -67,13 +68,13 @@ class Spread:
 
     @property
     def corners(self) -> np.ndarray:
-        """Of the polygon, (y, x), shape (blades, 2)."""
+        """Corners of the polygon, (y, x), shape (blades, 2)."""
         angles = self.turned + 2 * np.pi * np.arange(self.blades) / self.blades
         return np.stack([np.sin(angles), np.cos(angles)], axis=1)
 
 
 def spread_of(optics, wavelength: float, pitch: float) -> Spread:
-    """Of a lens that is the same all over the field, at a wavelength [nm], for samples `pitch` apart [m]."""
+    """Return the spread of a uniform lens. wavelength: [nm]. pitch: distance of samples [m]."""
     metres, number = 1e-9 * wavelength, optics.f_number
     shift = (
         optics.defocus
@@ -93,7 +94,7 @@ def spread_of(optics, wavelength: float, pitch: float) -> Spread:
 
 
 def round_spread(of: Spread, reach: float):
-    """Energy per square sample at a distance: Born and Wolf, 8.5 and 8.8; tabled."""
+    """Return energy per square sample at a distance: Born and Wolf, 8.5 and 8.8; tabulated."""
     r = np.arange(0, np.sqrt(2) * reach + of.q, of.q / 32)
     phase = 2 * np.pi * (abs(of.w020) + abs(of.w040))
     t, mass = np.polynomial.legendre.leggauss(int(np.pi * r[-1] / of.q / 2 + 2 * phase + 40))
@@ -108,7 +109,10 @@ def round_spread(of: Spread, reach: float):
 
 
 def polygon_spread(of: Spread, at) -> np.ndarray:
-    """Energy per square sample at `at` x `at` [sample]: the chords' integrals are known, Gauss's rule adds them up."""
+    """Return energy per square sample at `at` x `at` [sample].
+
+    The integrals over chords are known; Gauss's rule adds them up.
+    """
     corners = of.corners
     total = np.zeros((len(at), len(at)), complex)
     levels = np.unique(corners[:, 0].round(12))
@@ -134,11 +138,12 @@ def polygon_spread(of: Spread, at) -> np.ndarray:
 
 
 def chord_spread(q: float, waves, y, x) -> np.ndarray:
-    """Energy per square sample at y x x [sample] of a clear circle with the wavefront `waves(u, v)` [waves].
+    """Return energy per square sample at y x x [sample] of a clear circle, by sums over chords.
 
-    v = sin of an angle makes the sum over chords that of a smooth function; x is along u.
+    waves: the wavefront, a function of (u, v) [waves]. With v = sin of an angle the integrand is
+    smooth; x is along u.
     """
-    # Gauss takes half of the phase at the end in nodes, of the angle pi / 2 times as many
+    # number of nodes: half of the phase at the end; pi / 2 times as many for the angle
     count = int(
         np.pi**2 / 4 * max(np.abs(y).max(), np.abs(x).max()) / q + 40 + 8 * np.abs(waves(0.7, 0.7))
     )
@@ -156,17 +161,20 @@ def chord_spread(q: float, waves, y, x) -> np.ndarray:
 
 
 def fine_grid(q: float, reach: int) -> tuple[np.ndarray, int]:
-    """Places along an axis, more than `reach` around 0, and how many to a sample: what a band limit of 1 / q takes."""
+    """Return places along an axis, more than `reach` around 0, and their number per sample.
+
+    The band limit 1 / q sets this number.
+    """
     fine = max(1, ceil(2.02 / q))
     half = scipy.fft.next_fast_len((reach + 3) * fine * 2, real=True) // 2
     return np.arange(-half, half) / fine, fine
 
 
 def apertured(values, fine: int, reach: int, width, phase, of: Spread | None = None) -> np.ndarray:
-    """Means over apertures of a spread on a fine grid: of those at whole samples plus `phase` from the point.
+    """Return means over apertures of a spread on a fine grid, shape (2 reach + 1, 2 reach + 1).
 
-    width: of the aperture, phase: (rows, cols) [sample]. Shape (2 reach + 1, 2 reach + 1), the light at the distance
-    0 in the middle.
+    The apertures are at whole samples plus `phase` from the point; distance 0 is in the middle.
+    width: of the aperture, phase: (rows, cols) [sample].
     """
     spectrum = scipy.fft.fft2(scipy.fft.ifftshift(values))
     for axis in (0, 1):
@@ -184,7 +192,7 @@ def apertured(values, fine: int, reach: int, width, phase, of: Spread | None = N
 
 
 def kernel(of: Spread, reach: int, width, phase) -> np.ndarray:
-    """Light that apertures get of a point: see `apertured`."""
+    """Return the light that apertures receive from a point: see `apertured`."""
     at, fine = fine_grid(of.q, reach)
     if of.blades:
         values = polygon_spread(of, at)
@@ -194,10 +202,11 @@ def kernel(of: Spread, reach: int, width, phase) -> np.ndarray:
 
 
 def rays(of: Spread) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of the light from afar, from x towards y, and the energy along each, times r^2 / q.
+    """Return directions of distant light and the energy along each, times r^2 / q.
 
-    A round rim's is the same in all: 1 / (pi^3 (1 - hole)) a square sample times r^3 / q. An edge of length l of a
-    polygon of area A throws l / (2 pi^2 A) to both sides along its normal.
+    Directions are angles from x towards y. A round rim has the same energy in all directions: 1 /
+    (pi^3 (1 - hole)) per square sample times r^3 / q. An edge of length l of a polygon with area A
+    throws l / (2 pi^2 A) to both sides along its normal.
     """
     if not of.blades:
         return (
@@ -212,7 +221,7 @@ def rays(of: Spread) -> tuple[np.ndarray, np.ndarray]:
 
 
 def energy_beyond(of: Spread, reach: int) -> float:
-    """Light of a point beyond a square of half-width `reach`."""
+    """Return the light of a point outside a square of half-width `reach`."""
     angles, energies = rays(of)
     return float(of.q * energies @ np.maximum(np.abs(np.sin(angles)), np.abs(np.cos(angles)))) / (
         reach + 0.5
@@ -220,12 +229,15 @@ def energy_beyond(of: Spread, reach: int) -> float:
 
 
 def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.ndarray:
-    """Light from beyond a square of half-width `reach` at places rows x cols of planes (C, ...), each times its q."""
+    """Return light from outside a square of half-width `reach` at places rows x cols.
+
+    Planes (C, ...) are multiplied by their q.
+    """
     if border == "zero":
-        return np.zeros((len(planes), len(rows), len(cols)))  # all light is nearer: see `reach_of`
+        return np.zeros((len(planes), len(rows), len(cols)))  # no light beyond: see `reach_of`
     mode, (y, x) = GOES_ON[border], (np.array(at, float) for at in (rows, cols))
     if not of.blades:  # smooth: from a coarse grid of places, and of light
-        # an edge goes on as it is, not as it is with its neighbours: it gets room around
+        # room for the border rule "edge", which repeats single samples
         room = 0 if border == "reflect" else ROOM_AROUND
         planes = np.stack(
             [gaussian_filter(np.pad(plane, room, mode="edge"), 3, mode=mode) for plane in planes]
@@ -255,9 +267,10 @@ def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.nda
 
 
 def spectral_weights(scene, camera) -> np.ndarray:
-    """Electrons per second in each channel for content 1 at each wavelength, shape (C, L).
+    """Return electrons per second in each channel for content 1 at each wavelength, shape (C, L).
 
-    The content is a cubic spline between its wavelengths; light, quantum efficiency and transmission are as tabulated.
+    The content is a cubic spline between its wavelengths; light, quantum efficiency and
+    transmission are as tabulated.
     """
     nodes, optics, sensor = scene.wavelengths, camera.optics, camera.sensor
     grid = np.append(np.arange(nodes[0], nodes[-1], STEP_NM), nodes[-1])
@@ -286,13 +299,13 @@ def spectral_weights(scene, camera) -> np.ndarray:
 
 
 def pupil_area(pupil) -> float:
-    """Open area over that of the circle."""
+    """Return the open area over the circle's area."""
     n = pupil.blades
     return (n * np.sin(2 * np.pi / n) / (2 * np.pi) if n else 1.0) - pupil.obscuration**2
 
 
 def spectra(content, chosen) -> np.ndarray:
-    """A band of a content, float64 (rows, cols)."""
+    """Return a band of a content, float64 (rows, cols)."""
     if content.form == "cube":
         return content.values[chosen].astype(np.float64)
     if content.form == "materials":
@@ -302,7 +315,10 @@ def spectra(content, chosen) -> np.ndarray:
 
 
 def centres(scene) -> list[np.ndarray]:
-    """Of the pixels along each axis, 0 that of the first sample; the frame is in the middle of the samples."""
+    """Return the pixel centres along each axis; 0 is the first sample's.
+
+    The frame is in the middle of the samples.
+    """
     ratio, found = scene.samples_per_pixel, []
     for have, count in zip(scene.content.shape, scene.shape, strict=True):
         spare = (have - 2 * scene.margin - ratio * count) / 2
@@ -311,7 +327,7 @@ def centres(scene) -> list[np.ndarray]:
 
 
 def reach_of(spreads, shape, border) -> int:
-    """Samples within which all light is summed. Raises OutOfRange for spreads that are too wide for that."""
+    """Return the samples within which all light is summed. Raises OutOfRange."""
     reach = max(
         NEAREST, RINGS * max(of.q for of in spreads), ROOM * max(of.radius for of in spreads)
     )
@@ -327,9 +343,9 @@ def reach_of(spreads, shape, border) -> int:
 
 
 def rates(scene, camera) -> np.ndarray:
-    """Electrons per second of every channel at every pixel, before the fall-off; shape (C, rows, cols).
+    """Return electrons per second of every channel and pixel before fall-off, (C, rows, cols).
 
-    The lens is the same all over the field. Raises OutOfRange.
+    The lens is uniform over the field. Raises OutOfRange.
     """
     pitch, ratio = camera.sensor.pixel_pitch / scene.samples_per_pixel, scene.samples_per_pixel
     width = (ratio * np.sqrt(camera.sensor.fill_factor),) * 2
@@ -352,7 +368,7 @@ def rates(scene, camera) -> np.ndarray:
             continue
         world = np.pad(plane, reach, mode=MODES[scene.border])
         near = kernel(of, reach, width, phase)
-        # apertures that leave gaps see the points and not what is between them: a flat field is right by definition
+        # apertures with gaps see points, not the light between them: a flat field is right by definition
         share = share / (1.0 if width[0] == ratio else near.sum() + energy_beyond(of, reach))
         afar += of.q * share[:, None, None] * plane
         total += share[:, None, None] * fftconvolve(world, near, "valid")[chosen]
@@ -360,7 +376,7 @@ def rates(scene, camera) -> np.ndarray:
 
 
 def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
-    """Mean electrons of the mosaic, or of stacked pixels (C, rows, cols), with the lens's fall-off."""
+    """Return mean electrons of the mosaic, or of stacked pixels (C, rows, cols), with fall-off."""
     rows, cols = scene.shape
     slope = camera.sensor.pixel_pitch / camera.optics.focal_length
     y, x = (slope * (np.arange(n) - (n - 1) / 2) for n in (rows, cols))
@@ -382,5 +398,5 @@ def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
 
 
 def mean_electrons(scene, camera, seconds: float) -> np.ndarray:
-    """Mean electrons of every pixel. Raises OutOfRange where the sums would be too long."""
+    """Return mean electrons of every pixel. Raises OutOfRange if the sums would take too long."""
     return exposed(rates(scene, camera), scene, camera, seconds)

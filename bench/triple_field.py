@@ -1,8 +1,9 @@
-"""A camera whose blur varies over the field, at single pixels: the continuation of triple_brute.py.
+"""A camera whose blur varies over the field, at single pixels; it extends triple_brute.py.
 
-The light of every sample is spread as at its own place, with the wavefront of Seidel there (Welford, chapter 7) and its
-own lateral colour; a point keeps its light, and a flat field is the sum of its points. Within NEAR samples of the
-pixel spreads are polynomials in the place, of degree NODES - 1; what comes from farther is spread as at the pixel.
+The light of every sample is spread with the Seidel wavefront (Welford, chapter 7) and the lateral
+colour at its place. A point keeps its light, and a flat field is the sum of its points. Within NEAR
+samples of the pixel, spreads are polynomials in the place, of degree NODES - 1; farther light uses
+the spread at the pixel.
 """
 
 import numpy as np
@@ -25,12 +26,12 @@ from triple_brute import (
 from gpusim.domain.errors import OutOfRange
 
 NODES, NEAR = 9, 40  # places along an axis, and how far they go [sample]
-SPARE = 8  # samples around what is looked at, where a transform repeats itself
+SPARE = 8  # margin of samples, since a transform repeats itself
 LEAST_Q = 0.7  # below, the sums over the pupil are too long
 
 
 def seidel(coefficients, height, angle, scale):
-    """Wavefront [waves] at a field point, as a function of the pupil's x and y; scale: of the wavelength."""
+    """Return the wavefront [waves] at a field point, a function of the pupil's x and y."""
     _, coma, astigmatism, curvature, distortion = coefficients
 
     def waves(u, v):
@@ -46,7 +47,7 @@ def seidel(coefficients, height, angle, scale):
 
 
 def spread_from(scene, camera, place, band, reach) -> np.ndarray:
-    """Light that apertures around get of a point at `place` (row, column) of the frame, (2 reach + 1, 2 reach + 1)."""
+    """Return the light that apertures receive from a point. place: (row, column) of the frame."""
     optics, pitch, shape = camera.optics, camera.sensor.pixel_pitch, np.array(scene.shape)
     wavelength = scene.wavelengths[band]
     q = wavelength * 1e-9 * optics.f_number / pitch
@@ -75,13 +76,16 @@ def spread_from(scene, camera, place, band, reach) -> np.ndarray:
 
 
 def gathered(scene, camera, pixel, band, reach) -> tuple[np.ndarray, float]:
-    """What a pixel gets of a light of 1 at each sample around it, (2 reach + 1)^2, and all that a point gives there."""
+    """Return a pixel's response to a light of 1 at each sample around it, and the total.
+
+    The response has (2 reach + 1)^2 values. The total is the sum of all light from a point there.
+    """
     limits = np.array([[-scene.margin] * 2, np.array(scene.shape) - 1 + scene.margin])
     out = spread_from(scene, camera, np.array(pixel), band, reach)[::-1, ::-1]
     whole = out.sum()
     first, last = np.clip(
         np.add(pixel, [[-NEAR] * 2, [NEAR] * 2]), *limits
-    )  # places beyond are as the outermost
+    )  # outside, the outermost place counts
     unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     places = [
         (one + other) / 2 + (other - one) / 2 * unit for one, other in zip(first, last, strict=True)
@@ -101,7 +105,7 @@ def gathered(scene, camera, pixel, band, reach) -> tuple[np.ndarray, float]:
 
 
 def electrons_at(scene, camera, seconds: float, pixels) -> np.ndarray:
-    """Mean electrons at pixels (row, column) of a scene with one sample a pixel. Raises OutOfRange."""
+    """Return mean electrons at pixels (row, column), one sample per pixel. Raises OutOfRange."""
     optics, margin = camera.optics, scene.margin
     q = scene.wavelengths * 1e-9 * optics.f_number / camera.sensor.pixel_pitch
     if q.min() < LEAST_Q:

@@ -1,7 +1,8 @@
-"""Where a lens and a view put samples, and what reaches a pixel of its light: for `triple_outside.py`.
+"""Places of samples behind a lens and a view, for `triple_outside.py`.
 
-Formulas of distortion are written again from their sources; the inverse is found by Newton's steps with differences.
-Between samples the scene is band-limited: transforms of six times the length, and splines of degree 5 between them.
+The distortion formulas are written again from their sources; Newton's method with finite
+differences inverts them. Between samples the scene is band-limited: transforms of six times the
+length, and splines of degree 5 between their values.
 """
 
 from math import ceil
@@ -18,11 +19,11 @@ FINER, AROUND, FADE = (
     6,
     48,
     40,
-)  # of the band-limited scene: finer by so much; samples around, that fade to the mean
+)  # of the band-limited scene: oversampling; margin that fades to the mean
 
 
 def band_limited(planes, down, across, border):
-    """Values of samples at places from their middle, between samples the waves that these determine."""
+    """Return values at places from the samples' middle, by band-limited interpolation."""
     around = [
         ceil(max(AROUND / 2, np.abs(at).max() - (n - 1) / 2) + 1.2 * FADE)
         for at, n in zip((down, across), planes.shape[1:], strict=True)
@@ -70,14 +71,17 @@ def band_limited(planes, down, across, border):
 
 
 def few(planes):
-    """As few planes as span these, and the matrix (L, n) that gives them back."""
+    """Return the fewest planes that span these, and the matrix (L, n) that restores them."""
     left, sizes, right = np.linalg.svd(planes.reshape(len(planes), -1), full_matrices=False)
     rank = max(1, int((sizes > 1e-8 * sizes[0]).sum()))
     return right[:rank].reshape(rank, *planes.shape[1:]), left[:, :rank] * sizes[:rank]
 
 
 def displace(distortion, x, y):
-    """Where a lens puts points that a pinhole puts at (x, y), both in metres from the frame's middle."""
+    """Return the places of points behind the lens.
+
+    x, y: places behind a pinhole. All in metres from the frame's middle.
+    """
     kind = type(distortion).__name__
     if kind == "Framed":
         lens, focal, (cx, cy) = distortion.lens, distortion.radius, distortion.middle
@@ -88,7 +92,10 @@ def displace(distortion, x, y):
 
 
 def _in_units(lens, x, y):
-    """The same in units of the model's radius; formulas of Farrell and Wandell, OpenCV's documentation, a table."""
+    """Return the places in units of the model's radius.
+
+    Formulas of Farrell and Wandell, of OpenCV's documentation, or a table.
+    """
     kind, r = type(lens).__name__, np.hypot(x, y)
     if kind == "RadialPolynomial":
         factor = 1 + lens.k1 * r + lens.k2 * r**2
@@ -129,9 +136,9 @@ def _in_units(lens, x, y):
 
 
 def undisplace(distortion, x, y, step):
-    """Where a pinhole puts what the lens puts at (x, y) [m], and the ideal area over the seen one, by Newton's steps.
+    """Return pinhole places of the points that the lens puts at (x, y) [m], and the area ratio.
 
-    step: for differences [m].
+    The ratio is the ideal over the seen area. Newton's method; step: for differences [m].
     """
     u, v = np.array(x, float), np.array(y, float)
     with np.errstate(all="ignore"):
@@ -139,7 +146,7 @@ def undisplace(distortion, x, y, step):
 
 
 def _newton(distortion, x, y, u, v, step):
-    """The same from a start (u, v)."""
+    """Return the same, from a start (u, v)."""
     for _ in range(60):
         at = displace(distortion, u, v)
         right = [
@@ -166,7 +173,7 @@ def _newton(distortion, x, y, u, v, step):
 
 
 def model_of(scene, camera):
-    """The distortion for this frame, None without one."""
+    """Return the distortion for this frame, None without one."""
     distortion = camera.optics.distortion
     if hasattr(distortion, "framed"):
         return distortion.framed(scene.shape, camera.sensor.pixel_pitch)
@@ -174,7 +181,7 @@ def model_of(scene, camera):
 
 
 def axis_of(scene, camera) -> tuple[float, float]:
-    """Where the optical axis meets the frame, from its middle, (rows, cols) [pixel]: the principal point."""
+    """Return the principal point from the frame's middle, (rows, cols) [pixel]."""
     calibration = camera.optics.distortion
     if not hasattr(calibration, "framed"):
         return 0.0, 0.0
@@ -186,7 +193,10 @@ def axis_of(scene, camera) -> tuple[float, float]:
 
 
 def distorted(scene, camera, planes, beyond, order=None):
-    """Samples as the lens displaces them, with `beyond` more on each side; order 0: the nearest one, not its light."""
+    """Return samples displaced by the lens, with `beyond` more on each side.
+
+    order 0: values of the nearest sample, without scaling its light.
+    """
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     y, x = np.meshgrid(
         *(pitch * (np.arange(-beyond, n + beyond) - (n - 1) / 2) for n in planes.shape[1:]),
@@ -207,7 +217,7 @@ def distorted(scene, camera, planes, beyond, order=None):
 
 
 def falloff(scene, camera) -> np.ndarray:
-    """What lens and pixels lose at every pixel, (rows, cols)."""
+    """Return the relative response of lens and pixels at every pixel, (rows, cols)."""
     optics, sensor, shape = camera.optics, camera.sensor, scene.shape
     pitch, distortion = sensor.pixel_pitch, model_of(scene, camera)
     y, x = np.meshgrid(
@@ -254,7 +264,7 @@ def falloff(scene, camera) -> np.ndarray:
 
 
 def channel_weights(scene, camera) -> np.ndarray:
-    """Electrons per second in each channel for content 1 at each wavelength, shape (C, L)."""
+    """Return electrons per second per channel for content 1 at each wavelength, (C, L)."""
     nodes, optics, sensor = scene.wavelengths, camera.optics, camera.sensor
     grid = np.unique(
         np.concatenate(

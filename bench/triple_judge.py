@@ -1,8 +1,8 @@
-"""The planner's word on a random question, judged by sums from outside: `python bench/triples.py --kinds combined`.
+"""The planner's verdicts on random questions, judged by independent sums (`--kinds combined`).
 
-A frame is made, with its noise and its picture, so that crashes are seen; its mean electrons are compared with the
-interval between the outside's answers. What these sums cannot say is counted apart, and so is what the planner says
-that nobody can judge.
+A frame is made with its noise and its picture, to find crashes. Its mean electrons are compared
+with the interval between the answers of the sums. Frames that the sums do not cover are counted
+separately, and so are those with the verdict "cannot be judged".
 """
 
 import signal
@@ -28,9 +28,9 @@ from gpusim.pipeline.report import Error
 
 KINDS = {"old": triple_mixed.OLD, "combined": triple_mixed.MIXED}
 LIMIT = 150  # [s] for a question
-JUST = 0.98  # of the planner's own limit at which a tolerance "near" is put
-SURE = 1e-6  # of the frame's light: to what the sums from outside are sure, besides a share of each pixel's
-SLOW = 10  # plans that are listed
+JUST = 0.98  # a tolerance "near" over the planner's limit
+SURE = 1e-6  # of the frame's light: accuracy of the sums, in addition to a share of each pixel's
+SLOW = 10  # number of listed plans
 
 
 class TookTooLong(Exception):
@@ -40,9 +40,9 @@ class TookTooLong(Exception):
 def asked(
     seed: int, *, kinds: str, device: str, data=None, limit: int = LIMIT, only_met: bool = False
 ) -> list[dict]:
-    """The row of a seed, in a list; none if it is of measured data that are not there.
+    """Return the row of a seed, in a list; an empty list if its measured data is missing.
 
-    limit: [s], after which it is too slow. only_met: leave out the sums of frames that are not called met.
+    limit: time limit [s]. only_met: skip the sums for frames that are not reported as met.
     """
     row: dict = {"name": f"{kinds} {seed}", "seed": seed, "kinds": kinds, "words": f"{seed}"}
     began = time.perf_counter()
@@ -67,7 +67,7 @@ def asked(
         }
     except GpusimError as refusal:
         row |= {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
-    except Exception as error:  # what must not pass silently is counted
+    except Exception as error:  # count failures instead of ignoring them
         row |= {
             "status": "crash",
             "text": f"in {row.get('doing')}: " + "".join(traceback.format_exception(error)[-3:]),
@@ -82,7 +82,7 @@ def _give_up(*_):
 
 
 def _answered(question, device, row, only_met):
-    """What the planner says, what the frame is, and whether both agree with the outside."""
+    """Return the planner's verdict, the frame, and whether both agree with the sums."""
     row["doing"], began = "planning", time.process_time()
     simulator = gs.Simulator(question.camera, device=device, tolerance=question.tolerance)
     if question.is_near:
@@ -123,14 +123,14 @@ def _answered(question, device, row, only_met):
 
 
 def _moved(question, simulator):
-    """The same with the tolerance that the planner just says is met, of the same kind as its own."""
+    """Return the question with the tolerance that is just met by prediction, of the same kind."""
     exposure = simulator.expose(question.scene)
     rms = exposure.plan.account.total.rms * SAFETY / JUST
     return replace(question, tolerance=f"{rms:.4g}") if 2e-6 < rms < 0.5 else question
 
 
 def _outside(question, seconds, mean, tolerance):
-    """Whether a frame is within its tolerance by sums from outside, None where they do not say."""
+    """Return whether a frame is within its tolerance by the sums, None if they do not cover it."""
     began = time.process_time()
     try:
         if question.kind == "mixed":
@@ -166,7 +166,7 @@ def _outside(question, seconds, mean, tolerance):
 
 
 def run(ask, seeds, workers: int, add):
-    """Ask all seeds; one whose process dies is a crash, and the others go on."""
+    """Ask all seeds. A process that dies is a crash, and the others continue."""
     todo = list(seeds)
     while todo:
         done = set()
@@ -203,7 +203,7 @@ def run(ask, seeds, workers: int, add):
 
 
 def line(row: dict) -> str:
-    """A row in words."""
+    """Return a row as text."""
     if row["status"] != "ok":
         return f"{row['words']}: {row['status']} {row.get('text', '')[:300]}"
     judged = {None: f"outside does not say: {row.get('why')}", True: "within", False: "BEYOND"}[
@@ -216,7 +216,7 @@ def line(row: dict) -> str:
 
 
 def summary(rows: list[dict]) -> str:
-    """How often the planner's word is kept, and where it is not."""
+    """Return how often the verdicts are right, and the seeds of the others."""
     good = [row for row in rows if row["status"] == "ok"]
     says = {
         state: [row for row in good if row["state"] == state]
@@ -229,13 +229,13 @@ def summary(rows: list[dict]) -> str:
     found = [
         f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
         f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
-        f"{sum(row['status'] == 'crash' for row in rows)} crashed; the outside judges "
+        f"{sum(row['status'] == 'crash' for row in rows)} crashed; judged by independent sums: "
         f"{sum(row['within'] is not None for row in good)}",
         f"met: {len(says['met'])}, judged {len(met)}: true {len(met) - len(false)}, false {len(false)}"
         + (f" ({100 * (1 - len(false) / len(met)):.1f} % true)" if met else ""),
-        f"not met: {len(says['not met'])}, judged {len(unmet)}: of them beyond "
+        f"not met: {len(says['not met'])}, judged {len(unmet)}, beyond the tolerance "
         f"{sum(not row['within'] for row in unmet)}",
-        f"not judged by the planner: {len(says['not judged'])}, the outside judges {len(unsure)}: of them beyond "
+        f"cannot be judged by the planner: {len(says['not judged'])}, judged by the sums {len(unsure)}, beyond "
         f"{sum(not row['within'] for row in unsure)}",
     ]
     found += [f"crash: {row['words']}: {row['text']}" for row in rows if row["status"] == "crash"]
@@ -253,7 +253,7 @@ def summary(rows: list[dict]) -> str:
     ]
     reasons = Counter(row["why"][:80] for row in good if row["within"] is None)
     found += [
-        f"outside does not say, {count} times: {text}" for text, count in reasons.most_common(8)
+        f"not covered by the sums, {count} times: {text}" for text, count in reasons.most_common(8)
     ]
     slow = sorted((row for row in good), key=lambda row: -row["planning_s"])[:SLOW]
     return "\n".join(

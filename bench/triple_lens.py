@@ -1,6 +1,6 @@
 """Spreads of light by a camera's lens at any field point and distance, for `triple_outside.py`.
 
-Of a pupil by sums over its chords, of measured lenses by the Gaussians that they are mixtures of.
+For a pupil by sums over its chords, for measured lenses from the Gaussians of their mixtures.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ from triple_pupils import chords, spreads, zernike
 class Lens:
     """Spreads of light by a camera's lens, in samples.
 
-    known: kernels that were made.
+    known: cache of kernels.
     """
 
     scene: object
@@ -30,7 +30,10 @@ class Lens:
         return optics.varies
 
     def place(self, rows, cols):
-        """Field point (y, x) of samples, 1 the corner's distance from the frame's middle; from the optical axis."""
+        """Return the field point (y, x) of samples, relative to the optical axis.
+
+        1 is the corner's distance from the frame's middle.
+        """
         scene, ratio = self.scene, self.scene.samples_per_pixel
         axis, corner = axis_of(scene, self.camera), np.hypot(*scene.shape) / 2
         middle = [(n - 1) / 2 for n in scene.content.shape]
@@ -39,12 +42,12 @@ class Lens:
         ) / corner
 
     def q(self, wavelength):
-        """Wavelength times f-number over the distance of samples."""
+        """Return wavelength times f-number over the distance of samples."""
         pitch = self.camera.sensor.pixel_pitch / self.scene.samples_per_pixel
         return wavelength * 1e-9 * self.camera.optics.working_f_number / pitch
 
     def waves(self, wavelength, y, x, distance):
-        """The wavefront at a field point and distance, a function of (u, v) [waves]; and its steepest slope."""
+        """Return the wavefront at a field point and distance, and its steepest slope."""
         optics, scene = self.camera.optics, self.scene
         own, height, angle = optics.wavefront, np.hypot(y, x), np.arctan2(y, x)
         zernikes = np.array(own.zernike)
@@ -88,14 +91,14 @@ class Lens:
 
 
 def steepest(waves) -> float:
-    """Largest slope of a wavefront over the disc [waves per radius]."""
+    """Return the largest slope of a wavefront over the disc [waves per radius]."""
     u, v = np.meshgrid(*[np.linspace(-1, 1, 33)] * 2)
     slopes = np.gradient(waves(u, v), u[0, 1] - u[0, 0])
     return float(np.hypot(*slopes)[np.hypot(u, v) <= 1.05].max())
 
 
 def apertures(scene, camera):
-    """Width of the pixels' apertures and their phase on the samples [sample], and the first pixel's place."""
+    """Return width and phase of the pixels' apertures [sample], and the first pixel's place."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     width = tuple(ratio * one / sensor.pixel_pitch for one in sensor.aperture)
     first = [
@@ -106,9 +109,9 @@ def apertures(scene, camera):
 
 
 def kernels(lens, wavelength, points, reach, width=None):
-    """Light that apertures get of a point at each of (y, x, distance), (2 reach + 1, 2 reach + 1), one by one.
+    """Yield the light that apertures receive from a point at each of (y, x, distance).
 
-    width: of the apertures [sample], None: the camera's.
+    width: of the apertures [sample], None: the camera's. Each has shape (2 reach + 1, 2 reach + 1).
     """
     scene, camera = lens.scene, lens.camera
     optics = camera.optics
@@ -137,7 +140,7 @@ def kernels(lens, wavelength, points, reach, width=None):
 
 
 def measured_kernels(lens, wavelength, places, reach):
-    """The same of a lens whose point spreads are mixtures of Gaussians: `blobs` gives them at a field point."""
+    """Yield the same for point spreads that are mixtures of Gaussians. blobs: gives these."""
     scene, camera = lens.scene, lens.camera
     width, phase, _ = apertures(scene, camera)
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
@@ -156,7 +159,7 @@ def measured_kernels(lens, wavelength, places, reach):
 
 
 def tail(lens, wavelength, reach) -> float:
-    """Light of a point beyond a square of half-width `reach`."""
+    """Return the light of a point outside a square of half-width `reach`."""
     if lens.camera.optics.model == "measured":
         return 0.0
     return sum(
@@ -166,7 +169,7 @@ def tail(lens, wavelength, reach) -> float:
 
 
 def edges(lens):
-    """What throws light afar: the outline's edges and the obstruction's, each as a Spread and its share."""
+    """Return edges that throw light far: outline and obstruction, each a Spread and a share."""
     pupil = lens.camera.optics.pupil
     if not pupil.blades:
         return [(1.0, brute.Spread(1.0, hole=pupil.obscuration))]

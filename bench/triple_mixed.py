@@ -1,7 +1,7 @@
-"""Random questions that combine two or more features of scenes, lenses and sensors, for `bench/triples.py`.
+"""Random questions that combine two or more features, for `bench/triples.py`.
 
-MIXED and OLD are seeds that were fixed before any of them was asked. Frames are small, so that sums that share
-nothing with the planner judge them: `triple_outside.py`.
+Features are of scenes, lenses and sensors. The seeds MIXED and OLD were fixed before any of them
+was asked. Frames are small, because independent sums judge them: `triple_outside.py`.
 """
 
 from dataclasses import replace
@@ -65,16 +65,16 @@ WAVES = 550e-9
 
 
 class Blobs(gs.PointSpread):
-    """Point spreads that are mixtures of Gaussians, known apart from their samples.
+    """Point spreads that are mixtures of Gaussians, known independently of their samples.
 
-    mixtures: at each height, or each place of the grid in its order, tuples (weight, y, x, sigma) [m].
+    mixtures: at each height, or each place of the grid in order, tuples (weight, y, x, sigma) [m].
     """
 
     mixtures: tuple = ()
 
     @classmethod
     def of(cls, pitch, mixtures, heights=None, grid=None):
-        """Sampled four times a pixel or finer, as far as they reach."""
+        """Return the mixtures, sampled four times a pixel or finer, over their whole extent."""
         least = min(sigma for blobs in mixtures for *_, sigma in blobs)
         spacing, far = (
             min(pitch / 4, least / 2.5),
@@ -108,7 +108,7 @@ class Blobs(gs.PointSpread):
         return made
 
     def blobs(self, _wavelength, y, x):
-        """Gaussians (weight, y, x, sigma) [m] at a field point."""
+        """Return the Gaussians (weight, y, x, sigma) [m] at a field point."""
         if self.heights is None and self.grid is None:
             return list(self.mixtures[0])
         if self.grid is not None:
@@ -138,7 +138,7 @@ class Blobs(gs.PointSpread):
 
 
 def triple(seed: int) -> Triple:
-    """The question of a seed; drawn again until it combines two features."""
+    """Return the question of a seed; drawn again until it combines two features."""
     for attempt in range(100):
         made = _drawn(seed, np.random.default_rng((seed, 21, attempt)))
         if len(made.features) >= 2:
@@ -239,7 +239,7 @@ def _frame(random, kind):
 
 
 def _tolerance(random):
-    """A tolerance, and whether it is to be moved to where it is just met."""
+    """Return a tolerance, and whether to move it to the limit of the prediction."""
     choice = random.random()
     if choice < 0.3:
         return str(random.choice(("preview", "video", "metrology"))), False
@@ -262,7 +262,7 @@ def _wavelengths(random, kind):
 
 
 def _content(random, kind, samples):
-    """Smooth to fine planes of random spectra, with edges, bright points or stars in the dark."""
+    """Return planes of random spectra, with edges, bright points or stars in the dark."""
     nodes = _wavelengths(random, kind["nodes"])
     count = int(random.integers(2, 6))
     spectra = np.array(
@@ -319,7 +319,7 @@ def _content(random, kind, samples):
 
 
 def _camera(random, kind, q, shape, ratio):
-    """The camera, and its features in words."""
+    """Return the camera, and its features as text."""
     own = gs.open_camera(
         "mono"
         if kind["mosaic"] == "mono"
@@ -334,7 +334,7 @@ def _camera(random, kind, q, shape, ratio):
             table = sensor.qe.values
             clear = (
                 np.minimum(table.sum(axis=0, keepdims=True), 1) ** 0.7
-            )  # no sum of the others: color needs four
+            )  # not a sum of the others: color needs four
             qe = replace(sensor.qe, values=np.concatenate([table, clear]))
             sensor = replace(sensor, qe=qe, channels=("R", "G", "B", "W"), cfa=mosaic("rgbw"))
         elif kind["mosaic"] == "stacked":
@@ -374,7 +374,7 @@ def _camera(random, kind, q, shape, ratio):
 
 
 def _optics(random, kind, f_number, own, sensor, shape, ratio):
-    """The lens, and its features."""
+    """Return the lens, and its features."""
     focal, lens, pitch = own.optics.focal_length, kind["lens"], sensor.pixel_pitch
     near = FOCUS if kind["depth"] else float(random.choice((np.inf, 3.0, 20 * focal)))
     features = [lens] * (lens != "ideal") + ["near focus"] * (near < 2)
@@ -424,7 +424,7 @@ def _optics(random, kind, f_number, own, sensor, shape, ratio):
 
 
 def _aberrated(random, lens):
-    """Wavefront and lateral colour."""
+    """Return wavefront and lateral colour."""
     if lens == "spherical":
         return {"wavefront": Wavefront(seidel=(float(random.uniform(-1.5, 1.5)), 0, 0, 0, 0))}
     if lens == "zernike":
@@ -484,7 +484,7 @@ def _measured(random, lens, pitch, shape):
 
 
 def _distortion(random, kind, shape, pitch):
-    """Displacements of up to a few pixels at the corner."""
+    """Return a distortion with displacements of up to a few pixels at the corner."""
     rows, cols = shape
     corner = np.hypot(rows, cols) / 2 * pitch
     strength = float(random.choice((-1, 1)) * 10 ** random.uniform(-3, -1.1))
@@ -510,7 +510,7 @@ def _distortion(random, kind, shape, pitch):
 
 
 def _depth(random, kind, content, camera, ratio):
-    """Distances, and layers."""
+    """Return distances, and layers."""
     shape = content.shape
     if not kind:
         return None, ()

@@ -1,14 +1,21 @@
-"""Mean electrons of any camera before any scene by float64 sums that share nothing with planner, kernels or truth.
+"""Mean electrons of any camera and scene by independent float64 sums.
 
-What is taken for true:
-- A sample is a point of light at its place; a pixel is the mean of the irradiance over its aperture. Apertures that
-  leave gaps between them are scaled so that a flat field is right.
-- Light of every sample is spread by the lens at its own place and distance: nothing keeps flat fields flat.
-- Between samples the scene is band-limited: views and distortion take it from there. It goes on as the border says.
-- Nearer things hide farther ones. A picture with depth does not show what they hide, so there are two answers: all
-  spread without hiding, and composed of layers behind which the picture goes on.
-- Spectra of the scene are cubic splines between its wavelengths; light, filters and efficiencies are as tabulated.
-Each open question gives one more answer; a frame errs by its distance from the interval between them.
+Independent of planner, kernels and reference. Assumptions:
+
+- A sample is a point of light at its place; a pixel is the mean of the irradiance over its aperture.
+  Apertures with gaps between them are scaled to give the right value for a flat field.
+- The lens spreads the light of every sample at its place and distance; flat fields are not forced
+  to stay flat.
+- Between samples the scene is band-limited; views and distortion use these values. The border rule
+  continues it.
+- Nearer things hide farther ones. A picture with depth does not show the hidden parts, so there are
+  two answers: all light spread without hiding, and a composition of layers with the picture
+  continued behind them.
+- Spectra of the scene are cubic splines between its wavelengths; light, filters and efficiencies
+  are as tabulated.
+
+Each open question gives one more answer; the error of a frame is its distance from the interval
+between the answers.
 """
 
 from dataclasses import dataclass, replace
@@ -25,14 +32,15 @@ from gpusim.domain.errors import OutOfRange
 
 NEAREST, RINGS, FARTHEST = 40, 16, 110  # [sample] within which all light is summed; rings; the most
 NODES = 7  # Chebyshev's places along an axis for a lens that varies, and distances of a slope
-SAFE = 10  # [pixel] of the frame's rim that are not looked at where the world beyond is an open question
+SAFE = 10  # [pixel] of the frame's rim that are not judged if the scene outside is an open question
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
     """Mean electrons, one array for each answer.
 
-    rim: pixels around the frame that are not looked at. sure: to what share of a pixel's light the sums are right.
+    rim: pixels around the frame that are not judged. sure: accuracy of the sums over a pixel's
+    light.
     """
 
     means: list
@@ -40,7 +48,7 @@ class Answers:
     sure: float = 3e-5
 
     def distance(self, mean):
-        """How far a frame is from the interval between the answers, and the one in the middle of them."""
+        """Return a frame's distance from the interval of the answers, and the interval's middle."""
         low, high = np.min(self.means, axis=0), np.max(self.means, axis=0)
         off = np.maximum(np.maximum(low - mean, mean - high), 0)
         if self.rim:
@@ -51,7 +59,7 @@ class Answers:
 
 
 def answers(scene, camera, seconds: float) -> Answers:
-    """What a camera sees of a scene. Raises OutOfRange where these sums do not say it."""
+    """Return the electrons of a camera and a scene. Raises OutOfRange if not covered."""
     require(scene, camera)
     planes = [spectra(scene.content, band) for band in range(len(scene.wavelengths))]
     worlds, rim = [np.stack(planes)], 0
@@ -76,13 +84,16 @@ def answers(scene, camera, seconds: float) -> Answers:
         / sensor.pixel_pitch
         * scene.samples_per_pixel
     )
-    # rays of straight edges meet apertures with gaps unevenly: halving what is beyond the reach changes it by 2e-4
+    # rays of straight edges meet apertures with gaps unevenly: an effect of 2e-4
     is_uneven = sensor.fill_factor < 1 and q < 1 and optics.pupil.blades
     return Answers(means, min(rim, (min(scene.shape) - 1) // 3), 5e-4 if is_uneven else 3e-5)
 
 
 def flat_depth(scene, camera, _world):
-    """A scene with depth as the lens displaces it: one picture, whose samples have the distance of the nearest one."""
+    """Return a scene with depth as the lens displaces it.
+
+    It is one picture; each sample has the distance of the nearest original one.
+    """
     planes = np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
     ((light, _, depth),) = sheets_of(scene, planes, "spread")
     flat = replace(scene, layers=(), depth=depth)
@@ -92,7 +103,7 @@ def flat_depth(scene, camera, _world):
 
 
 def spectra(content, band) -> np.ndarray:
-    """A band of a content, float64 (rows, cols)."""
+    """Return a band of a content, float64 (rows, cols)."""
     if content.form != "illuminated":
         return brute.spectra(content, band)
     surfaces = np.tensordot(content.basis[:, band], content.coefficients.astype(np.float64), 1)
@@ -100,7 +111,7 @@ def spectra(content, band) -> np.ndarray:
 
 
 def require(scene, camera):
-    """Raise OutOfRange for what has no one answer here."""
+    """Raise OutOfRange for questions without a single answer."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     if len(scene.wavelengths) < 2:
         raise OutOfRange("wavelengths", len(scene.wavelengths), "2 or more for a spline")
@@ -119,7 +130,7 @@ def require(scene, camera):
 
 
 def seen_by_view(scene, planes):
-    """The samples that a view shows; beyond the scene they are as the border says."""
+    """Return the samples that a view shows, continued beyond the scene by the border rule."""
     view, ratio = scene.view, scene.samples_per_pixel
     y, x = (np.arange(n) - (n - 1) / 2 for n in planes.shape[1:])
     cos, sin = np.cos(view.rotation) / view.zoom, np.sin(view.rotation) / view.zoom
@@ -132,7 +143,7 @@ def seen_by_view(scene, planes):
 
 
 def reach_of(lens, planes) -> int:
-    """Samples within which all light is summed. Raises OutOfRange."""
+    """Return the samples within which all light is summed. Raises OutOfRange."""
     scene, optics = lens.scene, lens.camera.optics
     if optics.model == "measured":
         return (
@@ -167,9 +178,9 @@ def reach_of(lens, planes) -> int:
 
 
 def shares_of(lens, more, reach):
-    """Field points, and the share of every world's sample in the spread of each: pairs (points, weights).
+    """Return field points, and the share of every sample in the spread of each: (points, weights).
 
-    Chebyshev's places over the samples; samples beyond are as the outermost.
+    Chebyshev points over the samples; samples outside use the outermost point.
     """
     shape = lens.scene.content.shape
     if not lens.varies:
@@ -194,9 +205,9 @@ def shares_of(lens, more, reach):
 
 
 def sheets_of(scene, planes, kind):
-    """Layers, the nearest first: light (L, rows, cols), coverage and distances, both (rows, cols).
+    """Return layers, nearest first: light (L, rows, cols), coverage, distances, both (rows, cols).
 
-    kind: "layers", or "spread" without hiding, of the picture that the scene shows.
+    kind: "layers", or "spread" for the visible picture without hiding.
     """
     shape = planes.shape[1:]
     whole = np.ones(shape)
@@ -230,7 +241,10 @@ def sheets_of(scene, planes, kind):
 
 
 def by_distance(distances):
-    """Distances, and the share of every sample in each: few as they are, a slope by Chebyshev's places in 1 / m."""
+    """Return distances, and the share of every sample in each.
+
+    Few distances are used directly; for a slope, Chebyshev points in 1 / m.
+    """
     levels = np.unique(distances)
     if len(levels) <= 4:
         return [(float(level), (distances == level) * 1.0) for level in levels]
@@ -247,9 +261,9 @@ def by_distance(distances):
 
 
 def rates(lens, planes, more, kind) -> np.ndarray:
-    """Electrons per second of every channel at every pixel, before the fall-off, (C, rows, cols).
+    """Return electrons per second of every channel at every pixel, before the fall-off.
 
-    more: samples on each side that `planes` have beyond the scene's.
+    Shape (C, rows, cols). more: samples on each side of `planes` outside the scene.
     """
     scene, camera = lens.scene, lens.camera
     weights = channel_weights(scene, camera)
@@ -301,10 +315,11 @@ def rates(lens, planes, more, kind) -> np.ndarray:
 
 @dataclass(eq=False)
 class Spread:
-    """Light of one wavelength, spread by the kernels of field points in which every sample has its shares.
+    """Light of one wavelength, spread by the kernels of field points with shares of every sample.
 
-    reach: of the kernels. room: samples around that get light, too. is_whole: whether apertures leave no gaps.
-    excess: light beyond the reach over that of a sharp image; known once light was spread.
+    reach: of the kernels. room: margin of samples that also receive light. is_whole: whether
+    apertures have no gaps. excess: light beyond the reach over a sharp image's; known after light
+    was spread.
     """
 
     lens: Lens
@@ -317,7 +332,10 @@ class Spread:
     excess: float = 1.0
 
     def gathered(self, light, distance, mode):
-        """What apertures at all samples, and `room` around, get of light that goes on as `mode` of numpy.pad says."""
+        """Return the light of apertures at all samples and in the margin `room`.
+
+        mode: continuation of the light, as in numpy.pad.
+        """
         world = np.pad(light, self.reach + self.room, mode=mode)
         reach, measured = self.reach, self.lens.camera.optics.model == "measured"
         if not world.any():
@@ -339,26 +357,30 @@ class Spread:
             own = kernel / kernel.sum() if measured and not self.is_whole else kernel
             beyond.append(1 - own.sum())
             total = total + scipy.fft.rfft2(world * share, size) * scipy.fft.rfft2(own, size)
-        if alone:  # all light that is not near is afar
+        if alone:  # all other light is distant
             self.excess = float(np.clip(np.mean(beyond) / alone, 0, 20))
         return scipy.fft.irfft2(total, size)[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
 
     def _even(self, places):
-        """Kernels that keep a flat field, whose pixels with gaps would get uneven shares below a q of 1."""
+        """Return kernels that keep a flat field.
+
+        Pixels with gaps would otherwise receive uneven shares for q below 1.
+        """
         made = list(kernels(self.lens, self.wavelength, places, self.reach))
         if self.is_whole or self.lens.q(self.wavelength) >= 1:
             return made
         ratio = float(
             self.lens.scene.samples_per_pixel
-        )  # what is beyond the reach is alike with gaps and without
+        )  # beyond the reach, gaps make no difference
         whole = kernels(self.lens, self.wavelength, places, self.reach, (ratio, ratio))
         return [own / (own.sum() + 1 - all_.sum()) for own, all_ in zip(made, whole, strict=True)]
 
 
 def composed(spread, sheets, afar):
-    """Irradiance of one wavelength at the places of pixels among the samples, nearer sheets over farther ones.
+    """Return irradiance of one wavelength at the pixels' places, nearer sheets over farther ones.
 
-    afar: of each sheet its light and coverage from afar, to be added before one hides another; none of a single one.
+    afar: distant light and coverage of each sheet, added before one hides another; None for one
+    sheet.
     """
     border, out, through = spread.lens.scene.border, 0.0, 1.0
     q = spread.lens.q(spread.wavelength)
@@ -383,7 +405,10 @@ def composed(spread, sheets, afar):
 
 
 def sheets_afar(lens, sheets, reach, room):
-    """Light and coverage of sheets from afar at all samples and `room` around, for a q of 1: (L, ...) and (...)."""
+    """Return distant light and coverage of sheets at all samples and `room` around, for a q of 1.
+
+    Shapes (L, ...) and (...).
+    """
     border, found = lens.scene.border, []
     if lens.camera.optics.model == "measured":
         return [(np.zeros(len(sheets[0][0])), 0.0)] * len(sheets)
@@ -405,7 +430,7 @@ def sheets_afar(lens, sheets, reach, room):
 
 
 def gathered_one_by_one(lens, wavelength, world, reach):
-    """The same where every sample has a spread of its own, which costs little: of Gaussians."""
+    """Return the same if every sample has a separate spread, cheap for Gaussians."""
     out = np.zeros([n + 2 * reach for n in world.shape])
     rows, cols = np.nonzero(world)
     shape = lens.scene.content.shape
@@ -427,7 +452,7 @@ def gathered_one_by_one(lens, wavelength, world, reach):
 
 
 def far(lens, afar, reach, scene, more, first):
-    """Electrons per second from beyond the reach, (C, rows, cols)."""
+    """Return electrons per second from outside the reach, (C, rows, cols)."""
     ratio = int(scene.samples_per_pixel)
     if lens.camera.optics.model == "measured" or scene.border == "zero":
         return 0.0
@@ -441,7 +466,7 @@ def far(lens, afar, reach, scene, more, first):
 
 
 def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
-    """Mean electrons of the mosaic, or of stacked pixels (C, rows, cols); none are negative."""
+    """Return mean electrons of the mosaic, or of stacked pixels (C, rows, cols), at least 0."""
     channels = np.maximum(channels, 0) * falloff(scene, camera) * seconds
     if camera.sensor.stacked:
         return channels

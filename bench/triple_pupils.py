@@ -1,8 +1,9 @@
-"""Point spreads of any pupil and wavefront by Gauss's rule over its chords: polygons, obscured ones, at many places.
+"""Point spreads of any pupil and wavefront by Gauss's rule over its chords, at many places.
 
-A chord of the pupil is a line of constant v. Between the levels at which the outline has corners or the obstruction
-begins, chords change smoothly, but for square roots at the ends, which v = middle + half sin takes away. The amplitude
-is the sum over all chords of the integral along each; sums for many wavefronts share the exponentials.
+Pupils may be polygons or obscured. A chord of the pupil is a line of constant v. Chords change
+smoothly between the levels of the outline's corners and of the obstruction, except for square roots
+at the ends, which v = middle + half sin removes. The amplitude is the sum over all chords of the
+integral along each; sums for many wavefronts share the exponentials.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,10 @@ CHUNK = 2.5e7  # numbers that a sum over chords may hold at once
 
 @dataclass(frozen=True)
 class Chords:
-    """Nodes of the rule: v and its weights (K,), u and its weights (K, J). area: of the pupil, the circle's is pi."""
+    """Nodes of the rule: v and weights (K,), u and weights (K, J).
+
+    area: of the pupil; a circle's is pi.
+    """
 
     v: np.ndarray
     mass: np.ndarray
@@ -26,13 +30,13 @@ class Chords:
 
 
 def corners_of(pupil) -> np.ndarray:
-    """Corners of a polygon (y, x), shape (blades, 2)."""
+    """Return the corners of a polygon (y, x), shape (blades, 2)."""
     angles = pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades
     return np.stack([np.sin(angles), np.cos(angles)], axis=1)
 
 
 def outline(pupil, v, low, high):
-    """Ends of the outer chords at v, all between the levels `low` and `high`."""
+    """Return the ends of the outer chords at v, all between the levels `low` and `high`."""
     if not pupil.blades:
         half = np.sqrt(1 - v * v)
         return -half, half
@@ -44,7 +48,7 @@ def outline(pupil, v, low, high):
 
 
 def chords(pupil, cycles: float) -> Chords:
-    """A rule for phases of up to `cycles` cycles per radius of the pupil."""
+    """Return a rule for phases of up to `cycles` cycles per radius of the pupil."""
     levels = {-1.0, 1.0} if not pupil.blades else set(corners_of(pupil)[:, 0].round(12))
     hole = pupil.obscuration
     levels = np.unique([*levels, *([-hole, hole] if hole else [])])
@@ -75,7 +79,7 @@ def chords(pupil, cycles: float) -> Chords:
 
 
 def spreads(rule: Chords, q: float, waves, at):
-    """Energy per square sample at `at` x `at` [sample] for each of several wavefronts, one array after another.
+    """Yield energy per square sample at `at` x `at` [sample] for each of several wavefronts.
 
     q: wavelength times f-number over the samples' distance. waves: functions of (u, v), in waves.
     """
@@ -96,7 +100,10 @@ def spreads(rule: Chords, q: float, waves, at):
 
 
 def zernike(j: int, u, v):
-    """Noll's polynomial j of mean square 1 over the unit disc (J. Opt. Soc. Am. 66, 207, 1976): even j: cosine."""
+    """Return Noll's polynomial j with mean square 1 over the unit disc; even j: cosine.
+
+    Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).
+    """
     n = 0
     while (n + 1) * (n + 2) // 2 < j:
         n += 1

@@ -1,8 +1,9 @@
-"""Random questions to the planner: a scene, a camera and a tolerance for every seed, the same on every machine.
+"""Random questions to the planner: scene, camera and tolerance for every seed.
 
-The seeds are two halves, fixed before anything was tuned to them: what goes wrong is looked for in `DEVELOPMENT`, and
-`HELD_OUT` is looked at for the verdict alone. Seeds 1000 .. 1159 and as many from 2000, 3000 and so on, up to 9000,
-were held out until some of them had been looked at. Scenes are small enough for the float64 truth.
+They are equal on every machine. The seeds are two halves, fixed before any tuning: `DEVELOPMENT` is
+used to find errors, `HELD_OUT` only for the verdict. Seeds 1000 .. 1159, and 160 each from 2000,
+3000 and so on up to 9000, were held out until some of them had been used. Scenes are small enough
+for the float64 reference.
 """
 
 from dataclasses import dataclass, replace
@@ -46,7 +47,7 @@ MOSAICS = ("GRBG", "BGGR", "GBRG", "x-trans", "quad-bayer")
 RATIOS = (1.0, 1.0, 1.0, 1.5, 2.0, 3.0, 1.25)  # samples per pixel
 LOW_Q, HIGH_Q = 0.25, 6.0  # of a pixel at GREEN
 LOW_FIELD_Q = (
-    0.8  # where the blur varies over the field: below, the truth takes a quarter of an hour
+    0.8  # if the blur varies over the field: smaller values take a quarter of an hour to judge
 )
 GREEN = 550e-9
 SHORTEST, LONGEST, MOST_SAMPLES = 64, 256, 320  # sides of a frame [pixel] and of a scene [sample]
@@ -57,8 +58,9 @@ WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 class Triple:
     """A question to the planner: `scene` by `camera`, to within `tolerance`.
 
-    kind, border, lens: of KINDS, BORDERS and LENSES. words: all of it in one line. features: what it combines. is_near:
-    whether the tolerance is to be moved to where the planner just says that it is met.
+    kind, border, lens: of KINDS, BORDERS and LENSES. words: the whole question in one line.
+    features: its combination. is_near: whether to move the tolerance to the limit of the
+    prediction.
     """
 
     seed: int
@@ -74,9 +76,9 @@ class Triple:
 
 
 def triple(seed: int, data: Path | None = None) -> Triple | None:
-    """The question of a seed; None where it is of measured data and there are none.
+    """Return the question of a seed; None if its measured data is missing.
 
-    data: folder that has `kodak` and `mcm` (photographs), `cubes` and `isetcam` (spectral scenes).
+    data: folder with `kodak` and `mcm` (photographs), `cubes` and `isetcam` (spectral scenes).
     """
     random = np.random.default_rng((seed, 20))
     kind, border, lens, base = (
@@ -113,12 +115,12 @@ def triple(seed: int, data: Path | None = None) -> Triple | None:
 
 
 def _one_of(random, names):
-    """A name, each as often as it says."""
+    """Return a name, drawn with its frequency."""
     return str(random.choice(list(names), p=np.array(list(names.values())) / sum(names.values())))
 
 
 def _camera(random, base, lens, q):
-    """A camera of this kind of lens with q at GREEN, and what it is in words."""
+    """Return a camera with this kind of lens and q at GREEN, and its description."""
     own = gs.open_camera(base)
     f_number = q * own.sensor.pixel_pitch / GREEN
     optics, said = _optics(random, lens, f_number, own)
@@ -139,7 +141,7 @@ def _camera(random, base, lens, q):
 
 
 def _optics(random, lens, f_number, own):
-    """The lens, and its figures in words."""
+    """Return the lens, and its figures as text."""
     made = gs.Optics(
         f_number,
         own.optics.focal_length,
@@ -184,7 +186,7 @@ def _optics(random, lens, f_number, own):
 
 
 def _window(random, content, samples):
-    """A part of a content, as large as is wanted; one that is too small goes on mirrored."""
+    """Return a part of a content in the wanted size; a small one is mirrored."""
     at = [
         np.arange(n) + (random.integers(have - n + 1) if have >= n else 0)
         for n, have in zip(samples, content.shape, strict=True)
@@ -197,7 +199,7 @@ def _window(random, content, samples):
 
 
 def _cube_of(content):
-    """The same as samples of every band."""
+    """Return the same as samples of every band."""
     return gs.Cube(
         content.wavelengths, np.maximum(content.bands_at(slice(None)), 0).astype(np.float32)
     )
@@ -209,7 +211,7 @@ def _files(data: Path, pattern: str):
 
 
 def _photo(random, samples, _ratio, data):
-    """A part of a photograph: its codes, the basis that they stand for, or a cube."""
+    """Return a part of a photograph: its codes, their basis, or a cube."""
     choice, form = random.random(), random.random()
     files = [] if data is None else _files(data, "kodak/*.png" if choice < 0.6 else "mcm/*.png")
     if not files:
@@ -227,7 +229,7 @@ def _photo(random, samples, _ratio, data):
 
 
 def _cube(random, samples, _ratio, data):
-    """A part of a spectral scene, as reflectances."""
+    """Return a part of a spectral scene, as reflectances."""
     names = ("isetcam/scene_*.npz", "cubes/*.npz")
     files = [] if data is None else _files(data, names[int(random.random() < 0.4)])
     if not files:
@@ -246,7 +248,7 @@ def _stored(path):
 
 
 def _chart(random, samples, ratio, _data):
-    """A chart of known reflectances, with options."""
+    """Return a chart of known reflectances, with options."""
     name = CHARTS[random.integers(len(CHARTS))]
     options = {
         "slanted-edge": {
@@ -265,7 +267,7 @@ def _chart(random, samples, ratio, _data):
 
 
 def _charted(random, name, samples, ratio, options):
-    """The samples of a chart that is drawn as large as it takes."""
+    """Return the samples of a chart drawn in the necessary size."""
     rows, cols = (ceil(n / ratio) for n in samples)
     chart = gs.chart(name, size=(cols, rows), samples_per_pixel=ratio, **options)
     content = _window(random, chart.content, samples)
@@ -273,7 +275,7 @@ def _charted(random, name, samples, ratio, options):
 
 
 def _smooth(random, count):
-    """Reflectances (count, L) that vary over some 20 to 150 nm, within 0.02 .. 0.98."""
+    """Return reflectances (count, L) that vary over 20 to 150 nm, within 0.02 .. 0.98."""
     raw = gaussian_filter(
         random.normal(size=(count, len(WAVELENGTHS) + 40)), (0, random.uniform(2, 15))
     )[:, 20:-20]
@@ -282,14 +284,14 @@ def _smooth(random, count):
 
 
 def _texture(random, shape):
-    """A plane of mean one, from fine to coarse structure."""
+    """Return a plane of mean one, from fine to coarse structure."""
     width = random.uniform(0.3, 8)
     plane = gaussian_filter(random.normal(size=shape), width)
     return np.exp(plane / plane.std() * random.uniform(0.05, 0.8))
 
 
 def _spectra(random, samples, _ratio, _data):
-    """Random spectra: of materials in regions, of a basis, or of every sample of a cube."""
+    """Return random spectra: of materials in regions, of a basis, or of every sample of a cube."""
     form, count = ("cube", "basis", "materials")[random.integers(3)], int(random.integers(2, 9))
     spectra = _smooth(random, count)
     if form == "materials":
@@ -304,7 +306,7 @@ def _spectra(random, samples, _ratio, _data):
 
 
 def _hdr(random, samples, ratio, _data):
-    """Ramps over decades and points of 1e2 .. 1e5 over what surrounds them."""
+    """Return ramps over decades, and points of 1e2 .. 1e5 times their surroundings."""
     if random.random() < 0.3:
         decades = float(random.uniform(2, 6))
         content = _charted(random, "ramp", samples, ratio, {"decades": decades, "high": 1.0})

@@ -1,16 +1,16 @@
-"""What `bench/triples.py` found, in numbers: how often the planner's promise holds, and where it does not."""
+"""Summary of the results of `bench/triples.py`: right and wrong verdicts."""
 
 from itertools import pairwise
 
 import numpy as np
 
 BAND = 2.5  # of predicted over true
-NOISE = 1.25  # of times: by how much a loose tolerance may seem slower than a tight one
+NOISE = 1.25  # of times: allowed slowdown of a loose tolerance against a tight one
 ROUNDING = 3e-7  # relative RMS of float32 below which errors do not fall in order
 
 
 def summary(rows: list[dict]) -> tuple[str, dict]:
-    """A table in text and the same numbers in a dict."""
+    """Return a table as text and the same numbers in a dict."""
     plain, ladders = (
         [row for row in rows if not row.get("ladder")],
         [row for row in rows if row.get("ladder")],
@@ -38,15 +38,15 @@ def summary(rows: list[dict]) -> tuple[str, dict]:
     if ladders:
         parts["order"] = order(ladders)
         told += [
-            f"ladders: {parts['order']['ladders']}; less accurate where the tolerance is tighter: "
+            f"ladders: {parts['order']['ladders']}; less accurate at a tighter tolerance: "
             f"{'; '.join(parts['order']['less_accurate']) or 'none'}",
-            f"slower where it is looser: {'; '.join(parts['order']['slower']) or 'none'}",
+            f"slower at a looser one: {'; '.join(parts['order']['slower']) or 'none'}",
         ]
     return "\n".join(told), parts
 
 
 def promise(rows) -> dict:
-    """Counts of all rows and of each tolerance, with the seeds that do not keep the promise."""
+    """Return counts for all rows and each tolerance, with the seeds of wrong verdicts."""
     good = [row for row in rows if row["status"] == "ok"]
     met, unmet = ([row for row in good if row["met"] is said] for said in (True, False))
     ratios = [row for row in good if row["ratio"]]
@@ -97,7 +97,7 @@ def promise(rows) -> dict:
 
 
 def of_tolerance(rows) -> dict:
-    """Counts of one tolerance's rows."""
+    """Return the counts of one tolerance's rows."""
     ratios = [row["ratio_rms"] for row in rows if row["ratio_rms"]]
     return {
         "count": len(rows),
@@ -113,7 +113,7 @@ def of_tolerance(rows) -> dict:
 
 
 def worst(row) -> str:
-    """The largest of a row's named bounds, in the unit of its tolerance where there is one."""
+    """Return the largest of a row's named bounds, in its tolerance's unit if there is one."""
     bounds = {
         name: bound.get(row["bound"]) or bound["rms"] or 0.0
         for name, bound in row["bounds"].items()
@@ -122,7 +122,7 @@ def worst(row) -> str:
 
 
 def quantiles(values) -> list[float]:
-    """0, 5, 25, 50, 75, 95 and 100 %."""
+    """Return the 0, 5, 25, 50, 75, 95 and 100 % quantiles."""
     values = list(values)
     return (
         [float(value) for value in np.percentile(values, (0, 5, 25, 50, 75, 95, 100))]
@@ -132,13 +132,13 @@ def quantiles(values) -> list[float]:
 
 
 def promise_lines(found: dict) -> list[str]:
-    """`promise` in words."""
+    """Return `promise` as text."""
     lines = [
         f"{found['rows']} triples: {found['ok']} judged, {len(found['refused'])} refused, "
         f"{len(found['crashes'])} crashed",
-        f"said met: {found['met']}, of which within the tolerance {found['met_within']}; said NOT met: "
-        f"{found['unmet']}, of which beyond it {found['unmet_beyond']}; undecided: {found['undecided']}",
-        f"predicted over true, of the bound asked for: {found['in_band']} of {found['ratios']} within 1/{BAND} .. "
+        f"reported as met: {found['met']} (within the tolerance: {found['met_within']}); as NOT met: "
+        f"{found['unmet']} (beyond it: {found['unmet_beyond']}); undecided: {found['undecided']}",
+        f"predicted over true, in the tolerance's unit: {found['in_band']} of {found['ratios']} within 1/{BAND} .. "
         f"{BAND}; quantiles {shown(found['quantiles'])}",
         f"predicted over true, rms: {found['rms_in_band']} of {found['rms_ratios']}; quantiles "
         f"{shown(found['rms_quantiles'])}",
@@ -158,7 +158,7 @@ def promise_lines(found: dict) -> list[str]:
         for _, words, nearest, name in found["silent"]
     ]
     lines += [
-        f"needless NOT met, {nearest} (said {said}): {words}"
+        f"needless NOT met, {nearest} (predicted {said}): {words}"
         for _, words, nearest, said in found["needless"]
     ]
     lines += [
@@ -172,12 +172,12 @@ def promise_lines(found: dict) -> list[str]:
 
 
 def shown(values) -> str:
-    """Numbers in a row."""
+    """Return numbers in a row."""
     return " ".join(f"{value:.3g}" for value in values)
 
 
 def truth(rows) -> dict:
-    """How far `gpusim.judge.truth` is from the brute force, and how both judge the same frame."""
+    """Return the difference of `gpusim.judge.truth` and the brute force, and their verdicts."""
     judged = [row for row in rows if "refused" not in row["brute"]]
     by_size = sorted(judged, key=lambda row: -row["brute"]["truth"])
     return {
@@ -200,20 +200,20 @@ def truth(rows) -> dict:
 
 
 def truth_lines(found: dict) -> list[str]:
-    """`truth` in words."""
+    """Return `truth` as text."""
     return [
-        f"truth against brute force: {found['judged']} triples ({found['refused']} not), lenses "
+        f"reference against brute force: {found['judged']} triples ({found['refused']} refused), lenses "
         f"{', '.join(found['lenses'])}; borders {', '.join(found['borders'])}; relative rms "
         f"{shown(found['quantiles'])}",
         *(
-            f"truth {off:.2g} from it, the frame {frame:.2g} from it and {true:.2g} from the truth: {words}"
+            f"reference {off:.2g} from it, frame {frame:.2g} from it and {true:.2g} from the reference: {words}"
             for _, off, frame, true, words in found["worst"]
         ),
     ]
 
 
 def times(rows) -> dict:
-    """How much faster than exact frames are, for each tolerance, and how well their times were predicted."""
+    """Return speed-ups for each tolerance, and the accuracy of predicted times."""
     timed = [row for row in rows if row.get("frame_ms")]
     found = {}
     for name in dict.fromkeys(row["tolerance"] for row in timed):
@@ -231,7 +231,7 @@ def times(rows) -> dict:
 
 
 def order(rows) -> dict:
-    """Where a ladder of tolerances, from loose to tight, gets less accurate or faster."""
+    """Return the tolerances of a ladder, loose to tight, that get less accurate or faster."""
     ladders: dict = {}
     for row in rows:
         if row["status"] == "ok":

@@ -1,8 +1,8 @@
-"""The planner's promise on random scenes, cameras and tolerances: what it predicts, what it says, and what is true.
+"""Checks predictions and verdicts on random scenes, cameras and tolerances.
 
 `python bench/triples.py --half development --data FOLDER --json triples.json` asks and judges;
-`python bench/triples.py --summary triples.json` tells it again.
-`python bench/triples.py --kinds combined --seeds 34000:34200 --workers 16 --json combined.json` judges from outside.
+`python bench/triples.py --summary triples.json` prints the summary again. `python bench/triples.py
+--kinds combined --seeds 34000:34200 --workers 16 --json combined.json` uses the independent judge.
 """
 
 import contextlib
@@ -33,45 +33,49 @@ from gpusim.pipeline.report import Error
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
 LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight
-MONOTONE = 20  # scenes of a half that are asked for every step of the ladder
+MONOTONE = 20  # scenes of a half for every step of the ladder
 REPEAT = 5  # frames that are timed
-PROBES = 2  # pixels of a blur that varies over the field at which the truth is judged
+PROBES = 2  # number of judged pixels if the blur varies over the field
 
 
 def main():
     """Ask, judge, print and store."""
     made = parser(__doc__)
     made.add_argument(
-        "--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside"
+        "--kinds",
+        choices=triple_judge.KINDS,
+        help="judge new seeds of these kinds by independent sums",
     )
     made.add_argument(
         "--limit",
         type=count,
         default=triple_judge.LIMIT,
         metavar="SECONDS",
-        help=f"for a question of --kinds (default: {triple_judge.LIMIT})",
+        help=f"time limit of a question of --kinds (default: {triple_judge.LIMIT})",
     )
     made.add_argument(
-        "--only-met", action="store_true", help="with --kinds: judge only frames called met"
+        "--only-met", action="store_true", help="with --kinds: judge only frames reported as met"
     )
     made.add_argument(
-        "--half", choices=HALVES, default="development", help="which seeds (default: development)"
+        "--half", choices=HALVES, default="development", help="seeds (default: development)"
     )
-    made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
+    made.add_argument("--seeds", metavar="LIST", help="only these of them, for example 3,5,20-29")
     made.add_argument(
-        "--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none"
+        "--data", type=Path, metavar="FOLDER", help="folder of measured scenes (default: none)"
     )
     made.add_argument("--jobs", "--workers", type=count, default=1, help="processes (default: 1)")
     made.add_argument(
-        "--time", action="store_true", help="time frames with and without the tolerance, too"
+        "--time", action="store_true", help="also time frames with and without the tolerance"
     )
     made.add_argument(
-        "--brute", action="store_true", help="judge the truth by sums that share nothing with it"
+        "--brute", action="store_true", help="judge the reference by independent sums"
     )
     made.add_argument(
         "--monotone", action="store_true", help="ask some scenes for every tolerance instead"
     )
-    made.add_argument("--summary", metavar="FILE", help="of a stored result: nothing is run")
+    made.add_argument(
+        "--summary", metavar="FILE", help="print the summary of a stored result and end"
+    )
     arguments = made.parse_args()
     if arguments.kinds:
         ask_kinds(arguments)
@@ -81,7 +85,7 @@ def main():
         return
     device, old = ready(arguments, "triples")
     if arguments.data is not None and not arguments.data.is_dir():
-        raise BadFile(arguments.data, "is no folder")
+        raise BadFile(arguments.data, "is not a folder")
     seeds = [
         seed
         for seed in HALVES[arguments.half]
@@ -107,7 +111,7 @@ def main():
 
 
 def ask_kinds(arguments):
-    """Judge fresh questions from outside; rows go to FILE.rows as they come, and a run that was stopped goes on."""
+    """Judge new questions by independent sums; rows go to FILE.rows, to continue later."""
     if arguments.summary:
         rows = [
             row
@@ -139,7 +143,7 @@ def ask_kinds(arguments):
 
 
 def chosen(text: str | None, allowed) -> set:
-    """Numbers of a list such as 3,5,20-29; all that are allowed for None. Raises BadFile for what is no list."""
+    """Parse a list of numbers, for example 3,5,20-29; None means all allowed. Raises BadFile."""
     if text is None:
         return set(allowed)
     found = set()
@@ -157,10 +161,11 @@ def chosen(text: str | None, allowed) -> set:
 def run(
     ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None, words=None, apart=None
 ) -> list[dict]:
-    """Rows of all seeds, in their order; several processes ask if wanted.
+    """Return the rows of all seeds, in order, by several processes if requested.
 
-    kept: a file to which rows are added as they come, one line of JSON for each seed: a run that was stopped goes on.
-    words: of a row, in place of `line`. apart: runs them in processes that may die.
+    kept: a file that receives each row, one line of JSON for each seed; an interrupted run
+    continues from it. words: of a row, instead of `line`. apart: runs them in processes that may
+    die.
     """
     found: dict = {}
     if kept and kept.is_file():
@@ -193,7 +198,7 @@ def run(
 
 
 def line(row: dict) -> str:
-    """A row in words."""
+    """Return a row as text."""
     if row["status"] != "ok":
         return f"{row['words'] or row['name']}: {row['status']} {row.get('text', '')[:200]}"
     said = {True: "met", False: "NOT met", None: "says nothing"}[row["met"]]
@@ -212,7 +217,7 @@ def asked(
     timed: bool = False,
     brute: bool = False,
 ) -> list[dict]:
-    """The row of a seed, in a list; none where it is of data that are not there. tolerance: in place of its own."""
+    """Return the row of a seed in a list, empty if data is missing. tolerance: replaces its own."""
     row: dict = {"name": f"seed {seed}", "seed": seed, "words": ""}
     began = time.perf_counter()
     try:
@@ -233,13 +238,13 @@ def asked(
         row |= judged(question, device, brute, timed)
         if timed and row["status"] == "ok":
             row |= times(question, device)
-    except Exception as error:  # what must not pass silently is counted
+    except Exception as error:  # count failures instead of ignoring them
         row |= {"status": "crash", "text": "".join(traceback.format_exception(error)[-3:])}
     return [plain(row | {"seconds": time.perf_counter() - began})]
 
 
 def plain(value):
-    """The same for JSON: what is not finite is None."""
+    """Return the same for JSON: numbers that are not finite become None."""
     if isinstance(value, dict):
         return {key: plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
@@ -250,9 +255,9 @@ def plain(value):
 
 
 def judged(question, device: str, brute: bool = False, timed: bool = False) -> dict:
-    """What the planner says of a question, and what is true of the frame.
+    """Return the planner's verdict on a question, and the true error of the frame.
 
-    brute: judge the truth, too. timed: predict the time of a frame.
+    brute: also judge the reference. timed: predict the time of a frame.
     """
     tolerance = Tolerance.parse(question.tolerance)
     try:
@@ -300,14 +305,14 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
 
 
 def over(predicted: float | None, true: float) -> float | None:
-    """Predicted over true, None where one of them is not known or 0."""
+    """Return predicted over true, None if one of them is unknown or 0."""
     return predicted / true if predicted and true else None
 
 
 def compared(question, seconds: float, mean, truth) -> dict:
-    """Relative RMS errors of the truth and of a frame against sums that share nothing with either.
+    """Return relative RMS errors of the reference and of a frame against independent sums.
 
-    Of a blur that varies over the field: at PROBES pixels.
+    If the blur varies over the field: at PROBES pixels.
     """
     import triple_brute
     import triple_field
@@ -333,9 +338,10 @@ def compared(question, seconds: float, mean, truth) -> dict:
 
 
 def times(question, device: str) -> dict:
-    """Milliseconds of planning, and of the steady state of new scenes of the same kind, with the tolerance and exact.
+    """Return milliseconds of planning and of the steady state.
 
-    Frames alternate between both, so that other work on the machine meets each.
+    New scenes, with the tolerance and exact. Frames alternate between both, so other work on the
+    machine affects both.
     """
     scenes = [
         replace(
@@ -364,7 +370,7 @@ def times(question, device: str) -> dict:
             taken = 1e3 * (time.perf_counter() - begin)
             report = (
                 program.update(scene=scenes[1]).frame().report
-            )  # all its stages, codes included
+            )  # all its stages, including codes
             if number:
                 walls[name].append(taken)
                 stages[name].append(report.ms)
@@ -375,7 +381,7 @@ def times(question, device: str) -> dict:
 
 
 def ladder(seed: int, *, device: str, data: Path | None = None, timed: bool = False) -> list[dict]:
-    """Rows of a seed for every tolerance of LADDER."""
+    """Return the rows of a seed for every tolerance of LADDER."""
     rows: list = []
     for tolerance in LADDER:
         for row in asked(seed, device=device, data=data, tolerance=tolerance, timed=timed):

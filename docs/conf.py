@@ -1,8 +1,8 @@
-"""Sphinx's settings. `python -m sphinx -W -b html docs docs/_build` builds the pages, the gallery's examples included.
+"""Sphinx's settings. `python -m sphinx -W -b html docs docs/_build` builds pages and gallery.
 
     pip install -e '.[docs]'
 
-GPUSIM_EXAMPLES in the environment, a regular expression of paths, says which examples run; all do where it is not set.
+The environment variable GPUSIM_EXAMPLES, a regular expression, selects the examples to run (default: all).
 """
 
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
-import generate  # noqa: E402  beside this file
+import generate  # noqa: E402  in this folder
 import matplotlib  # noqa: E402
 
 import gpusim  # noqa: E402
@@ -29,11 +29,11 @@ exclude_patterns = [
     "gallery/*.json",
     "gallery/*.zip",
 ]
-suppress_warnings = ["config.cache"]  # the gallery's settings hold functions
+suppress_warnings = ["config.cache"]  # the gallery's settings contain functions
 
 myst_enable_extensions = ["colon_fence", "dollarmath", "deflist"]
 myst_heading_anchors = 3
-# unpicklable classes of the domain show their fields' values; tables of numbers would fill pages
+# show defaults as written, since tables of numbers would fill pages
 autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
@@ -46,12 +46,12 @@ html_copy_source = False
 
 
 def whole_figures(gallery, path):
-    """Save figures as notebooks show them: with all of their titles."""
+    """Save figures with all their titles, as notebooks show them."""
     matplotlib.rcParams["savefig.bbox"] = "tight"
 
 
 class InTurn:
-    """Sorts examples as the gallery shows them; what has no place here comes last."""
+    """Order of the examples in the gallery; files that are not listed come last."""
 
     names = (
         "start",
@@ -73,7 +73,7 @@ class InTurn:
         pass
 
     def __call__(self, name):
-        """Place of a file."""
+        """Return the position of a file."""
         stem = Path(name).stem
         return self.names.index(stem) if stem in self.names else len(self.names)
 
@@ -87,9 +87,9 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_memory": False,
     "show_signature": False,
-    "min_reported_time": 30,  # [s] an example that takes longer is named: none should
+    "min_reported_time": 30,  # [s] slower examples are listed; none should be
     "within_subsection_order": InTurn,
-    "capture_repr": (),  # what is printed, not the last line's value
+    "capture_repr": (),  # only printed output, not the last value
     "matplotlib_animations": False,
     "reset_modules": ("matplotlib", whole_figures),
     "plot_gallery": "True",
@@ -97,6 +97,6 @@ sphinx_gallery_conf = {
 
 
 def setup(app):
-    """Write what is generated before anything is read; docstrings become what Sphinx reads."""
+    """Connect the generator (before any page is read) and the conversion of docstrings."""
     app.connect("builder-inited", lambda app: generate.write(HERE / "generated"), priority=100)
     app.connect("autodoc-process-docstring", generate.readable)

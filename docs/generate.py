@@ -1,7 +1,7 @@
-"""Pages that are made of the code and of stored results, so that they say what those do.
+"""Generates pages from the code and from stored results.
 
-Camera keys from `gpusim.domain.camera_keys` and the domain's dataclasses, stages from kernels/ and bench/results, the
-command line from its parsers, the public names from gpusim's own table.
+Camera keys come from `gpusim.domain.camera_keys` and the domain's dataclasses, stages from kernels/
+and bench/results, the command line from its parsers, the public names from `gpusim.__all__`.
 """
 
 import argparse
@@ -56,53 +56,53 @@ UNITS = {
 }
 INSIDE = re.compile(
     r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]"
-)  # units of the classes; files have others
+)  # units of the classes; files use other units
 CURVE = "a curve"
 CURVES = {
     "_curve": CURVE,
     "_number_or_curve": f"a number or {CURVE}",
     "_micrometres_or_curve": f"a number or {CURVE}",
 }
-# keys of a file that are not fields of their own, and what the dataclass says in units of its own
+# keys of a file that are not fields, or whose field has another unit
 SAID = {
-    "focal_length_mm": "Of the lens, as a thin one.",
-    "pixel_pitch_um": "Distance of the pixels' middles, along rows and columns.",
-    "defocus_diopters": "The same defocus in dioptres; one of the two.",
-    "defocus_um": "How far behind the image the sensor is; a curve for axial colour.",
+    "focal_length_mm": "Focal length of the lens, taken as thin.",
+    "pixel_pitch_um": "Distance between pixel centres, along rows and columns.",
+    "defocus_diopters": "The defocus in dioptres; give only one of the two.",
+    "defocus_um": "Distance of the sensor behind the image; a curve for axial colour.",
     "diffuser_um": "Standard deviation of a Gaussian diffuser, at the sensor.",
-    "psf": "Measured point spreads, an .npz file beside the camera file: `lens.npz` in [Files](../files.md).",
-    "photodetector": "A second factor of `qe`, such as the photodiode behind the colour filters.",
+    "psf": "Measured point spreads, an .npz file in the folder of the camera file: `lens.npz` in [Files](../files.md).",
+    "photodetector": "A second factor of `qe`, for example for the photodiode behind the colour filters.",
     "ir_cut": "A third factor of `qe`: the infrared filter in front of the sensor.",
     "calibration": 'A file of OpenCV, ROS or Kalibr, or `{file = ..., camera = "cam0"}`: principal point, focal '
     "lengths and distortion, see [Files](../files.md).",
     "noise_profile": "A raw photograph (DNG) whose NoiseProfile gives gain, offset and read noise.",
     "qe_ends": '"zero": light outside the table is not counted. Without it such light is refused.',
     "table": 'Filters of `demosaic = "learned"`: an .npz file of `gpusim train-l3`; without it the built-in ones.',
-    "photodetector_size": "Height and width of the sensitive rectangle over the pitch, in place of `fill_factor`.",
-    "auto_exposure": "How the time is chosen: see `AutoExposure`.",
-    "conversion_gain_uv_per_e": "Of the pixel; with `adc_range_v`, in place of `gain_dn_per_e`.",
-    "adc_range_v": "Voltage of all steps of the converter; with `conversion_gain_uv_per_e`.",
-    "temperature_c": "Of the chip; the dark current follows it.",
+    "photodetector_size": "Height and width of the sensitive rectangle over the pitch, instead of `fill_factor`.",
+    "auto_exposure": "Method that sets the exposure time: see `AutoExposure`.",
+    "conversion_gain_uv_per_e": "Conversion gain of the pixel; with `adc_range_v`, instead of `gain_dn_per_e`.",
+    "adc_range_v": "Full voltage range of the converter; with `conversion_gain_uv_per_e`.",
+    "temperature_c": "Temperature of the chip; it sets the dark current.",
     "reference_temperature_c": "Temperature at which `dark_current_e_per_s` and `hot_current_e_per_s` are given.",
-    "doubling_k": "How much warmer the chip is when its dark current has doubled.",
-    "telegraph_e": "Mean distance of the two values between which a pixel with a trap jumps.",
-    "hot_current_e_per_s": "Mean of the dark current that hot pixels have more, at the reference temperature.",
-    "seed": "Which chip: all fixed patterns follow from it.",
-    "name": "`srgb`, `display-p3`, or a measured display; or a name of your own beside the keys below.",
+    "doubling_k": "Temperature rise that doubles the dark current.",
+    "telegraph_e": "Mean distance between the two values of a pixel with a trap.",
+    "hot_current_e_per_s": "Mean additional dark current of hot pixels, at the reference temperature.",
+    "seed": "Selects the chip: it determines all fixed patterns.",
+    "name": "`srgb`, `display-p3`, or a measured display; or your own name together with the keys below.",
 }
-GROUPS = {  # by the module that a public name comes from, in the order of the page
+GROUPS = {  # by the module of a public name, in the order of the page
     "Simulate": (
-        "simulator",
-        "frame",
-        "program",
-        "report",
-        "batches",
+        "pipeline.simulator",
+        "pipeline.frame",
+        "pipeline.program",
+        "pipeline.report",
+        "apps.tensors.batches",
         "backends",
         "domain.tolerance",
         "domain.errors",
     ),
     "Cameras": (
-        "data.cameras",
+        "io.camera.cameras",
         "domain.camera",
         "domain.optics",
         "domain.sensor",
@@ -111,17 +111,12 @@ GROUPS = {  # by the module that a public name comes from, in the order of the p
         "domain.processor",
         "domain.display",
         "data.displays",
-        "readout",
+        "pipeline.readout",
     ),
     "Calibration": (
         "domain.calibration",
-        "data.calibration",
-        "data.noise_profile",
-        "data.emva1288",
+        "io.camera",
         "domain.psf",
-        "data.psf",
-        "data.zemax",
-        "data.optiland",
         "measure.photon_transfer",
     ),
     "Scenes": (
@@ -135,13 +130,13 @@ GROUPS = {  # by the module that a public name comes from, in the order of the p
         "io",
     ),
     "Things that move": ("domain.view", "domain.motion", "domain.animation", "domain.flicker"),
-    "Several exposures": ("captures",),
-    "Preview and pictures": ("preview", "plot", "look"),
+    "Several exposures": ("captures", "io.frame"),
+    "Preview and pictures": ("apps.preview", "plot"),
 }
 
 
 def write(folder):
-    """Write all pages into a folder, which may hold those of a build before."""
+    """Write all pages into a folder, which may contain pages of an earlier build."""
     folder = Path(folder)
     folder.mkdir(exist_ok=True)
     for name, lines in (
@@ -155,10 +150,10 @@ def write(folder):
 
 
 def tasks():
-    """Scripts of docs/tasks, as they are."""
+    """Yield the page of the scripts in docs/tasks."""
     yield from title("Four tasks")
     yield from (
-        "What many come for, in at most 15 lines each. They are tested as they stand here.",
+        "Common tasks in at most 15 lines each. The scripts are tested exactly as printed.",
         "",
     )
     for path in sorted(Path(__file__).parent.glob("tasks/*.py")):
@@ -171,18 +166,18 @@ def tasks():
 
 
 def keep(path, text):
-    """Write a text where it is another: Sphinx reads again what is newer than its last build."""
+    """Write a text if it has changed, since Sphinx reads all newer files again."""
     if not path.is_file() or path.read_text() != text:
         path.write_text(text)
 
 
 def title(text, line="="):
-    """A heading."""
+    """Return the lines of a heading."""
     return [text, line * len(text), ""]
 
 
 def table(heads, rows, widths):
-    """A list-table."""
+    """Return the lines of a list-table."""
     lines = [
         ".. list-table::",
         "   :header-rows: 1",
@@ -195,24 +190,24 @@ def table(heads, rows, widths):
 
 
 def keys():
-    """Every key of a camera file."""
+    """Yield the page of the keys of camera files."""
     yield from title("Camera keys")
     yield from textwrap.dedent("""\
-        Every key of a camera file, as ``gpusim`` reads it; this page is generated from the reader and from the domain's
-        classes. A key that has a unit ends in it. What a file leaves out is its base's, ``base = "phone"`` or another
-        camera's file; an empty file is the phone. A file without a base gives all keys that are *wanted* here; the
-        others then have the defaults.
+        Every key of a camera file. This page is generated from the reader and from the domain's classes. The name of a
+        key ends in its unit, if it has one. Keys that a file leaves out come from its base, ``base = "phone"`` or
+        another camera's file; an empty file is the phone. A file without a base must give all keys that are *wanted*
+        here; the others have the defaults.
 
-        *A curve* is the name of a shipped curve, a ``.csv`` file beside the camera file whose first line is
-        ``wavelength_nm,R,G,B`` or the like, or a table ``{wavelengths_nm = [...], R = [...], G = [...]}``.
-        How the keys work together is told with examples in :doc:`../cameras`.
+        *A curve* is the name of a shipped curve, a ``.csv`` file in the folder of the camera file with a first line
+        like ``wavelength_nm,R,G,B``, or a table ``{wavelengths_nm = [...], R = [...], G = [...]}``.
+        :doc:`../cameras` has examples.
         """).split("\n")
     for section, known in camera_keys.SECTIONS.items():
         yield from title(f"[{section}]", "-")
         said, fields = {}, {}
         for cls in reversed(CLASSES[section]):
             fields |= {field.name: field for field in dataclasses.fields(cls)}
-            said |= prose.what_is_said(
+            said |= prose.parameter_texts(
                 cls.__doc__, [field.name for field in dataclasses.fields(cls)]
             )
         rows = [
@@ -225,13 +220,11 @@ def keys():
             )
             for key, (field, read) in known.items()
         ]
-        yield from table(
-            ("key", "value", "unit", "default", "what it is"), rows, (22, 18, 8, 10, 42)
-        )
+        yield from table(("key", "value", "unit", "default", "meaning"), rows, (22, 18, 8, 10, 42))
 
 
 def unit(key):
-    """The unit that a key ends in; the longest that is known."""
+    """Return the unit at the end of a key: the longest known one, or ""."""
     parts = key.split("_")
     for first in range(1, len(parts)):
         if "_".join(parts[first:]) in UNITS:
@@ -240,18 +233,18 @@ def unit(key):
 
 
 def wanted(read):
-    """What a reader takes, in its own words."""
+    """Return a description of the values that a reader accepts, in its words."""
     if read.__name__ in CURVES:
         return CURVES[read.__name__]
     try:
         read(object())
     except camera_keys._Wanted as error:
         return prose.escaped(str(error))
-    raise ValueError(f"{read.__name__} takes anything: say what in CURVES")
+    raise ValueError(f"{read.__name__} accepts anything: describe it in CURVES")
 
 
 def default(field, read):
-    """A field's default in the file's unit."""
+    """Return a field's default in the file's unit."""
     if field is None:
         return ""
     value = field.default
@@ -279,36 +272,36 @@ def default(field, read):
 
 
 def meaning(key, field, said):
-    """What a key means, from its class's docstring. Raises KeyError for one that nothing is said of."""
+    """Return the meaning of a key, from its class's docstring. Raises KeyError for a key without one."""
     if key in SAID:
         return prose.escaped(SAID[key]).replace("[Files](../files.md)", ":doc:`../files`")
     text, together = said[field]
     text = INSIDE.sub("", text) if unit(key) else text
     others = ", ".join(f"``{name}``" for name in together if name != field)
     return prose.escaped(text[0].upper() + text[1:]) + (
-        f" (told together with {others})" if others else ""
+        f" (together with {others})" if others else ""
     )
 
 
 def commands():
-    """What every command takes, as `--help` says it."""
+    """Yield the page of the commands, with their help texts."""
     yield from title("Command line")
     yield from (
-        "Each command says this by ``--help``; this page is generated from the same parsers. Exit status: 0, 1 "
-        "where a verification failed or a tolerance is not met, 2 for wrong input, which is said in one line "
-        "with nothing half written.",
+        "This page is generated from the parsers and equals the output of ``--help``. Exit status: 0; 1 if a "
+        "verification failed or a tolerance is not met; 2 for wrong input, with a one-line message and no "
+        "half-written files.",
         "",
     )
     parser = cli._parser()
     found = next(
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     )
-    told = {action.dest: action.help for action in found._choices_actions}
+    texts = {action.dest: action.help for action in found._choices_actions}
     for name, command in found.choices.items():
         command.formatter_class = lambda prog: argparse.HelpFormatter(prog, width=96)
         yield from title(f"gpusim {name}", "-")
         yield from (
-            prose.escaped(told[name][0].upper() + told[name][1:]) + ".",
+            prose.escaped(texts[name][0].upper() + texts[name][1:]) + ".",
             "",
             ".. code-block:: none",
             "",
@@ -318,11 +311,11 @@ def commands():
 
 
 def names():
-    """The public names, grouped by where they come from."""
+    """Yield the page of the public names, grouped by module."""
     yield from title("Python names")
     yield from (
         "All of ``import gpusim as gs``. Arrays are band-major, lengths are in metres, times in seconds and "
-        "wavelengths in nanometres, whatever the units of camera files.",
+        "wavelengths in nanometres, regardless of the units in camera files.",
         "",
     )
     where = {name: place(getattr(gpusim, name)) for name in gpusim.__all__}
@@ -343,7 +336,7 @@ def names():
         for name in left:
             yield from directive(name)
     yield from title("Measures", "-")
-    yield from ("Of ``gpusim.measure``: what a laboratory would find.", "")
+    yield from ("Functions of ``gpusim.measure``, as a laboratory would measure.", "")
     measure = importlib.import_module("gpusim.measure")
     for name in measure.__all__:
         if name in gpusim.__all__:
@@ -352,7 +345,7 @@ def names():
 
 
 def place(value):
-    """The module of a public name, or of one that is a module itself, below gpusim."""
+    """Return the module of a public name, or the name of a public module, without `gpusim.`."""
     name = (
         value.__name__
         if inspect.ismodule(value)
@@ -362,7 +355,7 @@ def place(value):
 
 
 def directive(name, module="gpusim"):
-    """Autodoc's directive of a name; of a module, unless it can be called, those of all its names."""
+    """Return the autodoc directive for a name; for a module that is not callable, for all its names."""
     value = getattr(importlib.import_module(module), name)
     if inspect.ismodule(value) and not callable(value):
         within = [line for other in value.__all__ for line in directive(other, value.__name__)]
@@ -382,7 +375,7 @@ def directive(name, module="gpusim"):
 
 
 def readable(app, what, name, value, options, lines):
-    """Sphinx's event: a docstring's lines, in place, as reStructuredText."""
+    """Handle Sphinx's event: convert a docstring's lines to reStructuredText in place."""
     known = ()
     if inspect.isclass(value):
         known = (

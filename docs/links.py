@@ -1,4 +1,4 @@
-"""Checks that what links point to is there: files, and places in them. No network is needed, no address followed.
+"""Checks that the targets of links exist: files, and places in them. It uses no network.
 
 python docs/links.py docs/_build README.md bench/README.md
 """
@@ -14,7 +14,7 @@ FENCE = re.compile(r"^```.*?^```", re.M | re.S)
 
 
 class Page(HTMLParser):
-    """The links of a page, and the places in it."""
+    """The links and the anchors of a page."""
 
     def __init__(self, path):
         super().__init__()
@@ -22,7 +22,7 @@ class Page(HTMLParser):
         self.feed(path.read_text())
 
     def handle_starttag(self, tag, attributes):
-        """Parser's."""
+        """Collect anchors and links (called by the parser)."""
         for key, value in attributes:
             if key in ("id", "name") and value:
                 self.places.add(value)
@@ -31,13 +31,13 @@ class Page(HTMLParser):
 
 
 def headings(text):
-    """Places in a Markdown file, as its readers name them."""
+    """Return the anchors of a Markdown file's headings."""
     lines = re.findall(r"(?m)^#+ (.*)$", FENCE.sub("", text))
     return {re.sub(r"[^\w\- ]", "", line.strip().lower()).replace(" ", "-") for line in lines}
 
 
 def pages(path):
-    """File -> links and places, of a folder of HTML or of a Markdown file."""
+    """Return file -> (links, anchors) for a folder of HTML or a Markdown file."""
     if path.is_dir():
         found = {
             file.resolve(): Page(file)
@@ -50,7 +50,7 @@ def pages(path):
 
 
 def broken(given) -> list[str]:
-    """A line for each link that leads nowhere, and the number of those that were followed."""
+    """Return a line for each broken link; print the number of links checked."""
     known = {file: page for path in given for file, page in pages(path).items()}
     wrong, followed = [], 0
     for file, (links, _) in known.items():

@@ -1,8 +1,8 @@
-"""Makes the pictures of README.md and of the pages, which are kept in docs/pictures.
+"""Makes the pictures of README.md and of the pages in docs/pictures.
 
     python docs/pictures.py
 
-The gallery's are what the commands below make: README.md has the same commands, and a test compares them.
+The commands below make the gallery. README.md has the same commands; a test compares them.
 """
 
 import shlex
@@ -51,7 +51,7 @@ def main():
 
 
 def gallery(folder):
-    """What the commands write, made in a folder that has photo.png."""
+    """Run the commands of the gallery. folder: it contains photo.png."""
     for name, command in (GALLERY | PLOTS).items():
         words = [
             str(folder / word)
@@ -66,7 +66,7 @@ def gallery(folder):
 
 
 def mosaic(frame, zoom):
-    """Digital numbers in the colours of their filters, a pixel drawn `zoom` times as large."""
+    """Return digital numbers in their filters' colours, each pixel enlarged `zoom` times."""
     sensor = frame.camera.sensor
     level = np.clip(
         (frame.raw.astype(float) - sensor.black_level) / (sensor.white_level - sensor.black_level),
@@ -78,7 +78,7 @@ def mosaic(frame, zoom):
 
 
 def wide(scene):
-    """Scene, raw and picture side by side, with a part of each enlarged."""
+    """Draw scene, raw and picture side by side, each with an enlarged part."""
     from matplotlib import pyplot as plt
 
     frame = gs.Simulator(gs.open_camera("phone"), tolerance="video")(scene, seed=1)
@@ -102,7 +102,7 @@ def wide(scene):
 
 
 def accuracy():
-    """True error over a pixel's noise at three tolerances, beside what was predicted."""
+    """Draw the true error over a pixel's noise at three tolerances, with the prediction."""
     from matplotlib import pyplot as plt
 
     scene, camera = gs.chart("deadleaves", size=(240, 160)), gs.open_camera("phone")
@@ -112,15 +112,15 @@ def accuracy():
     for axis, asked in zip(axes[1:], ("1e-2", "video", "metrology"), strict=True):
         simulate = gs.Simulator(camera, tolerance=asked)
         frame = simulate(scene, verify=True)
-        told, true = frame.report.account.total, frame.report.error
+        predicted, true = frame.report.account.total, frame.report.error
         mean, truth = seen(simulate, scene, simulate.expose(scene))
         noise = np.sqrt(truth + camera.sensor.read_sigma**2)
         image = axis.imshow(
             np.log10(np.abs(mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma"
         )
         axis.set_title(
-            f"--tolerance {asked}\nrms: predicted {told.rms:.1e}, true {true.rms:.1e}\n"
-            f"99.9 %: {told.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}",
+            f"--tolerance {asked}\nrms: predicted {predicted.rms:.1e}, true {true.rms:.1e}\n"
+            f"99.9 %: {predicted.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}",
             fontsize=8,
         )
     for axis in axes:
@@ -131,7 +131,7 @@ def accuracy():
 
 
 def still_events():
-    """Noise events of an event camera over the light, by gpusim and by v2e (see video.md)."""
+    """Draw the noise events of an event camera against luminance, gpusim and v2e (see video.md)."""
     from matplotlib import pyplot as plt
 
     camera = gs.open_camera("phone").with_(f_number=2.8, pixel_pitch_um=18.5)

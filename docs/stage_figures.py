@@ -1,6 +1,6 @@
-"""A figure for each stage: what its float64 reference makes of a small picture.
+"""Draws a figure for each stage: input and output of its float64 reference for a small picture.
 
-Inputs are those of the stage's own `bench`, with a photograph in place of random numbers where a port is a picture.
+Inputs come from the stage's `bench`; a photograph replaces random numbers if a port is a picture.
 """
 
 import importlib
@@ -17,7 +17,7 @@ WELL = 4e3  # [e-] of the brightest pixel
 RAW = ("raw",)
 ELECTRONS = ("mean", "expected", "rates", "mosaic", "pixels")
 LIGHT = ("planes", "content", "camera", "rgb", "ambient", "flash", "lights", "onto")
-SMOOTH = {  # ports that are no pictures: a blur's contrast, fall-off to the corner, a disc before the rest, patches
+SMOOTH = {  # smooth ports: transfer functions, fall-off, a disc in front, patches
     "tables": lambda value: np.broadcast_to(_centred(value, 3.0, corner=True), value.shape).astype(
         value.dtype
     ),
@@ -37,11 +37,11 @@ TABLES = ("airy", "near", "pupil")
 MIXED = (
     "blur",
     "integrate",
-)  # stages whose planes are mixed by random numbers in `bench`: no colours
+)  # stages with random mixes of planes in `bench`: no colours
 
 
 def draw(name, folder):
-    """Draw a stage's figure into a folder, unless it is there and newer than the stage; returns its path, or None."""
+    """Draw a stage's figure into a folder unless it is up to date. Returns its path, or None."""
     module, leaf = stage_module(name), name.rpartition(".")[2]
     reference = importlib.import_module(f"{module.__name__}_ref")
     path = folder / f"{name.replace('.', '-')}.png"
@@ -52,9 +52,9 @@ def draw(name, folder):
         return path
     inputs = module.bench(ROWS, COLS)
     inputs |= {
-        key: pictured(key, value, inputs) for key, value in inputs.items() if is_picture(value)
+        key: picture_for(key, value, inputs) for key, value in inputs.items() if is_picture(value)
     }
-    if leaf == "shade":  # gains that undo a fall-off
+    if leaf == "shade":  # gains that correct a fall-off
         inputs["gains"] = 1 / SMOOTH["gains"](inputs["gains"])
     result = getattr(reference, leaf)(**inputs)
     result = result[0] if isinstance(result, tuple) else result
@@ -68,7 +68,7 @@ def draw(name, folder):
 
 
 def is_picture(value):
-    """Whether a value is an array that can be looked at."""
+    """Return whether a value is an array that can be shown as a picture."""
     return (isinstance(value, np.ndarray) and value.ndim >= 2 and min(value.shape[-2:]) >= 24) or (
         isinstance(value, np.ndarray)
         and value.ndim == 3
@@ -78,7 +78,7 @@ def is_picture(value):
 
 
 def _centred(value, fall, corner=False):
-    """A Gaussian over the last two axes, about the middle or the first corner."""
+    """Return a Gaussian over the last two axes, about the centre or the first corner."""
     y, x = (
         np.arange(n) / n if corner else (np.arange(n) + 0.5) / n - 0.5 for n in value.shape[-2:]
     )
@@ -86,13 +86,13 @@ def _centred(value, fall, corner=False):
 
 
 def photograph(rows, cols):
-    """Linear light of a part of NASA's portrait of Eileen Collins, (3, rows, cols), 0 .. 1."""
+    """Return the linear light of a part of NASA's portrait of Eileen Collins, (3, rows, cols), 0 .. 1."""
     part = data.astronaut()[0:320, 40:520] / 255.0
     return np.moveaxis(resize(part, (rows, cols), anti_aliasing=True), -1, 0) ** 2.2
 
 
-def pictured(key, value, inputs):
-    """A photograph of the shape and the kind of a stage's input; other inputs as they are."""
+def picture_for(key, value, inputs):
+    """Return a photograph with the shape and type of a stage's input; other inputs unchanged."""
     if key in SMOOTH:
         return SMOOTH[key](value)
     if key not in (*RAW, *ELECTRONS, *LIGHT, "codes"):
@@ -112,9 +112,7 @@ def pictured(key, value, inputs):
         planes = np.stack([colors[min(3 * number // count, 2)] for number in range(count)])
     if key in RAW:
         scale = inputs.get("scale", 1 / 959)
-        random = np.random.default_rng(
-            1
-        )  # shot noise, and a few defects where a stage looks for them
+        random = np.random.default_rng(1)  # shot noise
         planes = random.poisson(planes * 300) / 300 / scale + float(
             np.max(inputs.get("black_level", 64))
         )
@@ -123,7 +121,7 @@ def pictured(key, value, inputs):
 
 
 def image(value, leaf):
-    """An array as a picture: three planes as colours, the first plane of others, tables of transfer as contrast."""
+    """Return an array as a picture: three planes as colours, else one plane; tables as contrast."""
     value = np.asarray(value, np.float64)
     if value.dtype == np.float64 and value.ndim == 3 and value.shape[-1] == 3:
         return value / max(value.max(), 1e-30)
@@ -140,7 +138,7 @@ def image(value, leaf):
 
 
 def save(path, shown):
-    """Pictures side by side."""
+    """Save pictures side by side."""
     import matplotlib
 
     matplotlib.use("Agg")

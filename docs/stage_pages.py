@@ -1,4 +1,4 @@
-"""A page for each area of stages: contract, formula, figure, errors and speed of every stage."""
+"""Generates a page for each area of stages: contract, formula, figure, errors and speed."""
 
 import importlib
 import inspect
@@ -33,10 +33,10 @@ METRICS = {
 
 
 def write(folder, keep):
-    """Write the pages and their figures; `keep(path, text)` writes a text."""
+    """Write the pages and their figures; `keep(path, text)` writes a page."""
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
-    speeds = measured()
+    speeds = load_results()
     for area in AREAS:
         lines = [TITLES[area], "=" * len(TITLES[area]), ""]
         for name in stage_names():
@@ -45,17 +45,19 @@ def write(folder, keep):
         keep(folder / f"stages-{area}.rst", "\n".join(lines) + "\n")
 
 
-def measured() -> list[dict]:
-    """Stored results of bench/stages.py, those of processors first."""
+def load_results() -> list[dict]:
+    """Return the stored results of bench/stages.py, processors first."""
     found = [
         json.loads(path.read_text())
         for path in sorted((ROOT / "bench" / "results").glob("stages-*.json"))
     ]
-    return sorted(found or pasted(), key=lambda result: "NVIDIA" in result["machine"]["device"])
+    return sorted(
+        found or read_tables(), key=lambda result: "NVIDIA" in result["machine"]["device"]
+    )
 
 
-def pasted() -> list[dict]:
-    """The stages' tables in bench/README.md, where no result is stored that they could be made of."""
+def read_tables() -> list[dict]:
+    """Return the results in the stage tables of bench/README.md, used if no result is stored."""
     stored = (ROOT / "bench" / "README.md").read_text()
     results = []
     for text in (
@@ -84,7 +86,7 @@ def pasted() -> list[dict]:
 
 
 def page(name, speeds, figure):
-    """Lines of a stage."""
+    """Yield the lines of a stage."""
     module, reference = stage_module(name), importlib.import_module(f"gpusim.kernels.{name}_ref")
     function, leaf = public_function(name), name.rpartition(".")[2]
     yield from (f".. _{name}:", "", name, "-" * len(name), "")
@@ -104,13 +106,13 @@ def page(name, speeds, figure):
         else "**Reference** (float64):",
         "",
     )
-    yield from folded(f"kernels/{name.replace('.', '/')}_ref.py", source(reference, leaf))
+    yield from fold(f"kernels/{name.replace('.', '/')}_ref.py", source(reference, leaf))
     yield from errors(module)
     yield from speed(name, speeds)
 
 
 def signature(function):
-    """A function's signature, without types."""
+    """Return a function's signature without types."""
     found = inspect.signature(function)
     return found.replace(
         parameters=[
@@ -120,14 +122,14 @@ def signature(function):
 
 
 def source(reference, leaf):
-    """The reference's own text; where it is shared with the planner, that function's."""
+    """Return the reference's source; if the function is imported, only the function's."""
     function = getattr(reference, leaf)
     own = inspect.getsource(reference)
     return own if f"def {leaf}(" in own else inspect.getsource(function)
 
 
-def folded(summary, text):
-    """Code that opens by a click."""
+def fold(summary, text):
+    """Yield code that a click opens."""
     yield from (
         ".. raw:: html",
         "",
@@ -141,16 +143,16 @@ def folded(summary, text):
 
 
 def errors(module):
-    """How far a device may stray, and why."""
-    told = dict.fromkeys((case.tolerance, case.metric, case.why) for case in module.cases())
-    yield from ("**Asked of every device** by ``gpusim verify``:", "")
-    for tolerance, metric, why in sorted(told, key=lambda one: -one[0])[:3]:
+    """Yield the tolerances of a stage on all devices, with their reasons."""
+    cases = dict.fromkeys((case.tolerance, case.metric, case.why) for case in module.cases())
+    yield from ("**Required of every device** by ``gpusim verify``:", "")
+    for tolerance, metric, why in sorted(cases, key=lambda one: -one[0])[:3]:
         yield f"* {tolerance:.2g} ({METRICS[metric]}): {prose.escaped(why)}"
     yield ""
 
 
 def speed(name, speeds):
-    """What was measured, device by device."""
+    """Yield the measured speeds and errors, device by device."""
     rows = [
         (result, row)
         for result in speeds
@@ -182,5 +184,5 @@ def speed(name, speeds):
 
 
 def cells(*texts):
-    """A row of a list-table."""
+    """Return a row of a list-table."""
     return [f"   {'*' if number == 0 else ' '} - {text}" for number, text in enumerate(texts)]

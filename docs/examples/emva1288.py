@@ -2,8 +2,8 @@
 EMVA 1288: from a data sheet to frames, and back
 ================================================
 
-The standard EMVA 1288 says how a camera's noise is measured. A data sheet's figures make a sensor; its frames, measured
-as the standard says, give the figures back.
+The standard EMVA 1288 defines how to measure a camera's noise. This example makes a sensor from the
+figures of a data sheet, simulates frames, and measures the same figures from these frames.
 """
 
 import matplotlib.pyplot as plt
@@ -12,9 +12,9 @@ import numpy as np
 import gpusim as gs
 
 # %%
-# The sheet
-# ---------
-# A monochrome sensor as a manufacturer would tell of it.
+# The data sheet
+# --------------
+# A monochrome sensor as in a manufacturer's data sheet.
 
 sheet = {
     "quantum_efficiency": 0.65,
@@ -31,16 +31,17 @@ sensor = gs.sensor_from_emva1288(**sheet, **known)
 # %%
 # The laboratory
 # --------------
-# Even light at 50 levels, two frames each; frames in the dark; stacks for what does not change from frame to frame;
-# a series of dark exposures. ``Readout`` draws frames around mean electrons, without lens and scene.
+# Uniform light at 50 levels, two frames each; dark frames; stacks of frames to measure the fixed
+# pattern; a series of dark exposures. ``Readout`` draws frames from mean electrons, without lens
+# and scene.
 
 readout = gs.Readout(sensor)
 photons = np.linspace(0.02, 1.08, 50) * sheet["saturation_capacity"] / sheet["quantum_efficiency"]
-numbers = iter(range(10**6))  # each frame has noise of its own
+numbers = iter(range(10**6))  # each frame has independent noise
 
 
 def frames(count, photons, seconds=1e-3):
-    """Frames of 128 x 192 pixels on which so many photons fall."""
+    """Return frames of 128 x 192 pixels. photons: mean number per pixel."""
     mean = np.full((128, 192), sheet["quantum_efficiency"] * photons, np.float32)
     return np.stack(
         [readout.draw_electrons(mean, seconds, seed=1, frame=next(numbers)) for _ in range(count)]
@@ -58,9 +59,9 @@ found = gs.photon_transfer(
 )
 
 # %%
-# What came back
-# --------------
-# The measurement scatters as one with so many pixels does: gain by 0.3 %, dark current by 2 %.
+# Result
+# ------
+# The result varies as expected for this number of pixels: gain by 0.3 %, dark current by 2 %.
 
 units = {
     "quantum_efficiency": "",
@@ -94,9 +95,10 @@ right.set(xlabel="photons on a pixel", ylabel="signal to noise [dB]", title="sig
 right.legend(frameon=False)
 
 # %%
-# And forth again
-# ---------------
-# ``figures`` is what ``sensor_from_emva1288`` takes: a camera that stands on the bench becomes one that is simulated.
+# From measurement to simulation
+# ------------------------------
+# ``sensor_from_emva1288`` accepts ``figures`` directly, so you can simulate a camera that you have
+# measured.
 
 twin = gs.sensor_from_emva1288(**found.figures, **known)
 print(f"full well {sensor.full_well:.0f} e⁻, of the twin {twin.full_well:.0f} e⁻")

@@ -2,8 +2,9 @@
 Figure 12 of the chapter: the wrong light
 =========================================
 
-An image processor maps sensor values to colours by a transform for the light that it believes in. *Image Systems
-Simulation* shows what follows where it is wrong. Here one raw frame in lamp light is developed three times.
+An image processor maps sensor values to colours by a transform for the light that it assumes.
+*Image Systems Simulation* shows the effect of a wrong assumption. Here one raw frame in lamp light
+is developed three times.
 """
 
 import dataclasses
@@ -15,10 +16,11 @@ import gpusim as gs
 from gpusim.measure import ciede2000
 
 # %%
-# One raw frame, three beliefs
-# ----------------------------
-# A frame's rendering holds the white balance and the matrix. It follows from the light that is known or assumed. The
-# raw values are drawn once, in illuminant A; the other two renderings are those of frames in other lights.
+# One raw frame, three assumptions
+# --------------------------------
+# A frame's rendering is its white balance and its matrix, which depend on the known or assumed
+# light. The raw values are drawn once, in illuminant A; the other two renderings are taken from
+# frames in other lights.
 
 camera = gs.open_camera("phone").with_(scaling="normalised")
 simulate = gs.Simulator(camera)
@@ -40,10 +42,11 @@ for axis, (light, title) in zip(axes, lights.items(), strict=True):
     axis.set_axis_off()
 
 # %%
-# How wrong colours are
-# ---------------------
-# The right transform still errs: three filters cannot tell all spectra apart as the eye does. A camera that estimates
-# the light does so from the picture alone; on a chart of many colours the mean of all is nearly grey.
+# Colour errors
+# -------------
+# Even the right transform has errors, since three filters cannot separate all spectra as the eye
+# does. A camera that estimates the light sees only the picture; on a chart of many colours the mean
+# of all is nearly grey.
 
 names = {
     "known": "illuminant",

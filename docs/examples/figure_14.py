@@ -2,9 +2,10 @@
 Figure 14 of the chapter: mosaics in the dark
 =============================================
 
-A clear pixel sees twice the light of a green one and more. Does a mosaic with clear pixels make better pictures? *Image
-Systems Simulation* compares three: RGB, RGBW with a clear pixel, and RGBN with a neutral grey one. Their processors
-are learned (L3) from simulated frames of each camera, so that each mosaic has the best filters it can have.
+A clear pixel collects at least twice the light of a green one. Does a mosaic with clear pixels make
+better pictures? *Image Systems Simulation* compares three: RGB, RGBW with a clear pixel, and RGBN
+with a neutral grey one. Each processor is learned (L3) from simulated frames of its camera, so each
+mosaic has its best filters.
 """
 
 import dataclasses
@@ -24,8 +25,8 @@ from gpusim.measure import snr
 # %%
 # Three cameras
 # -------------
-# f/4, 3 mm, 2.2 µm pixels, 100 ms, as in the chapter; it leaves noise to its reference, so this is a plausible pixel.
-# N is the clear filter behind a density of 0.5.
+# f/4, 3 mm, 2.2 µm pixels, 100 ms, as in the chapter. The chapter gives no noise figures, so this
+# is a plausible pixel. N is the clear filter behind a density of 0.5.
 
 sensitivity = curve("mt9v024")  # R, G, B and clear
 cut = curve("ir-cut-phone").at(sensitivity.wavelengths)
@@ -60,8 +61,8 @@ exposure_time_ms = 100
 # %%
 # Learning
 # --------
-# Ten generated scenes, each at eight strengths of light. ``gpusim train-l3`` takes thirty, and writes the table to a
-# file. A learned table knows the mosaic, the noise and the blur of its camera.
+# Ten generated scenes, each at eight light levels. ``gpusim train-l3`` uses thirty and writes the
+# table to a file. A learned table includes the mosaic, the noise and the blur of its camera.
 
 learned = {
     name: camera.with_(demosaic="learned", table=train(camera, generated=10))
@@ -71,8 +72,8 @@ learned = {
 # %%
 # The figure
 # ----------
-# A photograph that no training scene has, at 1 and at 40 cd/m² on average. The decibels are the signal to noise ratio
-# of a grey card that fills the frame in the same light.
+# A photograph that is not in the training set, at a mean of 1 and 40 cd/m². The decibels are the
+# signal to noise ratio of a grey card that fills the frame in the same light.
 
 scene = gs.scene_from(data.astronaut()[:160, 130:330], luminance=100)
 own = mean_luminance(scene)

@@ -2,9 +2,9 @@
 Figure 8 of the chapter: a sensor out of focus
 ==============================================
 
-*Image Systems Simulation* asks how exactly a sensor must be mounted. Its camera has a diffraction-limited lens of f/2.4
-and 3.9 mm, and pixels of 1.4 µm with a fill factor of 75 %. The sensor lies at the focal length, 10 µm and 40 µm from
-it.
+*Image Systems Simulation* asks how precisely a sensor must be mounted. The camera has a
+diffraction-limited lens of f/2.4 and 3.9 mm, and 1.4 µm pixels with a fill factor of 75 %. The
+sensor is in focus, 10 µm and 40 µm out of focus.
 """
 
 import matplotlib.pyplot as plt
@@ -17,9 +17,9 @@ from gpusim.measure import mtf50, sfr
 # %%
 # The figure
 # ----------
-# Above a photograph, below the contrast of a slanted edge by ISO 12233, without noise, through the whole of the camera:
-# lens, pixel, mosaic, bilinear demosaicking, colours. The dashed line is the formula of the lens and the pixel alone,
-# at 550 nm: what demosaicking costs lies between the two.
+# Top: a photograph. Bottom: the contrast of a slanted edge by ISO 12233, without noise, through the
+# whole camera: lens, pixel, mosaic, bilinear demosaicking, colours. The dashed line is the formula
+# for lens and pixel at 550 nm; the gap between the two is the loss by demosaicking.
 
 camera = gs.open_camera("figure8").with_(scaling="normalised")
 silent = camera.with_(photon="none", read_e=0, dark_current_e_per_s=0)
@@ -29,8 +29,8 @@ luminance = camera.display.xyz_from_rgb[1]
 
 
 def lens_and_pixel(per_mm, defocus_um, waves=0.55):
-    """Contrast at frequencies on the sensor: autocorrelation of a circular pupil with defocus (Hopkins), and sinc."""
-    s = np.minimum(per_mm * 1e-3 * waves * 2.4, 1)[:, None]  # over the lens's limit
+    """Return the MTF of a defocused circular pupil (Hopkins) times the pixel's sinc."""
+    s = np.minimum(per_mm * 1e-3 * waves * 2.4, 1)[:, None]  # relative to the cut-off
     path = defocus_um / (8 * 2.4**2 * waves)  # [wave] at the pupil's edge
     u = (1 - s) * (np.arange(2000) + 0.5) / 2000
     overlap = np.sqrt(np.maximum(1 - (u + s) ** 2, 0)) * np.cos(8 * np.pi * path * s * u)
@@ -60,9 +60,9 @@ for defocus, (above, below) in zip((0, 10, 40), axes.T, strict=True):
 axes[1, 0].set_ylabel("contrast")
 
 # %%
-# What follows for mounting
-# -------------------------
-# MTF50 against the distance from focus. A camera maker reads from it how much of the sharpness a tolerance costs.
+# Mounting tolerance
+# ------------------
+# MTF50 against the distance from focus. It shows the loss of sharpness for a mounting tolerance.
 
 distances = np.array([0, 2.5, 5, 10, 15, 20, 30, 40])
 found = []

@@ -2,8 +2,8 @@
 A bracket of exposures, and a burst
 ===================================
 
-A window beside a dark room holds more light than a sensor can. Several exposures hold it together; several short ones
-make up for a hand that shakes.
+A window next to a dark room has a larger range of light than a sensor. Several exposures together
+capture it. Several short exposures also reduce the blur of a shaking hand.
 """
 
 import matplotlib.pyplot as plt
@@ -15,7 +15,8 @@ import gpusim as gs
 # %%
 # A scene of high dynamic range
 # -----------------------------
-# Photographs end at white. Linear numbers do not: the right half of this picture lies in sunlight, 50 times as bright.
+# Photographs clip at white; linear numbers do not. The right half of this picture is in sunlight,
+# 50 times as bright.
 
 photograph = data.coffee()[30:350:2, 60:540:2] / 255.0
 linear = photograph**2.2
@@ -27,15 +28,16 @@ simulate = gs.Simulator(camera)
 # %%
 # Bracket
 # -------
-# The camera meters the brightest pixel; two more exposures are 8 and 64 times as long. ``merge_bracket`` gives every
-# pixel the mean of its rates, weighted by the inverse of their variances. Where a pixel is full, shorter frames serve.
+# The camera meters the brightest pixel; two more exposures are 8 and 64 times as long.
+# ``merge_bracket`` computes for each pixel the mean of its rates, weighted by their inverse
+# variances. For a saturated pixel it uses the shorter frames.
 
 frames = gs.bracket(simulate, scene, (0, 3, 6))
 merged = gs.merge_bracket(simulate, frames)
 
 
 def toned(rates):
-    """Values that a screen can show, by a global curve (Reinhard's), for the eye alone."""
+    """Return values that a screen can show, by a global tone curve (Reinhard)."""
     rates = np.maximum(rates, 0)
     brightest = rates.max(axis=-1, keepdims=True)
     return (rates / (brightest + np.median(brightest))) ** (1 / 2.2)
@@ -52,10 +54,10 @@ for axis in axes.flat:
     axis.set_axis_off()
 
 # %%
-# How true the merged rates are
-# -----------------------------
-# A ramp over five decades: the merged rate over the true one, and what one exposure alone gives. The shortest
-# drowns dark parts in noise, the longest is full in bright ones.
+# Accuracy of the merged rates
+# ----------------------------
+# A ramp over five decades: the merged rate divided by the true one, and the same for single
+# exposures. The shortest is noisy in dark parts, the longest is saturated in bright ones.
 
 ramp = gs.chart("ramp", size=(256, 64), decades=5, luminance=3e4)
 silent = gs.Simulator(
@@ -87,7 +89,8 @@ axis.legend(frameon=False)
 # %%
 # Burst
 # -----
-# Eight frames of 5 ms while a hand shakes, aligned and averaged, against one of 40 ms that is blurred by the same hand.
+# Eight frames of 5 ms with a shaking hand, aligned and averaged, compared with one frame of 40 ms
+# with the same motion.
 
 hand = gs.Motion(shake=4.0, seed=2)
 dim = gs.picture(data.coffee()[60:260, 100:400], luminance=15)

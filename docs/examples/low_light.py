@@ -2,15 +2,15 @@
 A photograph under low light
 ============================
 
-A photograph becomes a scene: what a display would show of it, in a light and at a luminance of your choice. Then a
-camera sees it in an office, in a dim room and in the street at night.
+A photograph becomes a scene: the light of a display that shows it, in a light and at a luminance of
+your choice. A camera then photographs it in an office, in a dim room and in a street at night.
 """
 
 # %%
 # From an office to the street
 # ----------------------------
-# All three are exposed for 1/30 s. ``normalised`` shows a white surface as white, as raising the ISO speed does, so
-# that noise is seen at the same brightness.
+# All three are exposed for 1/30 s. ``normalised`` shows a white surface as white, like a higher ISO
+# speed, so noise is compared at the same brightness.
 
 import matplotlib.pyplot as plt
 from skimage import data
@@ -34,10 +34,11 @@ for axis, luminance, where in zip(
     axis.set_axis_off()
 
 # %%
-# What helps
+# Less noise
 # ----------
-# Denoising of the mosaic, which knows the noise of each pixel; and eight frames of a hand that shakes, aligned and
-# averaged. Decibels are against the picture of the same camera without any noise.
+# Two remedies: denoising of the mosaic, which uses the noise model of each pixel; and eight
+# hand-held frames, aligned and averaged. Decibels are relative to a picture by the same camera
+# without noise.
 
 dim, motion = gs.scene_from(photograph, luminance=3), gs.Motion(shake=1.5, seed=4)
 views = [dim.viewed(motion.at(number / 30)) for number in range(8)]

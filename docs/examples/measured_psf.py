@@ -2,8 +2,8 @@
 A lens from a measured point spread
 ===================================
 
-A laboratory photographs a point of light through a lens, on the axis and in the field. The pictures become the lens of
-a camera: ``lens.npz``, named in the camera's file.
+A laboratory photographs a point of light through a lens, on the axis and in the field. The pictures
+become the lens of a camera: ``lens.npz``, named in the camera's file.
 """
 
 import tempfile
@@ -17,12 +17,13 @@ import gpusim as gs
 from gpusim.measure import sfr
 
 # %%
-# What the laboratory measured
-# ----------------------------
-# Nothing was measured here: a formula stands in. In the middle a round spot, towards the corner one with a tail of
-# coma, outwards, wider in the red. Each is a table of irradiance, 0.3 µm from sample to sample, fine enough for f/1.8
-# at 360 nm; its energy is scaled to one. gpusim interpolates between wavelengths and heights. Photographs have light
-# from 360 to 780 nm, so the tables reach as far.
+# The measurement
+# ---------------
+# Here a formula replaces the measurement: a round spot in the centre, and a spot with an outward
+# tail of coma toward the corner, wider in the red. Each is a table of irradiance with a spacing of
+# 0.3 µm, fine enough for f/1.8 at 360 nm, and with an energy of one. gpusim interpolates between
+# wavelengths and heights. Photographs have light from 360 to 780 nm, so the tables cover this
+# range.
 
 spacing, wavelengths, heights = (
     0.3,
@@ -33,7 +34,7 @@ y, x = (np.mgrid[:61, :61] - 30) * spacing  # [µm]; the corner lies towards +x
 
 
 def spot(wavelength, height):
-    """A core of 1 µm, and a tail: cores ever wider and farther out."""
+    """Return a core of 1 µm with a tail of wider cores farther out."""
     width = 1.0 * (wavelength / 550) ** 0.5
     return sum(
         np.exp(-((x - 4 * height * part**2) ** 2 + y**2) / (2 * (width * (1 + height * part)) ** 2))
@@ -52,7 +53,8 @@ gs.write_psf(
 # %%
 # The camera
 # ----------
-# Two lines name the lens. f-number and focal length still say how much light there is and where it falls.
+# Two lines name the lens. f-number and focal length still set the amount of light and the field of
+# view.
 
 (folder / "measured.toml").write_text("""
 base = "phone"
@@ -76,7 +78,7 @@ for axis, title in zip(
 # %%
 # Pictures
 # --------
-# The blur varies over the frame; below, its upper left corner.
+# The blur varies over the frame; the lower row shows the upper left corner.
 
 scene = gs.scene_from(data.astronaut()[:400], luminance=200)
 figure, axes = plt.subplots(2, 2, figsize=(8, 8.4), layout="constrained")
@@ -91,11 +93,12 @@ for (whole, corner), one, title in zip(
         axis.set_axis_off()
 
 # %%
-# Is it the lens that was measured?
-# ---------------------------------
-# The contrast of a slanted edge, against the Fourier transform of the table that went in, times the pixel's. The lens
-# of the axis alone serves, the same all over the frame, so that the edge meets nothing else. ``stacked`` pixels need no
-# demosaicking. The table is that of 550 nm, the camera's green is a band about it.
+# Check of the lens
+# -----------------
+# The contrast of a slanted edge, compared with the Fourier transform of the input table times the
+# pixel's. Only the on-axis table is used, for the whole frame, so the edge has the same blur
+# everywhere. ``stacked`` pixels need no demosaicking. The table is for 550 nm; the camera's green
+# is a band around it.
 
 gs.write_psf(folder / "axis.npz", gs.PointSpread(np.array(wavelengths), values[0], spacing * 1e-6))
 (folder / "axis.toml").write_text("""

@@ -2,14 +2,15 @@
 My own camera: sharpness and noise
 ==================================
 
-A camera is a TOML file. Its keys end in their units, and what it leaves out is its base's. This one is measured as a
-laboratory would do it: the sharpness by a slanted edge (ISO 12233), the noise by grey cards.
+A camera is a TOML file. The names of its keys end in their units, and its base supplies the keys
+that it leaves out. This camera is measured as in a laboratory: sharpness by a slanted edge (ISO
+12233), noise by grey cards.
 """
 
 # %%
 # The file
 # --------
-# The colour filters stand in a table of their own, as a data sheet would have them. Any of these lines may be left out.
+# The colour filters are in a separate table, as in a data sheet. Each of these lines is optional.
 
 import tempfile
 from pathlib import Path
@@ -56,7 +57,7 @@ camera = gs.open_camera(folder / "mine.toml")
 # %%
 # A picture
 # ---------
-# Delta E is against the chart's own colours, as the display would show them at best.
+# Delta E is relative to the chart's colours, as the display would show them at best.
 
 chart = gs.chart("colorchecker", size=(300, 200))
 frame = gs.Simulator(camera)(chart, seed=1)
@@ -77,8 +78,8 @@ for axis in axes[1:]:
 # %%
 # Sharpness
 # ---------
-# The edge passes lens, pixel, mosaic and demosaicking. Two samples a pixel make the scene finer than the camera.
-# Frequencies are those on the sensor.
+# The edge passes lens, pixel, mosaic and demosaicking. With two samples per pixel the scene is
+# finer than the camera. Frequencies are on the sensor.
 
 edge = gs.Simulator(camera.with_(read_e=0, prnu=0, photon="none"))(
     gs.chart("slanted-edge", size=(240, 160), samples_per_pixel=2)
@@ -86,7 +87,7 @@ edge = gs.Simulator(camera.with_(read_e=0, prnu=0, photon="none"))(
 response = sfr(edge.linear, pitch=camera.sensor.pixel_pitch)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
-within = response.frequencies <= 0.5  # cycles a pixel: what the pixels sample
+within = response.frequencies <= 0.5  # cycles per pixel: up to the Nyquist limit
 for contrast, at, color in zip(response.response, mtf50(response), "rgb", strict=True):
     left.plot(response.per_mm[within], contrast[within], color, label=f"MTF50 {at:.0f} cycles/mm")
 left.axhline(0.5, color="0.8", zorder=0)
@@ -96,17 +97,16 @@ left.legend(frameon=False)
 # %%
 # Noise
 # -----
-# Two frames of a grey card at each exposure; their difference is noise alone, without the pattern that both share. The
-# lines are what the figures of the file say: the root of all electrons, read noise included.
+# Two frames of a grey card at each exposure. Their difference is noise only, without the fixed
+# pattern that both share. The lines follow from the figures in the file: the root of all electrons,
+# including read noise.
 
 times = np.geomspace(1e-3, 0.3, 8)  # [s]
 card = gs.chart("flat", size=(96, 64), luminance=50)
 ratios, lines = [], []
 for seconds in times:
     pair = list(gs.Simulator(camera.with_(exposure_time_ms=1e3 * seconds)).frames(card, 2, seed=2))
-    green = np.s_[
-        24:40:2, 36:60:2
-    ]  # of one colour, in the middle, where the lens's fall-off is none
+    green = np.s_[24:40:2, 36:60:2]  # one colour, in the centre, without fall-off
     raws = [frame.raw[green].astype(float) - camera.sensor.black_level for frame in pair]
     ratios.append(snr(*raws))
     electrons = pair[0].mean[green].mean()

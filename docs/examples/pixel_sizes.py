@@ -2,14 +2,15 @@
 Compare two pixel sizes
 =======================
 
-Smaller pixels see finer detail, larger ones gather more light. Two sensors of one area, behind one lens, in one light:
-the first has pixels of 1.0 µm, the second of 2.0 µm, a quarter as many.
+Smaller pixels resolve finer detail, larger ones collect more light. Two sensors of the same area,
+with the same lens and light: the first has pixels of 1.0 µm, the second has a quarter as many, of
+2.0 µm.
 """
 
 # %%
 # Two cameras
 # -----------
-# A well holds electrons in proportion to its area. All else is the phone's.
+# The full well is proportional to the area. All other settings are the phone's.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,9 +28,9 @@ colors = dict(zip(cameras, ("tab:blue", "tab:orange"), strict=True))
 # %%
 # The same photograph
 # -------------------
-# The scene has the same samples for both, so that both see the same light on the same area: two samples along each
-# side of a small pixel, four along a large one. White has 20 cd/m², a dim room, and both expose for 1/30 s;
-# ``normalised`` shows white as white, however short that is.
+# The scene has the same samples for both, so both receive the same light on the same area: two
+# samples along each side of a small pixel, four along a large one. White has 20 cd/m², a dim room,
+# and both expose for 1/30 s; ``normalised`` shows white as white for any exposure.
 
 photograph = data.astronaut()[:440, 40:480]
 frames = {}
@@ -52,15 +53,16 @@ for axis, (pitch, frame) in zip(axes, frames.items(), strict=True):
 # %%
 # Sharpness
 # ---------
-# ISO 12233's response to a slanted edge, of the light that the pixels gather: lens and pixel alone. ``stacked`` gives
-# every pixel all three channels, so that no demosaicking takes part. The green one is shown.
+# ISO 12233's response to a slanted edge in the mean electrons: only lens and pixel. ``stacked``
+# gives every pixel all three channels, so there is no demosaicking. The plot shows the green
+# channel.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 for pitch, camera in cameras.items():
     simulate = gs.Simulator(camera.with_(stacked=True))
     edge = simulate(gs.chart("slanted-edge", size=(160, 120), samples_per_pixel=3)).mean[1]
     response = sfr(edge, pitch=camera.sensor.pixel_pitch)
-    within = response.frequencies <= 0.5  # up to what the pixels sample
+    within = response.frequencies <= 0.5  # up to the Nyquist limit
     left.plot(
         response.per_mm[within],
         response.response[within],
@@ -74,9 +76,10 @@ left.legend()
 # %%
 # Noise
 # -----
-# The ratio of signal to noise of a grey card in the green channel, from two frames, so that the pattern that both share
-# is left out. Seen at one size, four small pixels make one large one: twice the ratio of one of them, 6 dB. In the
-# dark four fall behind: each brings a read noise of its own.
+# The signal to noise ratio of a grey card in the green channel, from two frames, which removes the
+# shared fixed pattern. At the same display size, four small pixels make one large one: twice the
+# ratio of a single one, 6 dB. In the dark the four small pixels are worse, since each has its read
+# noise.
 
 luminances = np.geomspace(0.1, 100, 7)
 for pitch, camera in cameras.items():

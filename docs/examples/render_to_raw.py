@@ -2,8 +2,8 @@
 From a Mitsuba render to a raw video
 ====================================
 
-A renderer makes light, a camera makes pictures of it. Mitsuba 3 renders spectra and distances;
-gpusim gives it a lens whose focus moves from near to far, and writes what the sensor reads.
+A renderer computes light; a camera makes pictures of it. Mitsuba 3 renders spectra and distances.
+gpusim adds a lens with a focus that moves from near to far, and writes the raw data of the sensor.
 """
 
 import subprocess
@@ -26,24 +26,24 @@ balls = [
     ((-0.12, 0.08, 0.6), 0.08, (620, "red")),
     ((0.2, 0.15, 1.2), 0.15, (540, "green")),
     ((-0.6, 0.3, 2.8), 0.3, (450, "blue")),
-]  # middle [m], radius [m], where they reflect most [nm]
+]  # centre [m], radius [m], wavelength of the highest reflectance [nm]
 
 
 def paint(middle):
-    """Reflectance of a ball at the bands."""
+    """Return the reflectance of a ball at the bands."""
     return 0.06 + 0.7 * np.exp(-(((bands - middle) / 60) ** 2))
 
 
 # %%
 # The render
 # ----------
-# A film with a triangle for each band holds the mean spectral radiance about it [W m⁻² sr⁻¹ nm⁻¹]. A second pass, of
-# one ray a pixel, gives the distance along it. (The integrator ``aov`` could do both at once, but Mitsuba 3.9 then
-# mixes up the channels of a spectral film.)
+# A film with a triangular band per wavelength gives the mean spectral radiance around it [W m⁻²
+# sr⁻¹ nm⁻¹]. A second pass, with one ray per pixel, gives the distance along it. (The integrator
+# ``aov`` could do both at once, but Mitsuba 3.9 then mixes up the channels of a spectral film.)
 
 
 def by_mitsuba():
-    """Three balls on a checkerboard under an even sky: radiance at the bands, and distances."""
+    """Return radiance at the bands, and distances: three balls on a checkerboard, uniform sky."""
     import mitsuba as mi
 
     mi.set_variant("scalar_spectral")
@@ -109,12 +109,12 @@ def by_mitsuba():
 
 
 # %%
-# Where Mitsuba is not installed, the same balls are drawn by hand: rays meet spheres and a floor, light comes from
-# above, nothing throws a shadow.
+# If Mitsuba is not installed, the same balls are computed here: rays intersect spheres and a floor,
+# light comes from above, and there are no shadows.
 
 
 def by_hand():
-    """The same scene without bounces."""
+    """Return the same scene, without indirect light."""
     y, x = (np.indices(size[::-1]) + 0.5 - np.array(size[::-1])[:, None, None] / 2) * (
         2 * np.tan(np.radians(fov / 2)) / size[0]
     )
@@ -142,7 +142,8 @@ def by_hand():
 
 
 # %%
-# Either makes a file with channels of the names that Mitsuba's film gives them. Distance 0 means that nothing is there.
+# Both write a file with the channel names of Mitsuba's film. Distance 0 means that the ray hits
+# nothing.
 
 renderer = by_mitsuba if find_spec("mitsuba") else by_hand
 radiance, away = renderer()
@@ -159,8 +160,9 @@ print("rendered", renderer.__name__.replace("_", " "))
 # %%
 # Through a lens
 # --------------
-# The names of the channels say nothing of wavelengths, so they are told. Distances are along rays; with the field of
-# view they become distances along the axis. Light of every layer is blurred by its own defocus.
+# The channel names do not contain wavelengths, so ``bands`` gives them. Distances are along rays;
+# with the field of view they become distances along the axis. Light of every layer is blurred by
+# its defocus.
 
 scene = gs.open_scene(
     folder / "render.exr", bands={f"band{nm}": nm for nm in bands}, depth="ray", fov=np.radians(fov)
@@ -180,8 +182,9 @@ for axis in axes:
 # %%
 # A raw video
 # -----------
-# The focus goes from 0.55 m to 2.6 m in four frames. ``ffv1-raw`` keeps the mosaic without loss, 16 bits, in an
-# ordinary video file; where PyAV is not installed, numbered DNG files hold the same.
+# The focus moves from 0.55 m to 2.6 m in four frames. ``ffv1-raw`` stores the mosaic without loss,
+# 16 bits, in an ordinary video file. If PyAV is not installed, numbered DNG files have the same
+# data.
 
 video = "-o focus.mkv --codec ffv1-raw" if find_spec("av") else "-o focus.dng"
 command = (

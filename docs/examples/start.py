@@ -2,15 +2,15 @@
 Start in three minutes
 ======================
 
-A chart with measured reflectances, a camera, and one frame. The frame has everything that a camera passes through: the
-electrons without noise, the digital numbers, and the picture. Its report says how wrong they may be.
+A chart with measured reflectances, a camera, and one frame. The frame contains the results of each
+step: electrons without noise, digital numbers, and the picture. Its report estimates their errors.
 """
 
 # %%
 # A camera and a scene
 # --------------------
-# Both have names; a file of your own goes in the same place. ``tolerance="video"`` asks for an error below a tenth of
-# a pixel's own noise. What the scene does not need for that is not computed.
+# Both have names; the name of your own file works as well. ``tolerance="video"`` keeps the error
+# below a tenth of a pixel's noise. Effects that the scene does not need for this are not computed.
 
 import matplotlib.pyplot as plt
 
@@ -23,8 +23,8 @@ simulate = gs.Simulator(camera, tolerance="video")
 # %%
 # One frame
 # ---------
-# ``seed`` names the noise: the same number gives the same digital numbers on every device. ``verify`` also computes
-# the float64 reference, and compares.
+# ``seed`` selects the noise: the same number gives the same digital numbers on every device.
+# ``verify`` also computes the float64 reference and compares.
 
 frame = simulate(scene, seed=1, verify=True)
 
@@ -40,18 +40,18 @@ for axis in axes:
     axis.set_axis_off()
 
 # %%
-# What it took, and how wrong it is
-# ---------------------------------
-# The report lists the stages, the errors that were predicted before the frame was made, the true error, and what was
-# not modelled. The accuracy page explains each line.
+# Time and error
+# --------------
+# The report lists the stages, the errors predicted before the frame was made, the true error, and
+# the effects that were not modelled. The accuracy page explains each line.
 
 print(frame.report)
 
 # %%
 # Another exposure
 # ----------------
-# ``with_`` changes any key of a camera. The same chart by a dim lamp, for a fifteenth of a second. ``normalised`` shows
-# white as white, however few electrons it gave:
+# ``with_`` changes any key of a camera. Here is the same chart under a dim lamp, exposed for a
+# fifteenth of a second. ``normalised`` shows white as white, for any number of electrons:
 
 dim = gs.open_scene("colorchecker", size=(384, 256), light="A", luminance=5)
 patient = camera.with_(exposure_time_ms=1000 / 15, scaling="normalised")

@@ -2,8 +2,9 @@
 Noisy pairs for training
 ========================
 
-A network that removes noise learns from pairs: what a camera gives, and what it would give without noise. One command
-makes them of any photographs, in tar files as WebDataset reads them; here it is run from Python.
+A network that removes noise learns from pairs: a camera's raw frame, and the same frame without
+noise. One command makes pairs from any photographs, in tar files for WebDataset. This example runs
+it from Python.
 """
 
 import io
@@ -23,7 +24,7 @@ from skimage import data
 # %%
 # Photographs
 # -----------
-# Four parts of pictures that scikit-image brings. Thousands are no other command.
+# Four crops of pictures from scikit-image. The command is the same for thousands.
 
 folder = Path(tempfile.mkdtemp())
 (folder / "photos").mkdir()
@@ -39,8 +40,9 @@ for name, part in parts.items():
 # %%
 # The command
 # -----------
-# Each photograph twice, each time with another exposure, speed and light. Every pair depends on its photograph, its
-# number and the seed alone: ``--shard I/N`` on several machines gives the same bytes.
+# Each photograph twice, each time with a different exposure, speed and light. Every pair depends
+# only on its photograph, its number and the seed: ``--shard I/N`` on several machines gives the
+# same bytes.
 
 command = (
     "pairs photos --camera phone --vary exposure=1/500..1/30,iso=100..1600,light=D65|A|FL11 --luminance 60 "
@@ -52,9 +54,9 @@ subprocess.run(
 print("gpusim", command)
 
 # %%
-# What is in it
-# -------------
-# Digital numbers, the same of the light alone, a picture, and what was drawn.
+# Contents of a pair
+# ------------------
+# Digital numbers with and without noise, a picture, and the settings that were drawn.
 
 pairs: dict = {}
 for shard in sorted((folder / "shards").glob("*.tar")):
@@ -62,10 +64,10 @@ for shard in sorted((folder / "shards").glob("*.tar")):
         for member in archive:
             key, _, suffix = member.name.partition(".")
             pairs.setdefault(key, {})[suffix] = archive.extractfile(member).read()
-told = json.loads(pairs["00000000"]["json"])
+settings = json.loads(pairs["00000000"]["json"])
 print(
     ", ".join(
-        f"{key}: {told[key]}"
+        f"{key}: {settings[key]}"
         for key in (
             "photograph",
             "exposure",
@@ -81,40 +83,42 @@ print(
 
 figure, axes = plt.subplots(2, 4, figsize=(11, 4.8), layout="constrained")
 for axis, pair in zip(axes.T.flat, pairs.values(), strict=True):
-    told = json.loads(pair["json"])
+    settings = json.loads(pair["json"])
     axis.imshow(Image.open(io.BytesIO(pair["rgb.png"])))
     axis.set_title(
-        f"1/{1 / told['exposure']:.0f} s, ISO {told['iso']:.0f}, {told['light']}", fontsize=9
+        f"1/{1 / settings['exposure']:.0f} s, ISO {settings['iso']:.0f}, {settings['light']}",
+        fontsize=9,
     )
     axis.set_axis_off()
 
 # %%
-# Is the noise right?
-# -------------------
-# Photons and read noise make a variance that grows with the light: gain times the signal, and the variance in the dark.
-# Each cloud is one pair, binned by its clean values; the lines have no free number, they follow from the file's own.
+# Check of the noise
+# ------------------
+# The variance of photon and read noise grows with the light: gain times the signal, plus the
+# variance in the dark. Each set of points is one pair, binned by its clean values. The lines are
+# not fitted; they follow from the numbers in the file.
 
 figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
 for pair, color in zip(list(pairs.values())[::2], ("C0", "C1", "C2", "C3"), strict=True):
-    told = json.loads(pair["json"])
+    settings = json.loads(pair["json"])
     raw, clean = (
         np.load(io.BytesIO(pair[f"{name}.npy"])).astype(float) for name in ("raw", "clean")
     )
-    light = clean - told["black_level"]
+    light = clean - settings["black_level"]
     edges = np.linspace(
-        0, 0.6 * (told["white_level"] - told["black_level"]), 26
-    )  # brighter ones may be clipped
+        0, 0.6 * (settings["white_level"] - settings["black_level"]), 26
+    )  # brighter values may be clipped
     edges = edges[edges < np.quantile(light, 0.99)]
     inside = [(light >= low) & (light < high) for low, high in pairwise(edges)]
     noise = [np.var((raw - clean)[one]) for one in inside]
     signal = np.array([light[one].mean() for one in inside])
-    gain = told["gain_dn_per_e"]
+    gain = settings["gain_dn_per_e"]
     axis.loglog(signal, noise, ".", color=color)
     axis.loglog(
         signal,
-        gain * signal + (gain * told["read_noise_e"]) ** 2 + 1 / 12,
+        gain * signal + (gain * settings["read_noise_e"]) ** 2 + 1 / 12,
         color=color,
-        label=f"{told['photograph']}, {gain:.2f} DN/e⁻",
+        label=f"{settings['photograph']}, {gain:.2f} DN/e⁻",
     )
 axis.set(xlabel="signal [DN]", ylabel="variance [DN²]")
 axis.legend(frameon=False)

@@ -1,9 +1,10 @@
 """
-A stage, a model and a backend of your own
-==========================================
+Your own stage, model and backend
+=================================
 
-What gpusim does not model can be put between its steps. Here: cross-talk between pixels as a stage with a reference to
-judge it by, a lens with glare as a model, and a backend that keeps a diary.
+You can insert models that gpusim does not have between its steps. Here: cross-talk between pixels
+as a stage with a reference that judges it, a lens with glare as a model, and a backend that counts
+its work.
 """
 
 import dataclasses
@@ -21,20 +22,20 @@ from gpusim.kernels.stage import Case
 # %%
 # A stage: cross-talk
 # -------------------
-# Of the electrons that light frees below a pixel, a part wanders to each of its four neighbours. A stage begins with a
-# reference in float64 that reads like the formula; the fast form is judged by it, on cases with a tolerance and its
-# reason.
+# Of the electrons that light frees below a pixel, a fraction moves to each of its four neighbours.
+# A stage starts with a float64 reference that reads like the formula. The reference judges the fast
+# version, on cases with a tolerance and its reason.
 
 
 def crosstalk_reference(mean, part):
-    """Each pixel keeps 1 - 4 part and gets `part` of each neighbour; at the border it is its own neighbour."""
+    """Return the mean after each pixel passes `part` to each neighbour; edges are repeated."""
     wide = np.pad(np.asarray(mean, np.float64), 1, mode="edge")
     neighbours = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
     return (1 - 4 * part) * mean + part * neighbours
 
 
 def crosstalk(mean, part):
-    """The same in float32, by one call."""
+    """Return the same in float32, by one call."""
     weights = np.array([[0, part, 0], [part, 1 - 4 * part, part], [0, part, 0]], np.float32)
     return correlate(np.asarray(mean, np.float32), weights, mode="nearest")
 
@@ -51,15 +52,16 @@ for shape in ((1, 1), (3, 5), (64, 96)):
 # %%
 # In the chain
 # ------------
-# An exposure holds the mean electrons. Other electrons in their place are drawn, converted and developed like any.
-# Colours fade and turn, since red and blue pixels now count green light, which no matrix was told of.
+# An exposure contains the mean electrons. You can replace them; the new electrons are drawn,
+# converted and developed as usual. Colours fade and shift, since red and blue pixels now count
+# green light, which the matrix does not know.
 
 simulate = gs.Simulator(gs.open_camera("phone"))
 exposure = simulate.expose(gs.chart("colorchecker", size=(240, 160)))
 
 
 def with_electrons(exposure, mean):
-    """An exposure of other mean electrons, (rows, cols), by the same chip."""
+    """Return an exposure with other mean electrons, (rows, cols), by the same chip."""
     mean = simulate.device.array(np.ascontiguousarray(mean, np.float32))
     chip = simulate.readout.chip_mean(mean, exposure.exposure_time)
     return dataclasses.replace(exposure, mean=mean, chip_mean=chip)
@@ -74,15 +76,15 @@ for axis, part in zip(axes, (0.0, 0.03, 0.1), strict=True):
     axis.set_axis_off()
 
 # %%
-# To make it a stage of the package, four files with its name go into ``kernels/sensor``: the contract with its cases,
-# the reference, an OpenCL and a Warp kernel. They are found by name; ``gpusim verify`` and the tests then run it on
-# every device.
+# To make it a stage of the package, add four files with its name to ``kernels/sensor``: the
+# contract with its cases, the reference, an OpenCL and a Warp kernel. gpusim finds them by name;
+# ``gpusim verify`` and the tests then run it on every device.
 
 # %%
 # A model: a lens with glare
 # --------------------------
-# A lens is whatever makes a spot of light. This one scatters 3 % of it into a wide skirt, which the diffraction of a
-# perfect lens has not.
+# A point spread function defines a lens. This one scatters 3 % of the light into a wide skirt,
+# unlike the diffraction of a perfect lens.
 
 y, x = (np.mgrid[:257, :257] - 128) * 0.3  # [µm]
 r2 = x**2 + y**2
@@ -102,14 +104,15 @@ for axis, (title, values) in zip(axes, lenses.items(), strict=True):
     axis.set_axis_off()
 
 # %%
-# A backend: one that keeps a diary
-# ---------------------------------
-# A backend is a class of ``Device``. The base class computes by the references; this one also counts what it ran. One
-# for other hardware says in addition how arrays are made there and how a kernel is started (``launch``).
+# A backend that counts its work
+# ------------------------------
+# A backend is a subclass of ``Device``. The base class computes by the references; this one also
+# counts the stages. A backend for other hardware also defines how to allocate arrays and start a
+# kernel (``launch``).
 
 
 class Diary(Device):
-    """The reference, and how often each stage ran."""
+    """The reference backend, with a count of each stage's runs."""
 
     name = "diary"
 
@@ -119,7 +122,7 @@ class Diary(Device):
 
     @contextmanager
     def charged(self, stage):
-        """Note the stage, then run it."""
+        """Count the stage, then run it."""
         self.ran[stage] += 1
         with super().charged(stage):
             yield

@@ -12,7 +12,7 @@ simulate, sensor = gs.Simulator(camera, tolerance="video"), camera.sensor
 for number, path in enumerate(sorted(Path("photos").glob("*.png"))):
     frame = simulate(
         gs.open_scene(path, luminance=50), seed=1, frame=number
-    )  # each frame has noise of its own
+    )  # each frame has independent noise
     noisy = (
         frame.raw.astype(np.float32) - sensor.black_level
     ) / sensor.gain_dn_per_electron  # both in electrons

@@ -350,7 +350,7 @@ def run(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("script", "arguments", "said"),
     [
-        ("tables.py", ("--results", "missing"), "is no folder"),
+        ("tables.py", ("--results", "missing"), "is not a folder"),
         ("tables.py", ("--readme", "missing/README.md"), "cannot be read"),
         ("stages.py", ("--device", "nonsense"), "unknown device"),
         (
@@ -390,7 +390,7 @@ def test_what_is_no_result_is_refused(text, said, run, tmp_path):
 def test_table_of_a_result_that_lacks_something_is_refused(stored):
     lacking = result("loops", [{"name": "a loop"}])
     (stored / "loops-here.json").write_text(json.dumps(lacking))
-    with pytest.raises(BadFile, match=r"loops-here.json: lacks what its table shows"):
+    with pytest.raises(BadFile, match=r"loops-here.json: lacks values of its table"):
         tables.filled(
             marks("stages", "loops", "scaling", "threads", "compare", "color"),
             tables.stored_results(stored),

@@ -138,3 +138,36 @@ def test_docstrings_become_lists():
         "    e = mc^2",
         "Done.",
     ]
+
+
+def test_sections_become_lists():
+    """Google style: Args, Raises and Source, and entries of several lines."""
+    from prose import parameter_texts, rst
+
+    docstring = """Blur it.
+
+    Args:
+        planes: Light, shape (n,)
+            in W.
+        mix, other: `weights` of each.
+
+    Returns:
+        Shape (m,).
+
+    Raises:
+        BadData: If a plane is missing.
+    """
+    assert [line for line in rst(docstring, ["planes", "mix", "other"]) if line] == [
+        "Blur it.",
+        "* ``planes``: Light, shape (n,) in W.",
+        "* ``mix``, ``other``: ``weights`` of each.",
+        "**Returns:**",
+        "Shape (m,).",
+        "**Raises:**",
+        "* ``BadData``: If a plane is missing.",
+    ]
+    assert parameter_texts(docstring, ["planes", "mix", "other"]) == {
+        "planes": ("Light, shape (n,) in W.", ("planes",)),
+        "mix": ("`weights` of each.", ("mix", "other")),
+        "other": ("`weights` of each.", ("mix", "other")),
+    }

@@ -175,7 +175,7 @@ def test_a_false_met_is_counted():
         and "met: 3, judged 2: true 1, false 1 (50.0 % true)" in text
     )
     assert (
-        "not judged by the planner: 1, the outside judges 1: of them beyond 1" in text
+        "cannot be judged by the planner: 1, judged by the sums 1, beyond 1" in text
         and "refused 1 times" in text
     )
 
