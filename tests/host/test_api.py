@@ -81,7 +81,7 @@ def test_objects_stand_for_what_files_name():
         ({"f_number": None}, BadData, "f_number = None: wanted a number"),
         ({"qe": "imx"}, BadData, "qe = 'imx': wanted a Spectrum"),
         ({"psf": "lens.npz"}, BadData, "psf = 'lens.npz': wanted a PointSpread"),
-        ({"ir_cut": "x"}, BadData, "ir_cut: a camera has it in its qe"),
+        ({"ir_cut": "x"}, BadData, "ir_cut: a camera keeps it as a factor of qe"),
         ({"defocus_um": "x"}, BadData, "defocus_um = 'x': wanted a number or a Spectrum"),
         ({"defocus_um": 1.0, "defocus_diopters": 1.0}, BadData, "wanted one of them"),
         ({"cfa": "nope"}, BadData, "cfa: unknown mosaic 'nope'"),
