@@ -61,7 +61,7 @@ class Content:
 
     @property
     def labels(self) -> np.ndarray | None:
-        """Index of the only entry of each sample, shape (rows, cols); None if samples mix entries."""
+        """Index of the only entry of each sample, shape (rows, cols); None if samples mix."""
         return None
 
     @property

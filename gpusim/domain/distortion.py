@@ -222,7 +222,7 @@ def ideal(distortion: Model, x, y):
 
 
 def _start(distortion, wanted):
-    """Return approximate ideal field heights on the diagonal. Raise OutOfRange if they turn back."""
+    """Return approximate ideal field heights on a diagonal. Raise OutOfRange if they turn back."""
     farthest = float(wanted.max(initial=0))
     reach = farthest / distortion.scale if farthest else 1.0
     for _ in range(8):  # a barrel needs larger ideal heights: double the range until they fit
