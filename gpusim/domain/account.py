@@ -72,7 +72,7 @@ UNKNOWN = Bound(inf, inf, inf)
 def total(bounds: Iterable[Bound]) -> Bound:
     """Add the known errors of independent causes in quadrature.
 
-    Quadrature also serves for the maxima: those of different causes seldom fall on one pixel.
+    Quadrature also serves for the maxima: they seldom fall on one pixel.
     """
     bounds = [bound for bound in bounds if bound.is_known]
     return (
@@ -87,7 +87,7 @@ class Account:
     """Named errors of the mean electrons, predicted for the scene as sampled.
 
     Attributes:
-        bounds: error of each cause, by its name.
+        bounds: name and error of each cause.
         seconds: exposure time that the errors are predicted for [s]. The RMS does not depend on it.
         doubt: reason why the errors are too uncertain for the verdict "met", or "".
     """

@@ -181,7 +181,7 @@ class Fisheye:
 
         r^ = scale theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r
 
-    The coefficients equal those of OpenCV's fisheye model, and of the equidistant model of ROS and
+    The coefficients equal the ones of OpenCV's fisheye model, and the equidistant model of ROS and
     Kalibr, if `radius` is the focal length.
 
     Args:
@@ -306,7 +306,7 @@ class Calibration:
             camera_matrix: array or nested lists, shape (3, 3), without skew.
             coefficients: array or list of any shape, or None.
             size: width and height of the images [pixel].
-            fisheye: the coefficients are those of the fisheye model.
+            fisheye: the coefficients belong to the fisheye model.
 
         Returns:
             The calibration.

@@ -85,7 +85,7 @@ class Camera(Tabled):
         """Return a camera with some settings changed: `camera.with_(f_number=2.0, read_e=3)`.
 
         Args:
-            changes: new values by the keys of camera files, in their units. If a key occurs in two
+            changes: new values, with keys and units of camera files. If a key occurs in two
                 sections, write the section too: `with_(**{"processor.white": [2, 1, 1.5]})`. Values
                 have the form of a camera file. A value that a file names or tabulates is passed as
                 the object, in the unit of the field: Spectrum, Pupil, PointSpread, FilterTable,

@@ -372,7 +372,7 @@ def section_fields(path, table, section, cls=None):
         cls: class whose fields without a default must be present; None: no check.
 
     Returns:
-        Values by the names of fields.
+        Names of fields and their values.
 
     Raises:
         BadFile: a key is unknown or missing, or a value has the wrong type.

@@ -1,4 +1,4 @@
-"""Change settings of a camera by the keys of camera files: `Camera.with_`."""
+"""Change settings of a camera with the keys of camera files: `Camera.with_`."""
 
 import dataclasses
 

@@ -165,7 +165,7 @@ class Content:
         )
 
     def behind(self, front: "Content", mask: np.ndarray) -> "Content":
-        """Return the content with some samples replaced by those of other content.
+        """Return the content with some samples taken from other content.
 
         Args:
             front: content of the same form, wavelengths and entries.
@@ -205,7 +205,7 @@ class Content:
         return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) / light})
 
     def is_like(self, other: "Content") -> bool:
-        """Compare the form, wavelengths and entries with those of other content.
+        """Compare the form, wavelengths and entries with other content.
 
         Args:
             other: the other content.
@@ -388,7 +388,7 @@ class Cube(Content):
     @property
     def lit(self) -> np.ndarray:
         """True for each wavelength at which a sample is not zero, bool, shape (L,)."""
-        return self.values.any(axis=(1, 2))
+        return np.asarray(self.values.any(axis=(1, 2)))
 
     def scaled(self, factor: float) -> Self:
         return replace(self, values=self.values * np.float32(factor))

@@ -84,7 +84,7 @@ class Display:
             )
 
     def encodes_like(self, other: "Display") -> bool:
-        """Compare primaries, white and curve with those of another display.
+        """Compare primaries, white and curve with another display.
 
         Args:
             other: the other display.
@@ -124,7 +124,7 @@ class Display:
             light = size ** float(self.curve)
         return np.copysign(light, values)
 
-    def table(self, kind: DTypeLike) -> np.ndarray:
+    def table(self, kind: DTypeLike | None) -> np.ndarray:
         """Return the linear light of every code.
 
         Args:

@@ -1,4 +1,4 @@
-"""Geometric distortion: image positions of a lens relative to those of an ideal pinhole."""
+"""Geometric distortion: image positions of a lens relative to an ideal pinhole."""
 
 from dataclasses import dataclass
 
@@ -238,8 +238,8 @@ def _start(distortion, wanted):
         if len(turn):
             raise OutOfRange(
                 "distortion",
-                f"turns back at ideal field height {r[turn[0]]:.6g} radii, where the image "
-                f"is at {peak:.6g}",
+                f"turns back at ideal field height {r[turn[0]]:.6g} radii, with the image "
+                f"at {peak:.6g}",
                 f"monotonic up to the frame's corner, {farthest:.6g} radii",
             )
         reach *= 2

@@ -94,7 +94,7 @@ class LightStatistics:
     pixels: int
 
     def over(self, seconds: float) -> "LightStatistics":
-        """Return the statistics of electrons per second, from those of `seconds` [s]."""
+        """Return the statistics per second, if these are for an exposure of `seconds` [s]."""
         values = self.values.copy()
         scaled = np.arange(len(values)) != 4  # all but the count
         values[scaled] /= np.float32(seconds)
@@ -172,7 +172,7 @@ class AutoExposure:
         )
         if self.most_gain > 1 and self.longest is None:
             raise BadData(
-                f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
+                f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises if the "
                 "longest exposure time is too short; wanted both"
             )
 
@@ -183,11 +183,10 @@ class AutoExposure:
 
     @property
     def white(self) -> float:
-        """Signal of a perfect white diffuser, or the brightest surface, over saturation [1], at most
-        1.
+        """Signal of a perfect white diffuser, or the brightest surface, over saturation [1].
 
-        Pictures of a camera have display white at this signal. The metered scene then has its
-        normal brightness at the metered exposure, and is darker or brighter at others.
+        At most 1. Pictures of a camera have display white at this signal. The metered scene then
+        has its normal brightness at the metered exposure, and is darker or brighter at others.
         "highlights", "full" and "percentile" bring a bright pixel to the level and take it as
         white: the result is `level`. "mean" and "centre" bring an average to the level and take it
         as MIDDLE_GREY, the mean reflectance of scenes: white, with reflectance 1, is at level /

@@ -17,7 +17,7 @@ class Flicker:
     """Relative brightness of all light over time, with mean 1.
 
     Args:
-        frequency: frequency of the light [Hz], twice that of the mains.
+        frequency: frequency of the light [Hz], twice the mains frequency.
         depth: modulation of a sinusoid, (max - min) / (max + min) [1].
         duty: fraction of the period in which switched light is on, or None for a sinusoid.
         phase: fraction of a period that has passed at time 0. At phase 0 a sinusoid is brightest,

@@ -148,7 +148,7 @@ def surfaces_of(content: Content) -> Basis:
 
 
 def spline(wavelengths, values, others) -> np.ndarray:
-    """Interpolate with the spline by which spectra of surfaces are integrated.
+    """Interpolate with the spline that also integrates spectra of surfaces.
 
     Args:
         wavelengths: nodes [nm], shape (L,).
