@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import BRADFORD, adaptation, cmf
 from gpusim.data.lights import illuminant
@@ -355,7 +354,7 @@ class TransformSet:
         """Responses to white in each light, largest entry 1, shape (K, C)."""
         return np.stack([transform.white for transform in self.transforms])
 
-    def at(self, white: ArrayLike) -> ColorTransform:
+    def at(self, white: np.ndarray) -> ColorTransform:
         """Return the transform for a camera white: the one of a light, or a mixture of the nearest.
 
         Transforms after white balance, M diag(white), are mixed: the given white becomes display
@@ -429,7 +428,7 @@ def transform_set(
     """
     if not len(lights):
         raise BadData("transform set: no lights")
-    named = {"channels": channels} if channels else {}
+    named: dict[str, Any] = {"channels": channels} if channels else {}
     transforms = tuple(
         color_matrix(qe, light, reflectances, **named, **options) for light in lights
     )

@@ -104,7 +104,7 @@ def phase_gains(
     ).reshape(down, right)
 
 
-def _check_response(response, most):
+def _check_response(response: ArrayLike, most: float) -> np.ndarray:
     """Return the response as float64. Raise OutOfRange if it or `most` is out of range."""
     response = np.asarray(response, np.float64)
     if not (np.isfinite(response).all() and response.min() >= 0 and response.max() > 0):

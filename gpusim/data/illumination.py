@@ -121,8 +121,8 @@ def _ratios(wavelengths, units, together):
     The ratio of lamps with spectral lines is not smooth, and its values at wavelengths say nothing
     about the range between them. It is projected (Galerkin): the cubic spline through the values,
     times the sum of light, has the same integral as the light over every cubic spline on these
-    wavelengths. This also holds for the product of a smooth surface and a channel. The bands are
-    those of a camera with narrow channels.
+    wavelengths. This also holds for the product of a smooth surface and a channel. The bands
+    belong to a camera with narrow channels.
     """
     fine = np.union1d(np.arange(wavelengths[0], wavelengths[-1], STEP), wavelengths)
     steps = np.diff(fine) / 2
