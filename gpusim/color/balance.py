@@ -68,14 +68,14 @@ def estimate_white(
         raise BadData(
             f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}"
         )
-    pair = _red_and_blue(transforms) if method == "red-blue" else None
+    pair = _find_red_and_blue(transforms) if method == "red-blue" else None
     blocks = thumbnail[:, np.isfinite(thumbnail).all(0)]
     if not blocks.size:
         return _assume_white(transforms, len(thumbnail), "every block is clipped")
     if not (blocks.mean(1) > floor).all():
         return _assume_white(transforms, len(thumbnail), "a channel is dark")
     if pair:
-        return _by_red_and_blue(blocks, transforms, pair)
+        return _match_red_and_blue(blocks, transforms, pair)
     means = (
         blocks.mean(1)
         if method == "gray-world"
@@ -103,7 +103,7 @@ def _minkowski(blocks, exponent):
     )
 
 
-def _red_and_blue(transforms):
+def _find_red_and_blue(transforms):
     """Return the indices of the channels R and B."""
     if transforms is None:
         raise BadData(
@@ -118,7 +118,7 @@ def _red_and_blue(transforms):
     return [letters.index("R"), letters.index("B")]
 
 
-def _by_red_and_blue(blocks, transforms, pair):
+def _match_red_and_blue(blocks, transforms, pair):
     """Return the light whose area in the (R, B) plane correlates best with the blocks (C, N)."""
     picture = _hull(blocks, pair)
     if picture is None:

@@ -252,7 +252,7 @@ def _least_squares(camera, xyz, variance):
     return np.linalg.lstsq(camera.T, xyz.T, rcond=None)[0].T
 
 
-def _white_kept(of):
+def _split_white(of):
     """Return one matrix (3, C) that maps white to white, and directions (C, C - 1) without it."""
     white = of.camera_white
     return np.outer(of.xyz_white, white) / (white @ white), np.linalg.qr(
@@ -265,7 +265,7 @@ def _white_preserving(of):
 
     For C > 3, noise with the variance of white counts as well.
     """
-    fixed, free = _white_kept(of)
+    fixed, free = _split_white(of)
     camera, missing = of.camera, of.xyz - fixed @ of.camera
     if len(camera) > 3:
         noise = np.diag(np.sqrt(camera.shape[1] * of.camera_white / WHITE_ELECTRONS))
@@ -280,7 +280,7 @@ def _least_in_cielab(of):
     """
     from scipy.optimize import minimize
 
-    start, free = _white_preserving(of), _white_kept(of)[1]
+    start, free = _white_preserving(of), _split_white(of)[1]
     wanted, white = _lab(of.xyz, of.xyz_white), of.xyz_white[:, None]
     slopes = _lab_slopes(of.xyz, white)
 

@@ -211,7 +211,7 @@ def _colors(plan, camera, keep):
         neutral = np.ones(len(letters))
         if known and rates is not None:
             neutral = rates / rates.max()
-        matrix, model = _channels_shown(letters, neutral)
+        matrix, model = _show_channels(letters, neutral)
     if len(neutral) > 1:
         model += (
             f", white balance for {light.name or 'the scene light'}"
@@ -261,7 +261,7 @@ def _balance(camera, white, words, transforms):
     """
     processor = camera.processor
     if processor.color == "none":
-        matrix, model = _channels_shown(planes_of(camera), white)
+        matrix, model = _show_channels(planes_of(camera), white)
         return _Colors(matrix, white, f"{model}, {words}")
     made = transforms().at(white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
@@ -297,7 +297,7 @@ def transforms_of(camera: Camera) -> TransformSet:
     )
 
 
-def _channels_shown(letters, neutral):
+def _show_channels(letters, neutral):
     """Return the matrix (3, C) without colour correction, white as 1, and its name.
 
     Red, green and blue are shown as such, and so are any three channels. Others are added to a

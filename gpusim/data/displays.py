@@ -49,11 +49,11 @@ def open_display(name: str) -> Display:
         return DISPLAYS[name]
     if not is_known(name, display_names()):
         raise UnknownName("display", name, display_names())
-    return _measured(name)
+    return _load_measured(name)
 
 
 @functools.cache
-def _measured(name):
+def _load_measured(name):
     table = tables("displays")
     spectra = Spectrum(table["wavelengths"], table[f"{name} spectra"], name)
     colors = xyz(spectra)
