@@ -53,9 +53,10 @@ def estimate_white(
         OutOfRange: the floor is negative.
         UnknownName: the method is not known.
 
-    Source: Buchsbaum 1980, J. Franklin Institute 310, 1-26 (gray-world); Land 1977, Scientific
-    American 237, 108-128 (max-rgb); Finlayson & Trezzi 2004, Color Imaging Conference 12, 37-41
-    (shades-of-gray); Tominaga & Wandell 2002, Proc. IEEE 90, 42-56 (red-blue).
+    Source:
+        Buchsbaum 1980, J. Franklin Institute 310, 1-26 (gray-world); Land 1977, Scientific American
+        237, 108-128 (max-rgb); Finlayson & Trezzi 2004, Color Imaging Conference 12, 37-41
+        (shades-of-gray); Tominaga & Wandell 2002, Proc. IEEE 90, 42-56 (red-blue).
     """
     if method not in ESTIMATES:
         raise UnknownName("white balance estimate", method, ESTIMATES)

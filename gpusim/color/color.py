@@ -126,8 +126,9 @@ def color_matrix(
         OutOfRange: `snr` is not positive.
         UnknownName: method, light or set is not known.
 
-    Source: Farrell & Wandell, section 6.2 and Figure 11; Finlayson & Drew 1997, Color Research and
-    Application 22, 2-15 (white-preserving).
+    Source:
+        Farrell & Wandell, section 6.2 and Figure 11; Finlayson & Drew 1997, Color Research and
+        Application 22, 2-15 (white-preserving).
     """
     if method not in METHODS:
         raise UnknownName("color matrix method", method, METHODS)
@@ -372,7 +373,8 @@ class TransformSet:
         Raises:
             BadData: the white has the wrong shape or is not positive.
 
-        Source: a local form of Shepard 1968, Proc. ACM, 517-524.
+        Source:
+            a local form of Shepard 1968, Proc. ACM, 517-524.
         """
         white, whites = np.asarray(white, np.float64), self.whites
         if white.shape != whites.shape[1:] or not (np.isfinite(white).all() and (white > 0).all()):
@@ -424,7 +426,8 @@ def transform_set(
         OutOfRange: see `color_matrix`.
         UnknownName: see `color_matrix`.
 
-    Source: Farrell & Wandell, section 6.2 and Figure 12.
+    Source:
+        Farrell & Wandell, section 6.2 and Figure 12.
     """
     if not len(lights):
         raise BadData("transform set: no lights")

@@ -131,8 +131,9 @@ def smoothest_primaries(responses, targets):
     Raises:
         RuntimeError: the search failed.
 
-    Source: Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance",
-    EGSR 2019.
+    Source:
+        Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR
+        2019.
     """
     from scipy.optimize import minimize
 

@@ -49,11 +49,11 @@ def open_display(name: str) -> Display:
         return DISPLAYS[name]
     if not is_known(name, display_names()):
         raise UnknownName("display", name, display_names())
-    return _load_measured(name)
+    return _load_display(name)
 
 
 @functools.cache
-def _load_measured(name):
+def _load_display(name):
     table = tables("displays")
     spectra = Spectrum(table["wavelengths"], table[f"{name} spectra"], name)
     colors = xyz(spectra)
@@ -88,7 +88,8 @@ def displayed(codes: Any, display: Display) -> Scene:
     Raises:
         BadData: the picture has another shape, or the display has no spectra.
 
-    Source: Farrell & Wandell, section 3.
+    Source:
+        Farrell & Wandell, section 3.
     """
     codes = described(codes, "displayed picture")
     if display.spectra is not None:

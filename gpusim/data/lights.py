@@ -102,8 +102,9 @@ def daylight(temperature: float) -> Spectrum:
     Raises:
         OutOfRange: the temperature is outside 4000 .. 25000 K.
 
-    Source: CIE 15:2018, equations 4.5 to 4.11. Factors M1 and M2 are rounded to three decimals as
-    it says; 6503.6 K (6500 K on the scale of 1931) then is the published D65.
+    Source:
+        CIE 15:2018, equations 4.5 to 4.11. Factors M1 and M2 are rounded to three decimals as it
+        says; 6503.6 K (6500 K on the scale of 1931) then is the published D65.
     """
     if not 4000 <= temperature <= 25000:
         raise OutOfRange(

@@ -66,9 +66,10 @@ class BrownConrady:
         OutOfRange: a coefficient is not finite, the tilt is too steep, or radius or scale is not
             positive.
 
-    Source: Brown, Photogrammetric Engineering 32 (1966) 444; Claus and Fitzgibbon, CVPR 2005
-    (rational); Weng, Cohen and Herniou, PAMI 14 (1992) 965 (thin prism); Louhichi et al., Meas.
-    Sci. Technol. 18 (2007) 2616 (tilt).
+    Source:
+        Brown, Photogrammetric Engineering 32 (1966) 444; Claus and Fitzgibbon, CVPR 2005
+        (rational); Weng, Cohen and Herniou, PAMI 14 (1992) 965 (thin prism); Louhichi et al., Meas.
+        Sci. Technol. 18 (2007) 2616 (tilt).
     """
 
     k1: float
@@ -115,7 +116,7 @@ class BrownConrady:
             np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
         )
 
-    def _distort_untilted(self, x, y):
+    def _distort_without_tilt(self, x, y):
         """Return (x^, y^) without tilt and scale, the radial factor, and its derivative over r."""
         q = x * x + y * y
         above = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
@@ -145,7 +146,7 @@ class BrownConrady:
 
     def distorted(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        u, v, _, _ = self._distort_untilted(x, y)
+        u, v, _, _ = self._distort_without_tilt(x, y)
         if self._tilt is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._tilt
             w = g * u + h * v + i
@@ -154,7 +155,7 @@ class BrownConrady:
 
     def derivative(self, x, y):
         """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        u, v, factor, slope = self._distort_untilted(x, y)
+        u, v, factor, slope = self._distort_without_tilt(x, y)
         q = x * x + y * y
         prism_x, prism_y = 2 * (self.s1 + 2 * q * self.s2), 2 * (self.s3 + 2 * q * self.s4)
         cross = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
@@ -192,7 +193,8 @@ class Fisheye:
     Raises:
         OutOfRange: a coefficient is not finite, or radius or scale is not positive.
 
-    Source: Kannala and Brandt, PAMI 28 (2006) 1335.
+    Source:
+        Kannala and Brandt, PAMI 28 (2006) 1335.
     """
 
     k1: float

@@ -29,7 +29,8 @@ class RadialPolynomial:
     Raises:
         OutOfRange: a coefficient is not finite, or radius or scale is not positive.
 
-    Source: Farrell and Wandell, section 4.2.
+    Source:
+        Farrell and Wandell, section 4.2.
     """
 
     k1: float

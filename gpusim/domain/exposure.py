@@ -32,7 +32,8 @@ def exposure_value(f_number: ArrayLike, exposure_time: ArrayLike) -> Any:
     Returns:
         Exposure value [stop], a NumPy scalar or array.
 
-    Source: Farrell and Wandell, Image Systems Simulation, section 5.7.
+    Source:
+        Farrell and Wandell, Image Systems Simulation, section 5.7.
     """
     return np.log2(np.square(f_number) / np.asarray(exposure_time))
 

@@ -26,7 +26,8 @@ class Flicker:
     Raises:
         OutOfRange: a number is outside its range.
 
-    Source: IEEE Std 1789-2015 for the terms.
+    Source:
+        IEEE Std 1789-2015 for the terms.
     """
 
     frequency: float
@@ -83,14 +84,14 @@ class Flicker:
         whole, moment = (
             now - then
             for now, then in zip(
-                self._integrate_switched(times + begun),
-                self._integrate_switched(begun),
+                self._integrate_pulses(times + begun),
+                self._integrate_pulses(begun),
                 strict=True,
             )
         )
         return whole, moment - whole * begun
 
-    def _integrate_switched(self, times):
+    def _integrate_pulses(self, times):
         """Return both integrals for switched light that turns on at time 0."""
         periods = np.floor(times * self.frequency)
         # part of this period in which it was on

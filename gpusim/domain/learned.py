@@ -45,8 +45,9 @@ class Code:
         OutOfRange: a number is outside its range.
         UnknownName: the domain is not known.
 
-    Source: Anscombe 1948, Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995,
-    Astron. Astrophys. Suppl. 112, 179.
+    Source:
+        Anscombe 1948, Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995,
+        Astron. Astrophys. Suppl. 112, 179.
     """
 
     domain: str

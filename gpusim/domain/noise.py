@@ -164,7 +164,8 @@ def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
     Raises:
         OutOfRange: the conversion gain is outside its range.
 
-    Source: Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
+    Source:
+        Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
     """
     if not 1e-12 <= conversion_gain <= 1:
         raise OutOfRange(

@@ -341,7 +341,8 @@ class Optics:
         Raises:
             OutOfRange: the defocus exceeds LONGEST_WAVEFRONT waves.
 
-        Source: Goodman, Introduction to Fourier Optics, 6.4.
+        Source:
+            Goodman, Introduction to Fourier Optics, 6.4.
         """
         wavelengths = np.asarray(wavelengths, np.float64)
         table = (
@@ -400,7 +401,7 @@ class Optics:
         Returns:
             Radius [m].
 
-        Source: Born and Wolf, Principles of Optics, 8.5.2, for N (1 + |m|) = N, a scene at
-        infinity.
+        Source:
+            Born and Wolf, Principles of Optics, 8.5.2, for N (1 + |m|) = N, a scene at infinity.
         """
         return AIRY_FIRST_ZERO * np.asarray(wavelength) * 1e-9 * self.working_f_number

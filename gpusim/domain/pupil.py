@@ -77,7 +77,8 @@ class Wavefront:
         BadData: lists have the wrong form.
         OutOfRange: a number is outside its range.
 
-    Source: Noll, J. Opt. Soc. Am. 66, 207 (1976); Welford, chapter 7.
+    Source:
+        Noll, J. Opt. Soc. Am. 66, 207 (1976); Welford, chapter 7.
     """
 
     zernike: tuple = ()
