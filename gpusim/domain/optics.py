@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
@@ -20,34 +19,23 @@ AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1, divided by pi: the "1.
 
 @dataclass(frozen=True)
 class Optics:
-    """A thin lens focused at `object_distance`, with pupil and aberrations.
+    """A thin lens, focused at `object_distance`, with the pupil and the aberrations given.
 
-    Args:
-        f_number: N = focal length / aperture diameter [1].
-        focal_length: focal length [m].
-        model: source of the blur: "diffraction" (at the pupil, with its wavefront), "measured"
-            (`psf`) or "none".
-        transmission: T(lambda) in 0 .. 1, a number or a Spectrum of one function.
-        relative_illumination: fall-off toward the corner: "cos4", "none", coefficients (a1, a2,
-            ...) of 1 + a1 h + a2 h^2 + ... with the field height h, 1 at the corner, or two arrays
-            (heights, values).
-        object_distance: distance of the plane in focus [m]; by default infinity.
-        pupil: shape of the aperture. The f-number refers to its circumscribed circle.
-        wavefront: aberrations.
-        defocus: distance of the sensor behind the image [m], a number or a Spectrum (axial colour).
-        birefringence: distance of the two images that a low-pass plate makes along (y, x) [m]; 0
-            for one image.
-        diffuser: standard deviation of a Gaussian diffuser [m at the sensor].
-        psf: point spread functions of model "measured". They replace pupil, wavefront, defocus and
-            low-pass.
-        distortion: geometric distortion, or None for an ideal pinhole's geometry.
-        lateral_color: relative excess of the image height over that at the nominal wavelength [1],
-            a number or a Spectrum.
-
-    Raises:
-        BadData: a spectrum has several functions, or settings conflict with "measured".
-        OutOfRange: a number is outside its range.
-        UnknownName: the name of a model is not known.
+    f_number: N = focal length / aperture diameter [1].
+    focal_length: [m].
+    model: what blurs the image: "diffraction" (at the pupil, with its wavefront), "measured" (`psf`) or "none".
+    transmission: T(lambda) in 0 .. 1, one number or a Spectrum of one function.
+    relative_illumination: fall-off toward the corner: "cos4", "none", the coefficients (a1, a2, ...) of
+        1 + a1 h + a2 h^2 + ... of the field height h, 1 at the corner, or two arrays (heights, values).
+    object_distance: distance of the plane in focus [m]; infinity by default.
+    pupil: shape of the aperture; the f-number is that of its circumscribed circle. wavefront: aberrations.
+    defocus: how far behind the image the sensor is [m], one number or a Spectrum (axial colour).
+    birefringence: distance of the two images that a low-pass plate makes along (y, x) [m], 0 for one image.
+    diffuser: standard deviation of a Gaussian diffuser [m at the sensor].
+    psf: the point spreads of model "measured", in place of pupil, wavefront, defocus and low-pass.
+    distortion: where the lens puts a point against where a pinhole would; None: there.
+    lateral_color: image height over that of the nominal wavelength, less one [1], one number or a Spectrum.
+    Raises BadData, OutOfRange, UnknownName.
     """
 
     f_number: float
@@ -147,7 +135,7 @@ class Optics:
         self._check_measured()
 
     def _check_measured(self):
-        """Raise BadData for settings that the measured point spread functions contain already."""
+        """Refuse settings that measured point spreads hold already."""
         if self.model != "measured":
             return
         given = self._blurring() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
@@ -162,7 +150,7 @@ class Optics:
                 )
 
     def _blurring(self):
-        """Return, by name, whether each setting other than the pupil adds to the blur."""
+        """Which settings, apart from the pupil, add to the blur of model "diffraction": name -> bool."""
 
         def has(value):
             return bool(np.any(value.values if isinstance(value, Spectrum) else value))
@@ -179,7 +167,7 @@ class Optics:
 
     @property
     def unused(self) -> str:
-        """Names of settings that model "none" ignores in the blur."""
+        """Settings that model "none" leaves without effect on the blur, in words."""
         return ", ".join(
             [
                 "diffraction",
@@ -193,7 +181,7 @@ class Optics:
 
     @property
     def magnification(self) -> float:
-        """Image size over object size, m = -f / (d - f): inverted, 0 for a scene at infinity."""
+        """Image size over object size, m = -f / (d - f): negative (upside down), 0 for a scene at infinity."""
         return -self.focal_length / (self.object_distance - self.focal_length)
 
     @property
@@ -203,48 +191,33 @@ class Optics:
 
     @property
     def working_f_number(self) -> float:
-        """Effective f-number N (1 + |m|) [1] of a lens focused nearer than infinity."""
+        """N (1 + |m|) [1]: what the image sees when the lens is focused nearer than infinity."""
         return self.f_number * (1 + abs(self.magnification))
 
     @property
     def irradiance_factor(self) -> float:
-        """On-axis irradiance over radiance [sr] of a lossless lens.
+        """On-axis irradiance over radiance [sr] of a lossless lens: A pi / (1 + 4 N^2 (1 + |m|)^2), A = pupil.area.
 
-        A pi / (1 + 4 N^2 (1 + |m|)^2) with A = pupil.area. This is pi sin^2(theta) of the cone that
-        the aperture fills as seen from the image, with half-angle tan(theta) = 1 / (2 N (1 + |m|)).
-        The often quoted pi / (4 N^2) is its limit for large N and m = 0; at f/4 it is 1.6 % larger.
+        This is pi sin^2(theta) of the cone of half-angle tan(theta) = 1 / (2 N (1 + |m|)) that the aperture fills as
+        seen from the image. The often quoted pi / (4 N^2) is its limit for large N and m = 0; at f/4 it is 1.6 % more.
         """
         return self.pupil.area * np.pi / (1 + 4 * self.working_f_number**2)
 
-    def transmission_at(self, wavelengths: ArrayLike) -> np.ndarray:
-        """Return the transmission. Beyond the ends of a table the end values hold.
-
-        Args:
-            wavelengths: wavelengths [nm], shape (L,).
-
-        Returns:
-            Transmission [1], shape (L,).
-        """
+    def transmission_at(self, wavelengths) -> np.ndarray:
+        """T at `wavelengths` [nm], shape (L,); beyond the ends of a table the end values go on."""
         if isinstance(self.transmission, Spectrum):
             return self.transmission.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.transmission))
 
-    def lateral_color_at(self, wavelengths: ArrayLike) -> np.ndarray:
-        """Return the relative excess of the image height.
-
-        Args:
-            wavelengths: wavelengths [nm], shape (L,).
-
-        Returns:
-            Excess [1], shape (L,).
-        """
+    def lateral_color_at(self, wavelengths) -> np.ndarray:
+        """Relative excess of the image height at `wavelengths` [nm], shape (L,)."""
         if isinstance(self.lateral_color, Spectrum):
             return self.lateral_color.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.lateral_color))
 
     @cached_property
     def is_ideal(self) -> bool:
-        """True if only diffraction at a clear circle blurs the image."""
+        """Whether nothing but the diffraction at a clear circle blurs the image."""
         return (
             self.model != "measured"
             and self.pupil == Pupil()
@@ -260,12 +233,12 @@ class Optics:
 
     @cached_property
     def is_symmetric(self) -> bool:
-        """True if the blur on the axis is rotationally symmetric (even along rows and columns)."""
+        """Whether the blur on the axis is even along rows and columns because it is the same at every angle."""
         return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
 
     @property
     def has_mirror(self) -> bool:
-        """True if the blurs at opposite field points are mirror images of each other."""
+        """Whether the blur at a field point is the mirror image of that at the point on the other side of the axis."""
         odd = [
             self.wavefront.polynomial(height)[:, 1::2]
             for height in (0.5, 1.0, *self.wavefront.heights)
@@ -274,7 +247,7 @@ class Optics:
 
     @property
     def varies(self) -> bool:
-        """True if the blur varies over the field."""
+        """Whether the blur is not the same all over the field."""
         if self.model == "none":
             return False
         lateral = self.lateral_color
@@ -285,11 +258,7 @@ class Optics:
         return bool(self.wavefront.heights) or any(self.wavefront.seidel[1:])
 
     def on_axis(self) -> "Optics":
-        """Return the lens whose blur is, over the whole field, the on-axis blur of this one.
-
-        Returns:
-            A lens without variation over the field.
-        """
+        """The lens whose blur everywhere is that of this one on the axis."""
         own = self.wavefront
         zernike = own.zernike[0] if own.heights else own.zernike
         wavefront = Wavefront(zernike, (), (own.seidel[0], 0.0, 0.0, 0.0, 0.0), own.reference)
@@ -298,7 +267,7 @@ class Optics:
 
     @property
     def description(self) -> str:
-        """The pupil, aberrations and low-pass in words."""
+        """The pupil and what is in it, in words."""
         if self.psf is not None:
             near = (
                 ""
@@ -318,31 +287,14 @@ class Optics:
         return ", ".join(words)
 
     def waves(
-        self,
-        wavelengths: ArrayLike,
-        height: float = 0.0,
-        azimuth: float = 0.0,
-        distance: float | None = None,
+        self, wavelengths, height: float = 0.0, azimuth: float = 0.0, distance: float | None = None
     ) -> np.ndarray:
-        """Return the wavefront as coefficients [l, i, j] of x^i y^j.
+        """Wavefront coefficients [l, i, j] of x^i y^j [waves of each wavelength], shape (L, n, n), n >= 5.
 
-        The constant term is left out. Defocus is W020 = d / (8 N^2 (1 + |m|)^2) for the
-        displacement d, to first order in d.
-
-        Args:
-            wavelengths: wavelengths [nm], shape (L,).
-            height: field height of the field point, see `Wavefront.polynomial`.
-            azimuth: direction of the field point, see `Wavefront.polynomial`.
-            distance: distance of the object [m]; None: in focus.
-
-        Returns:
-            Coefficients [waves of each wavelength], shape (L, n, n), n >= 5.
-
-        Raises:
-            OutOfRange: the defocus exceeds LONGEST_WAVEFRONT waves.
-
-        Source:
-            Goodman, Introduction to Fourier Optics, 6.4.
+        wavelengths: [nm]. height, azimuth: the field point, see `Wavefront.polynomial`. distance: of the object [m];
+        that in focus if not given. The constant term is left out. Defocus is W020 = d / (8 N^2 (1 + |m|)^2) for the
+        displacement d, Goodman (Introduction to Fourier Optics, 6.4) to first order in d; raises OutOfRange beyond
+        LONGEST_WAVEFRONT waves.
         """
         wavelengths = np.asarray(wavelengths, np.float64)
         table = (
@@ -368,40 +320,19 @@ class Optics:
         return table
 
     def diopters(self, distance: float) -> float:
-        """Return the defocus of an object, 1 / object_distance - 1 / distance.
-
-        Args:
-            distance: distance of the object [m].
-
-        Returns:
-            Defocus [1/m], positive beyond the plane in focus.
-        """
+        """Defocus of an object at `distance` [m] in dioptres [1/m]: 1 / object_distance - 1 / distance, > 0 beyond."""
         return 1 / self.object_distance - 1 / distance
 
     def displacement(self, diopters: float) -> float:
-        """Return the sensor displacement with the same defocus: D times the image distance squared.
+        """Sensor displacement [m] that defocuses as much as `diopters`: D times the image distance squared.
 
-        Both have the same W020: D a^2 / 2, with the pupil's radius a, equals d / (8 N^2 (1 +
-        |m|)^2) for this d.
-
-        Args:
-            diopters: defocus D [1/m].
-
-        Returns:
-            Displacement d [m].
+        Both stand for the same W020: D a^2 / 2, a the pupil's radius, is d / (8 N^2 (1 + |m|)^2) for this d.
         """
         return diopters * self.image_distance**2
 
-    def airy_radius(self, wavelength: ArrayLike) -> np.ndarray:
-        """Return the radius of the first dark ring, 1.21967 lambda N (1 + |m|).
+    def airy_radius(self, wavelength) -> np.ndarray:
+        """Radius of the first dark ring [m] at `wavelength` [nm]: 1.21967 lambda N (1 + |m|).
 
-        Args:
-            wavelength: wavelength [nm].
-
-        Returns:
-            Radius [m].
-
-        Source:
-            Born and Wolf, Principles of Optics, 8.5.2, for N (1 + |m|) = N, a scene at infinity.
+        Source: Born and Wolf, Principles of Optics, 8.5.2; N (1 + |m|) is N for a scene at infinity.
         """
         return AIRY_FIRST_ZERO * np.asarray(wavelength) * 1e-9 * self.working_f_number

@@ -1,4 +1,4 @@
-"""Point spread functions given as arrays, or by a formula other than diffraction."""
+"""Point spreads that are given as arrays, or by a formula other than diffraction."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,28 +13,17 @@ from gpusim.domain.short_repr import brief
 
 @dataclass(frozen=True, eq=False)
 class PointSpread:
-    """Measured or ray-traced point spread functions: one per wavelength and field point.
+    """Measured or traced point spreads, one per wavelength, each of energy 1; of one field point or of many.
 
-    Each has energy 1. Between field points, as between wavelengths, they are interpolated linearly.
-    `np.asarray` returns the values.
-
-    Args:
-        wavelengths: wavelengths [nm], increasing, shape (L,).
-        values: samples, not negative, scaled to sum 1 here, shape (L, rows, cols). The ideal image
-            point is at ((rows - 1) / 2, (cols - 1) / 2). With field points: (H, L, rows, cols) or
-            (Y, X, L, rows, cols).
-        spacing: distance of the samples [m].
-        integrated: True if samples are energies in pixels with that pitch. False if they are
-            samples of the irradiance of the lens itself, fine enough to resolve it: spacing <=
-            lambda N / 2.
-        heights: field heights from 0 to 1 at the frame's corner, shape (H,). The values are those
-            at field points on the side of increasing columns, for a rotationally symmetric lens.
-        grid: rows and columns of the field points in the same unit, two increasing lists of Y and X
-            entries, instead of `heights`.
-
-    Raises:
-        BadData: shapes, wavelengths, field points or values are wrong.
-        OutOfRange: the spacing is not positive.
+    wavelengths: [nm], increasing, shape (L,). values: shape (L, rows, cols), not negative; scaled to sum 1 here. The
+    ideal image point is at ((rows - 1) / 2, (cols - 1) / 2). spacing: distance of the samples [m].
+    integrated: whether the samples are the energies in pixels of that pitch; else they are samples of the irradiance
+    that the lens alone makes, fine enough to tell all of it: spacing <= lambda N / 2.
+    heights: field heights, rising from 0 to 1 at the frame's corner, shape (H,): values (H, L, rows, cols) are those of
+    field points on the side of growing columns, of a lens that is the same at every angle.
+    grid: or the field points' rows and columns, in the same unit, two rising lists of Y and X: values
+    (Y, X, L, rows, cols). Between field points, as between wavelengths, the spread is linear.
+    `np.asarray` gives the values. Raises BadData, OutOfRange.
     """
 
     wavelengths: np.ndarray
@@ -116,18 +105,7 @@ class PointSpread:
         object.__setattr__(self, "_axes", tuple(axes))
 
     def at(self, y: float, x: float) -> np.ndarray:
-        """Return the point spread functions of one field point.
-
-        Args:
-            y: row of the field point relative to the centre; the frame's corner is at distance 1.
-            x: column of the field point.
-
-        Returns:
-            Point spread functions, shape (L, rows, cols).
-
-        Raises:
-            OutOfRange: the point is outside the given field points.
-        """
+        """Point spreads of one field point, 1 the frame's corner, shape (L, rows, cols). Raises OutOfRange."""
         if not self._axes:
             return self.values
         point = (y, x) if self.grid else (np.hypot(y, x),)
@@ -146,7 +124,7 @@ class PointSpread:
             return spreads
         (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-        # rotate back into the table's frame, with the field point on +x
+        # back into the table's frame, where the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
         turned = np.stack(
             [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
@@ -155,10 +133,9 @@ class PointSpread:
 
 
 def gaussian_kernel(sigma, radius) -> np.ndarray:
-    """Return the energy of a Gaussian in unit pixels, shape (n, n).
+    """Energy of a Gaussian of standard deviation `sigma` in unit pixels up to `radius` from its own, shape (n, n).
 
-    Exact: differences of the error function. sigma: standard deviation. radius: pixels on each side
-    of the central one. The sum is the energy in these pixels, not scaled to 1.
+    Exact: differences of the error function. Its sum is what falls into these pixels, not scaled to 1.
     """
     if not (0 < sigma < np.inf and radius >= 0):
         raise OutOfRange("gaussian", f"sigma {sigma:g}, radius {radius}", "sigma > 0, radius >= 0")
@@ -168,10 +145,9 @@ def gaussian_kernel(sigma, radius) -> np.ndarray:
 
 
 def pillbox_kernel(diameter) -> np.ndarray:
-    """Return the energy of a uniform disc in unit pixels about its centre, shape (n, n), n odd.
+    """Energy of an even disc in unit pixels about its centre, shape (n, n), n odd; sum 1.
 
-    Its sum is 1. Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 -
-    x^2).
+    Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 - x^2).
     """
     if not 0 < diameter < 1e4:
         raise OutOfRange("pillbox diameter", f"{diameter:g} pixels", "0 < diameter < 1e4")
@@ -184,7 +160,7 @@ def pillbox_kernel(diameter) -> np.ndarray:
 
 
 def _disc_below(x, y, r):
-    """Return the area of the disc with coordinates below x and below y, both in -r .. r."""
+    """Area of the disc where its coordinates are below x and below y, both in -r .. r."""
 
     def column(a, b):  # integral over a .. b of sqrt(r^2 - t^2)
         def primitive(t):
@@ -196,8 +172,7 @@ def _disc_below(x, y, r):
 
     w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
     left, right = np.minimum(x, -w), np.clip(x, -w, w)
-    # Within the chord the strip goes from the lower arc to y. Outside the chord the strip is the
-    # whole disc for y > 0, and empty for y < 0.
+    # within the chord the strip goes from the lower arc to y; beside it, the whole disc for y > 0, nothing for y < 0
     inside = column(-w, right) + y * (right + w)
-    outside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
-    return inside + np.where(y > 0, outside, 0)
+    beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
+    return inside + np.where(y > 0, beside, 0)

@@ -1,9 +1,8 @@
-"""The exit pupil of a lens: its shape, and the wavefront in it.
+"""The exit pupil of a lens: the shape that lets light through, and the wavefront in it.
 
-Coordinates follow the image: x along the columns, y along the rows (down), in units of the
-pupil's radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations of Optical
-Systems, 1986, eq. 7.16): a ray through (x, y) meets the image at -2 lambda N grad W from the ideal
-point.
+Coordinates are those of the image: x along the columns, y along the rows (down), in units of the pupil's radius. The
+wavefront W(x, y) is in waves; its sign is that of Welford (Aberrations of Optical Systems, 1986, eq. 7.16): a ray
+through (x, y) meets the image at -2 lambda N grad W from the ideal point.
 """
 
 from dataclasses import dataclass
@@ -14,22 +13,18 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
-# [waves] Beyond this, geometrical optics gives the same kernel without costly quadrature.
-LONGEST_WAVEFRONT = 40.0
+LONGEST_WAVEFRONT = (
+    40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+)
 
 
 @dataclass(frozen=True)
 class Pupil:
-    """A circle, or a regular polygon inscribed in it, with a central circular obstruction.
+    """A circle or a regular polygon inscribed in it, with a central circular obstruction.
 
-    Args:
-        blades: corners of the polygon, 3 .. 64, or 0 for a circle.
-        obscuration: radius of the obstruction over the radius of the (circumscribed) circle, to
-            which the f-number refers.
-        rotation: angle of the first corner from x towards y [rad].
-
-    Raises:
-        OutOfRange: a value is outside its range.
+    blades: corners of the polygon, 3 .. 64, or 0 for a circle. obscuration: radius of the obstruction over that of the
+    (circumscribed) circle, to which the f-number refers. rotation: angle of the first corner from x towards y [rad].
+    Raises OutOfRange.
     """
 
     blades: int = 0
@@ -53,32 +48,23 @@ class Pupil:
 
     @property
     def area(self) -> float:
-        """Open area over the area of the circumscribed circle [1]: the share of light passed."""
+        """Open area over that of the circumscribed circle [1]: the share of a full circle's light that passes."""
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
 
 
 @dataclass(frozen=True)
 class Wavefront:
-    """Aberrations with the same optical path difference at every wavelength.
+    """Aberrations that are the same optical path for every wavelength.
 
-    Args:
-        zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`]: J numbers, or H lists
-            of J for the H field heights `heights`, linear between them.
-        heights: field heights of `zernike`, increasing, 1 at the corner; empty if it is the same
-            over the whole field.
-        seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field
-            curvature, distortion) at field height 1 [waves at `reference`]: W = W040 r^4 + W131 h
-            r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2 + W311 h^3 r cos t, t from the direction
-            of the field point.
-        reference: wavelength in which the coefficients are counted [nm].
-
-    Raises:
-        BadData: lists have the wrong form.
-        OutOfRange: a number is outside its range.
-
-    Source:
-        Noll, J. Opt. Soc. Am. 66, 207 (1976); Welford, chapter 7.
+    zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H lists of J for the H field
+        heights `heights`, linear between them. Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).
+    heights: field heights of `zernike`, increasing, 1 at the corner; none if it is the same everywhere.
+    seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field curvature, distortion) at
+        field height 1 [waves at `reference`]: W = W040 r^4 + W131 h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2
+        + W311 h^3 r cos t, t from the direction of the field point. Source: Welford, chapter 7.
+    reference: wavelength [nm] at which the coefficients are counted in waves.
+    Raises BadData, OutOfRange.
     """
 
     zernike: tuple = ()
@@ -137,17 +123,10 @@ class Wavefront:
             object.__setattr__(self, name, value)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
-        """Return coefficients [i, j] of x^i y^j at one field point.
+        """Coefficients [i, j] of x^i y^j [waves at `reference`] at one field point, shape (n, n).
 
-        All coefficients describe a lens that is symmetric about its axis: at other azimuths they
-        rotate.
-
-        Args:
-            height: field height, 1 at the corner.
-            azimuth: direction of the field point from the image centre, from x towards y [rad].
-
-        Returns:
-            Coefficients [waves at `reference`], shape (n, n).
+        height: 1 at the corner. azimuth: direction of the field point from the image centre, from x towards y [rad].
+        Both kinds of coefficients are those of a lens that is symmetric about its axis: at other azimuths they turn.
         """
         zernike = np.array(self.zernike)
         if self.heights:
@@ -168,7 +147,7 @@ class Wavefront:
 
 
 def disc_power(k) -> np.ndarray:
-    """Return the coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
+    """Coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
     table = np.zeros((2 * k + 1, 2 * k + 1))
     for i in range(k + 1):
         table[2 * i, 2 * (k - i)] = comb(k, i)
@@ -176,10 +155,7 @@ def disc_power(k) -> np.ndarray:
 
 
 def symmetric(pupil: Pupil, waves) -> bool:
-    """Return True if pupil and wavefronts are rotationally symmetric.
-
-    The transfer function is then real and radial.
-    """
+    """Whether pupil and wavefronts look the same at every angle: the transfer function is then real and radial."""
     order = waves.shape[-1]
     turned = np.zeros_like(waves)
     for k in range((order - 1) // 2 + 1):
@@ -189,10 +165,7 @@ def symmetric(pupil: Pupil, waves) -> bool:
 
 
 def noll(j) -> np.ndarray:
-    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j.
-
-    Its mean square over the unit disc is 1.
-    """
+    """Coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
     n = int((np.sqrt(8 * j - 7) - 1) / 2)
     rank = j - n * (n + 1) // 2 - 1  # place among the n + 1 polynomials of order n
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1
@@ -218,13 +191,13 @@ def noll(j) -> np.ndarray:
 
 
 def _padded(count):
-    """Return zeros with room for Seidel terms and `count` Zernike polynomials."""
+    """Room for Seidel terms and `count` Zernike polynomials."""
     order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
     return np.zeros((max(order, 4) + 1,) * 2)
 
 
 def _turned(table, angle):
-    """Return the polynomial rotated by `angle`: a feature along x then points along the angle."""
+    """The polynomial of coordinates turned by -`angle`: what pointed along x points along the angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     out = np.zeros_like(table)
     for i, j in zip(*np.nonzero(table), strict=True):  # (cos x + sin y)^i (-sin x + cos y)^j
