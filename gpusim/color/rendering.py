@@ -1,9 +1,7 @@
-"""Conversion of a camera's digital numbers to display colours, for one exposure."""
+"""How this camera's digital numbers become display colours, at this exposure."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
@@ -24,20 +22,13 @@ _BEFORE_TONE = attrgetter(*(part.name for part in fields(Processor) if part.name
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Colour transforms of one exposure.
+    """Colour transforms of one exposure; a camera value is (DN - dark level) / (white level - dark level).
 
-    A camera value is (DN - dark level) / (white level - dark level).
-
-    Attributes:
-        display_from_camera: matrix to linear display RGB, white = 1, shape (3, C).
-        ceiling: largest camera values, shape (C,). Clipping to them keeps blown-out highlights
-            neutral.
-        neutral: camera values of white, the largest 1, shape (C,).
-        model: method in words.
-        white: camera value of display white in its strongest channel.
-        saturation: largest camera value.
-        diffuser: linear display value of a perfect white diffuser in the scene's light; 1 if
-            normalised, or if its light is not known.
+    display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
+    that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
+    model: in words. white: the camera value of display white in its strongest channel. saturation: the largest there
+    is. diffuser: the linear display value of a perfect white diffuser in the scene's light, 1 if normalised, or its
+    light is not known.
     """
 
     display_from_camera: np.ndarray
@@ -53,7 +44,7 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class _Colors:
-    """A Rendering without its levels, in units of white."""
+    """A Rendering but for its levels: of white as 1."""
 
     matrix: np.ndarray
     neutral: np.ndarray
@@ -76,31 +67,17 @@ def rendering(
     camera: Camera,
     exposure_time: float,
     pixels: int = 1,
-    keep: Callable[[str, tuple, Callable[[], Any]], Any] = lambda _, __, make: make(),
+    keep=lambda _, __, make: make(),
 ) -> Rendering:
-    """Return the transforms that make white in the scene's light neutral.
+    """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
 
-    Brightness follows `Processor.scaling`. "exposure": display white is `AutoExposure.white` of
-    saturation in the sensor's strongest channel, a property of the camera only. Linear display
-    values are therefore proportional to exposure time and analog gain up to saturation, at 1 /
-    `AutoExposure.white` of display white; there all channels are clipped to white. "normalised":
-    the camera value of a perfect white diffuser is display white, or saturation if the scene's
-    light is not known.
-
-    Args:
-        plan: plan of the frame.
-        camera: the camera as operated (see `gpusim.pipeline.frame.Exposure`). If the scene's light
-            is unknown, or is not to be used, the target light is assumed.
-        exposure_time: exposure time [s].
-        pixels: number of pixels whose charge is added.
-        keep: function (name, key, make) that may return an earlier result of make() for the same
-            key.
-
-    Returns:
-        The transforms.
-
-    Raises:
-        BadData: see `color_matrix`.
+    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
+    camera alone, so that linear display values are proportional to exposure time and analog gain up to saturation,
+    1 / `AutoExposure.white` of display white, where all channels are clipped to white. "normalised": the camera value
+    of a perfect white diffuser is display white; where the scene's light is unknown, saturation is.
+    camera: as operated (see `gpusim.pipeline.frame.Exposure`). exposure_time: [s]. pixels: whose charge was added.
+    Where the scene's light is unknown, or not to be used, the target light is assumed. keep: function (what, key, make)
+    that may give what make() gave before for the same key. Raises BadData (see `color_matrix`).
     """
     sensor, processor = camera.sensor, camera.processor
     key = (
@@ -127,12 +104,12 @@ def rendering(
 
 
 def without_tone(processor) -> tuple:
-    """Return the settings of a processor before its tone curve, as part of a key."""
+    """What a processor does before its tone curve, as a part of a key."""
     return _BEFORE_TONE(processor)
 
 
 def _white_rates(plan, camera):
-    """Return electrons per second from a perfect white diffuser in the camera's planes, or None."""
+    """Electrons per second that a perfect white diffuser gives in the camera's planes; None if that is not known."""
     rates, letters = plan.white_rate, planes_of(camera)
     if rates is None or letters == XYZ:
         return rates
@@ -140,10 +117,9 @@ def _white_rates(plan, camera):
 
 
 def _share_of_white(plan, camera) -> float:
-    """Return white in the strongest plane over white in the strongest pixel.
+    """Return white in the strongest plane over white in the strongest pixel, 1 unless learned filters leave it out.
 
-    It is 1 unless learned filters leave that pixel's channel out: exposure is metered on all
-    pixels, also clear ones, while filters may return only red, green and blue.
+    Exposure is metered on all pixels, clear ones too, and filters may give only red, green and blue.
     """
     shown, letters = planes_of(camera), camera.sensor.channels
     if shown == XYZ or {*letters} <= {*shown}:
@@ -156,7 +132,7 @@ def _share_of_white(plan, camera) -> float:
 
 
 def _colors(plan, camera, keep):
-    """Return the transforms that make white in the scene's light neutral."""
+    """Transforms by which white in the scene's light comes out neutral."""
     scene, sensor, processor, letters = (
         plan.scene,
         camera.sensor,
@@ -168,13 +144,13 @@ def _colors(plan, camera, keep):
     rates = _white_rates(plan, camera)
     if processor.white:
         white = np.array(processor.white) / max(processor.white)
-        return _balance(
+        return _balanced(
             camera,
             white,
             "white as preset",
             lambda: keep("transforms", transforms_by(camera), lambda: transforms_of(camera)),
         )
-    if letters == XYZ:  # XYZ of surfaces in the target light: the filters have balanced white
+    if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(
@@ -211,7 +187,7 @@ def _colors(plan, camera, keep):
         neutral = np.ones(len(letters))
         if known and rates is not None:
             neutral = rates / rates.max()
-        matrix, model = _show_channels(letters, neutral)
+        matrix, model = _channels_shown(letters, neutral)
     if len(neutral) > 1:
         model += (
             f", white balance for {light.name or 'the scene light'}"
@@ -222,46 +198,30 @@ def _colors(plan, camera, keep):
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
-    """Return the letters of the demosaicked planes: the sensor's or the filters' outputs."""
+    """Letters of what demosaicking gives: the sensor's channels, or what learned filters make of them."""
     table = camera.processor.table
     return camera.sensor.channels if table is None else table.layout.outputs
 
 
 def rebalanced(
-    once: Rendering,
-    camera: Camera,
-    transforms: TransformSet | None,
-    thumbnail: np.ndarray,
-    floor: float,
+    once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float
 ) -> Rendering:
-    """Return the rendering of the same exposure for the white estimated from the picture.
+    """The same exposure, rendered for the white that the picture itself suggests.
 
-    Args:
-        once: rendering for the target light.
-        camera: the camera.
-        transforms: transforms of a set of lights, if a matrix or the estimate needs them.
-        thumbnail: block means of camera values, shape (C, rows, cols).
-        floor: mean response that counts as dark [camera value].
-
-    Returns:
-        The rendering.
-
-    Raises:
-        BadData: see `estimate_white`.
+    once: for the target light. transforms: of a set of lights, where a matrix or the estimate needs them. thumbnail:
+    block means of camera values, shape (C, rows, cols). floor: of darkness.
+    Raises BadData (see `estimate_white`).
     """
     processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
-    return _balance(camera, estimate.white, estimate.model, lambda: transforms).at(*levels)
+    return _balanced(camera, estimate.white, estimate.model, lambda: transforms).at(*levels)
 
 
-def _balance(camera, white, words, transforms):
-    """Return transforms that make `white` (C,), largest 1, neutral.
-
-    transforms: function that returns a TransformSet.
-    """
+def _balanced(camera, white, words, transforms):
+    """Transforms by which `white` (C,), largest 1, comes out neutral. transforms: gives those of a set of lights."""
     processor = camera.processor
     if processor.color == "none":
-        matrix, model = _show_channels(planes_of(camera), white)
+        matrix, model = _channels_shown(planes_of(camera), white)
         return _Colors(matrix, white, f"{model}, {words}")
     made = transforms().at(white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
@@ -269,7 +229,7 @@ def _balance(camera, white, words, transforms):
 
 
 def transforms_by(camera: Camera) -> tuple:
-    """Return the settings that `transforms_of` depends on, as a key."""
+    """What `transforms_of` depends on."""
     processor = camera.processor
     return (
         camera.optics.transmission,
@@ -283,7 +243,7 @@ def transforms_by(camera: Camera) -> tuple:
 
 
 def transforms_of(camera: Camera) -> TransformSet:
-    """Return the colour transforms of a camera for a set of lights, for estimates of the light."""
+    """Colour transforms of this camera for a set of lights, between which an estimate of the light chooses."""
     processor = camera.processor
     method = "white-preserving" if processor.color == "none" else processor.color
     letters = planes_of(camera)
@@ -297,14 +257,14 @@ def transforms_of(camera: Camera) -> TransformSet:
     )
 
 
-def _show_channels(letters, neutral):
-    """Return the matrix (3, C) without colour correction, white as 1, and its name.
+def _channels_shown(letters, neutral):
+    """Matrix (3, C) from channels to the display without colour correction, white as 1, and what it is in words.
 
-    Red, green and blue are shown as such, and so are any three channels. Others are added to a
-    grey.
+    Red, green and blue are shown as such, and so are any three channels; others are added to a grey.
     """
-    # 0: blind to this light
-    balance = np.divide(1, neutral, out=np.zeros_like(neutral), where=neutral > 0)
+    balance = np.divide(
+        1, neutral, out=np.zeros_like(neutral), where=neutral > 0
+    )  # 0: blind to this light
     if {*"RGB"} <= {*letters}:
         chosen = [letters.index(letter) for letter in "RGB"]
     elif len(letters) == 3:
@@ -315,7 +275,7 @@ def _show_channels(letters, neutral):
 
 
 def efficiency(camera: Camera, letters) -> Spectrum:
-    """Return the quantum efficiency [e-/photon] of channels behind the lens, shape (letters, L)."""
+    """Quantum efficiency [e-/photon] of the channels with these letters behind the lens, shape (letters, L)."""
     optics, qe = camera.optics, camera.sensor.qe
     rows = np.atleast_2d(qe.values)[[camera.sensor.channels.index(letter) for letter in letters]]
     qe = Spectrum(qe.wavelengths, rows, qe.name)

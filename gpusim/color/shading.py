@@ -1,4 +1,4 @@
-"""Shading correction: gains that compensate the fall-off of lens and sensor toward the corner."""
+"""Gains that undo what a lens and a sensor lose toward the corner."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,21 +7,14 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.optics.geometry import relative_illumination
 from gpusim.planner.plan import Plan
 
-NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # numbers of nodes to try, per axis
-INTERPOLATION = 2e-4  # largest relative error of the gains between nodes
+NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
+INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
 
 
 def relative_response(plan: Plan) -> np.ndarray:
-    """Return the response to a uniform scene relative to the axis.
+    """What a flat scene gives at every pixel over that on the axis, float64 (rows, cols).
 
-    It combines relative illumination, microlenses, the sensor's vignetting, and the spread of light
-    by distortion.
-
-    Args:
-        plan: plan of the frame.
-
-    Returns:
-        Response, float64, shape (rows, cols).
+    Relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
     """
     response = np.ones(plan.scene.shape)
     if plan.slope:
