@@ -16,8 +16,8 @@ class WhiteEstimate:
     """Estimated camera response to white.
 
     Attributes:
-        white: the response, largest entry 1, shape (C,).
-        model: method and outcome in words.
+        white: The response, largest entry 1, shape (C,).
+        model: Method and outcome in words.
     """
 
     white: np.ndarray
@@ -33,7 +33,7 @@ def estimate_white(
     or, without these, as balanced already; `model` then gives the reason.
 
     Args:
-        thumbnail: block means from `processor.thumbnail`, shape (C, rows, cols). Blocks that are
+        thumbnail: Block means from `processor.thumbnail`, shape (C, rows, cols). Blocks that are
             not finite are left out.
         method: "gray-world": the mean of the scene is neutral. "max-rgb": the largest responses of
             all channels belong to white. "shades-of-gray": between the two, the Minkowski mean with
@@ -42,16 +42,16 @@ def estimate_white(
             overlap / sqrt(product). Areas are convex hulls of the responses and black. Both are
             scaled until their brightest colour, the root of the sum of squares over the channels,
             is 1. The channels must include R and B.
-        transforms: colour transforms of the candidate lights, necessary for "red-blue".
-        floor: mean response that counts as dark, for example the read noise [camera value].
+        transforms: Colour transforms of the candidate lights, necessary for "red-blue".
+        floor: Mean response that counts as dark, for example the read noise [camera value].
 
     Returns:
         The estimate.
 
     Raises:
-        BadData: the shape is wrong, or transforms or channels are missing.
-        OutOfRange: the floor is negative.
-        UnknownName: the method is not known.
+        BadData: The shape is wrong, or transforms or channels are missing.
+        OutOfRange: The floor is negative.
+        UnknownName: The method is not known.
 
     Source:
         Buchsbaum 1980, J. Franklin Institute 310, 1-26 (gray-world); Land 1977, Scientific American

@@ -22,7 +22,7 @@ def color_profile(camera: Camera) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     They are computed from the camera's own curves and its training reflectances.
 
     Args:
-        camera: the camera.
+        camera: The camera.
 
     Returns:
         {light: (color, forward)}, empty for one channel. color: from XYZ of surfaces in the light
@@ -31,7 +31,7 @@ def color_profile(camera: Camera) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         white-preserving matrix for the light; white becomes D50.
 
     Raises:
-        BadData: see `color_matrix`.
+        BadData: See `color_matrix`.
     """
     letters = camera.sensor.channels
     if len(letters) == 1:

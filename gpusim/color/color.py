@@ -52,10 +52,10 @@ class ColorTransform:
     """Linear maps from camera responses that are 1 for perfect white in its strongest channel.
 
     Attributes:
-        matrix: to linear display RGB, shape (3, C). White becomes (1, 1, 1), approximately if the
+        matrix: To linear display RGB, shape (3, C). White becomes (1, 1, 1), approximately if the
             method does not preserve white.
-        xyz: to the XYZ of the surfaces in the target light, white Y = 1, shape (3, C).
-        white: response to perfect white in the scene's light, largest entry 1, shape (C,).
+        xyz: To the XYZ of the surfaces in the target light, white Y = 1, shape (3, C).
+        white: Response to perfect white in the scene's light, largest entry 1, shape (C,).
             Multiplied by saturation in units of white, it is the `ceiling` of processor.color,
             which keeps blown-out highlights neutral.
     """
@@ -94,13 +94,13 @@ def color_matrix(
     (WHITE_ELECTRONS); "pseudo-inverse" does not.
 
     Args:
-        qe: quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), with infrared
+        qe: Quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), with infrared
             filter.
-        light: photon radiance of the scene's light in any scale, shape (L,), or name of an
+        light: Photon radiance of the scene's light in any scale, shape (L,), or name of an
             illuminant.
-        reflectances: training surfaces [1], shape (N, L), or name of a set. Their wavelengths bound
+        reflectances: Training surfaces [1], shape (N, L), or name of a set. Their wavelengths bound
             the integrals.
-        method: all but "diagonal" minimise an error of the training surfaces' XYZ in the target
+        method: All but "diagonal" minimise an error of the training surfaces' XYZ in the target
             light. "white-preserving": squared error, among the matrices that map white exactly to
             the target's white. "pseudo-inverse": squared error, L = (H' diag(d1) S) [C' diag(d2)
             S]^-1, without a condition on white. "ridge": expected squared error with the shot noise
@@ -111,20 +111,20 @@ def color_matrix(
             until white is exact (von Kries's rule after a matrix). "diagonal": channels R, G, B are
             the display's primaries, each scaled until white is exact. It does not correct crosstalk
             of the filters, and ignores other channels.
-        target_light: light of the rendered surfaces, as `light`.
-        display: its white, to which the target's is adapted (Bradford), and its primaries.
-        snr: only for "ridge": signal-to-noise ratio of white in the strongest channel [1], that is
+        target_light: Light of the rendered surfaces, as `light`.
+        display: Its white, to which the target's is adapted (Bradford), and its primaries.
+        snr: Only for "ridge": signal-to-noise ratio of white in the strongest channel [1], that is
             snr^2 electrons.
-        channels: only for "diagonal": a letter for each channel, in the order of `qe`.
+        channels: Only for "diagonal": a letter for each channel, in the order of `qe`.
 
     Returns:
         The transform.
 
     Raises:
-        BadData: wavelengths do not overlap, the surfaces do not determine the matrix, or the method
+        BadData: Wavelengths do not overlap, the surfaces do not determine the matrix, or the method
             needs other channels.
         OutOfRange: `snr` is not positive.
-        UnknownName: method, light or set is not known.
+        UnknownName: Method, light or set is not known.
 
     Source:
         Farrell & Wandell, section 6.2 and Figure 11; Finlayson & Drew 1997, Color Research and
@@ -173,16 +173,16 @@ def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | 
     least squares solution among matrices that preserve white.
 
     Args:
-        qe: see `color_matrix`.
-        light: see `color_matrix`.
-        reflectances: see `color_matrix`.
+        qe: See `color_matrix`.
+        light: See `color_matrix`.
+        reflectances: See `color_matrix`.
 
     Returns:
         Matrix, shape (C, 3).
 
     Raises:
-        BadData: see `color_matrix`.
-        UnknownName: see `color_matrix`.
+        BadData: See `color_matrix`.
+        UnknownName: See `color_matrix`.
     """
     nodes, surfaces = _surfaces(reflectances)
     photons = _photons(light)
@@ -336,12 +336,12 @@ class TransformSet:
     """Colour transforms of a set of lights, computed once, selected by the camera's white.
 
     Attributes:
-        names: names of the K lights.
-        channels: a letter for each channel, if known.
-        transforms: transform of each light.
-        responses: camera responses to the N training surfaces in each light, in units of white's
+        names: Names of the K lights.
+        channels: A letter for each channel, if known.
+        transforms: Transform of each light.
+        responses: Camera responses to the N training surfaces in each light, in units of white's
             strongest channel, shape (K, C, N).
-        target_white: response to white in the target light, largest entry 1, shape (C,).
+        target_white: Response to white in the target light, largest entry 1, shape (C,).
     """
 
     names: tuple[str, ...]
@@ -365,13 +365,13 @@ class TransformSet:
         everywhere.
 
         Args:
-            white: response to white, any scale, shape (C,).
+            white: Response to white, any scale, shape (C,).
 
         Returns:
             The transform.
 
         Raises:
-            BadData: the white has the wrong shape or is not positive.
+            BadData: The white has the wrong shape or is not positive.
 
         Source:
             a local form of Shepard 1968, Proc. ACM, 517-524.
@@ -411,20 +411,20 @@ def transform_set(
     """Compute the transforms of a set of lights in advance.
 
     Args:
-        qe: see `color_matrix`.
-        reflectances: see `color_matrix`.
-        lights: names or photon radiances.
-        channels: a letter for each channel, necessary for "diagonal" and for estimates of the light
+        qe: See `color_matrix`.
+        reflectances: See `color_matrix`.
+        lights: Names or photon radiances.
+        channels: A letter for each channel, necessary for "diagonal" and for estimates of the light
             that use certain channels.
-        options: other arguments of `color_matrix`.
+        options: Other arguments of `color_matrix`.
 
     Returns:
         The transforms.
 
     Raises:
-        BadData: there are no lights; see also `color_matrix`.
-        OutOfRange: see `color_matrix`.
-        UnknownName: see `color_matrix`.
+        BadData: There are no lights; see also `color_matrix`.
+        OutOfRange: See `color_matrix`.
+        UnknownName: See `color_matrix`.
 
     Source:
         Farrell & Wandell, section 6.2 and Figure 12.

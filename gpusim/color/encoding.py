@@ -12,14 +12,14 @@ def decoding(display: Display, tone: tuple = ()):
     """Return the function from codes to the linear light before the tone curve.
 
     Args:
-        display: the display.
-        tone: tone curve, see `gpusim.domain.processor.Processor`.
+        display: The display.
+        tone: Tone curve, see `gpusim.domain.processor.Processor`.
 
     Returns:
         Function of codes as fractions of the largest.
 
     Raises:
-        BadData: the cubic between the nodes of the tone curve overflows.
+        BadData: The cubic between the nodes of the tone curve overflows.
     """
     if not tone:
         return display.decode

@@ -35,18 +35,18 @@ def shading_gains(response: ArrayLike, channels: int, most: float = 8.0) -> np.n
     nodes in NODES.
 
     Args:
-        response: response to a uniform scene, of every pixel, shape (rows, cols), or of every
+        response: Response to a uniform scene, of every pixel, shape (rows, cols), or of every
             channel at every pixel, shape (channels, rows, cols), in any unit. The largest value of
             each channel is not changed.
-        channels: number of channels.
-        most: largest gain [1]. If more would be necessary, a uniform scene stays darker there.
+        channels: Number of channels.
+        most: Largest gain [1]. If more would be necessary, a uniform scene stays darker there.
 
     Returns:
         Gains, float64, shape (channels, ny, nx), the smallest one 1.
 
     Raises:
-        BadData: the response has the wrong shape.
-        OutOfRange: a response or `most` is outside its range.
+        BadData: The response has the wrong shape.
+        OutOfRange: A response or `most` is outside its range.
     """
     response = _check_response(response, most)
     if response.shape[:-2] not in ((), (channels,)):
@@ -70,18 +70,18 @@ def phase_gains(
     and all have one scale.
 
     Args:
-        response: response to a uniform scene of every output pixel, after binning, shape (rows,
+        response: Response to a uniform scene of every output pixel, after binning, shape (rows,
             cols), in any unit.
-        period: rows and columns of the output's mosaic.
-        most: see `shading_gains`.
+        period: Rows and columns of the output's mosaic.
+        most: See `shading_gains`.
 
     Returns:
         The gains, float64, shape (period_y period_x, ny, nx), the smallest one 1; and the mosaic of
         phases that `processor.shade` takes in place of the CFA, int32, shape (period_y, period_x).
 
     Raises:
-        BadData: the response has the wrong shape.
-        OutOfRange: a response or `most` is outside its range.
+        BadData: The response has the wrong shape.
+        OutOfRange: A response or `most` is outside its range.
     """
     response, (down, right) = _check_response(response, most), period
     if response.ndim != 2 or response.shape[0] < down or response.shape[1] < right:

@@ -58,15 +58,15 @@ def gain_for_speed(sensor: Sensor, speed: float) -> float:
     The lowest speed is the base speed, with an analog gain of 1.
 
     Args:
-        sensor: the sensor.
+        sensor: The sensor.
         speed: ISO speed [1].
 
     Returns:
         Analog gain [1].
 
     Raises:
-        BadData: the sensor does not see daylight.
-        OutOfRange: the speed is below the base speed, or needs too large a gain.
+        BadData: The sensor does not see daylight.
+        OutOfRange: The speed is below the base speed, or needs too large a gain.
     """
     unity = replace(sensor, analog_gain=1.0)
     base = iso_speed(unity)
@@ -123,12 +123,12 @@ def operate_camera(
     """Return the camera with other settings of its controls; None leaves a setting as it is.
 
     Args:
-        camera: the camera.
-        exposure: exposure time [s], or "auto".
+        camera: The camera.
+        exposure: Exposure time [s], or "auto".
         iso: ISO speed [1]. Automatic exposure then does not raise the gain.
-        f_number: f-number [1].
-        focus: distance of the plane in focus [m].
-        scaling: see `Processor`.
+        f_number: F-number [1].
+        focus: Distance of the plane in focus [m].
+        scaling: See `Processor`.
 
     Returns:
         The camera with these settings.
@@ -136,7 +136,7 @@ def operate_camera(
     Raises:
         BadData: f_number or focus for a lens of measured point spreads, or a sensor without ISO
             speed.
-        OutOfRange: a setting is outside its range.
+        OutOfRange: A setting is outside its range.
     """
     optics, sensor, processor = camera.optics, camera.sensor, camera.processor
     if exposure is not None:

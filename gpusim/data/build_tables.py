@@ -129,7 +129,7 @@ def smoothest_primaries(responses, targets):
         Spectra, shape (3, L).
 
     Raises:
-        RuntimeError: the search failed.
+        RuntimeError: The search failed.
 
     Source:
         Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR

@@ -34,22 +34,22 @@ def chart(
     """Return a built-in scene.
 
     Args:
-        name: name of the chart, one of CHARTS.
-        size: columns and rows of the frame [pixel].
-        light: a name for `illuminant`, or its relative power in energy units.
-        luminance: luminance of a perfect white diffuser in this light [cd m-2].
-        wavelengths: wavelengths of the reflectances [nm]; None: 400, 410 .. 700. Beyond its own
+        name: Name of the chart, one of CHARTS.
+        size: Columns and rows of the frame [pixel].
+        light: A name for `illuminant`, or its relative power in energy units.
+        luminance: Luminance of a perfect white diffuser in this light [cd m-2].
+        wavelengths: Wavelengths of the reflectances [nm]; None: 400, 410 .. 700. Beyond its own
             table a reflectance keeps its end value.
-        samples_per_pixel: scene samples along a pixel, see `Scene`.
-        options: options of the chart, see its function.
+        samples_per_pixel: Scene samples along a pixel, see `Scene`.
+        options: Options of the chart, see its function.
 
     Returns:
         The scene.
 
     Raises:
-        DoesNotFit: the chart needs more memory than there is; raised before any allocation.
-        OutOfRange: a number is outside its range.
-        UnknownName: chart, light or option is not known.
+        DoesNotFit: The chart needs more memory than there is; raised before any allocation.
+        OutOfRange: A number is outside its range.
+        UnknownName: Chart, light or option is not known.
     """
     if not is_known(name, CHARTS):
         raise UnknownName("chart", name, CHARTS)
@@ -76,13 +76,13 @@ def colorchecker_patches(size) -> list[tuple[slice, slice]]:
     """Return rows and columns of the 24 patches of "colorchecker", from dark skin to black.
 
     Args:
-        size: columns and rows of the chart [pixel].
+        size: Columns and rows of the chart [pixel].
 
     Returns:
         Slices of rows and columns of each patch, row by row.
 
     Raises:
-        OutOfRange: the chart is smaller than 24 x 16 pixels.
+        OutOfRange: The chart is smaller than 24 x 16 pixels.
     """
     cols, rows = checked_size(size)
     if cols < 24 or rows < 16:
@@ -152,9 +152,9 @@ def half_plane_coverage(distance, across, along):
     Its distribution function is the second integral of the four corners' ramps.
 
     Args:
-        distance: signed distance of the pixel's centre from the line [pixel], any shape.
-        across: first component of the line's unit normal.
-        along: second component.
+        distance: Signed distance of the pixel's centre from the line [pixel], any shape.
+        across: First component of the line's unit normal.
+        along: Second component.
 
     Returns:
         Fraction [1], shape of `distance`.

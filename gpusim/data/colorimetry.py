@@ -40,8 +40,8 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     tables.
 
     Args:
-        spectrum: radiance [W m-2 sr-1 nm-1]; or reflectance [1] if `light` is given.
-        light: radiance of white for a reflectance.
+        spectrum: Radiance [W m-2 sr-1 nm-1]; or reflectance [1] if `light` is given.
+        light: Radiance of white for a reflectance.
 
     Returns:
         XYZ, shape (..., 3); Y is the luminance [cd m-2].

@@ -43,7 +43,7 @@ def open_display(name: str) -> Display:
         The display.
 
     Raises:
-        UnknownName: the name is not known.
+        UnknownName: The name is not known.
     """
     if is_known(name, DISPLAYS):
         return DISPLAYS[name]
@@ -78,15 +78,15 @@ def displayed(codes: Any, display: Display) -> Scene:
     their spectra. For "srgb" the primaries are `srgb_primaries` in D65.
 
     Args:
-        codes: picture, uint8 or uint16, shape (rows, cols, 3), for example `Frame.rgb`; or an array
+        codes: Picture, uint8 or uint16, shape (rows, cols, 3), for example `Frame.rgb`; or an array
             of a device, which then decodes it.
-        display: a display with known spectra.
+        display: A display with known spectra.
 
     Returns:
         The scene.
 
     Raises:
-        BadData: the picture has another shape, or the display has no spectra.
+        BadData: The picture has another shape, or the display has no spectra.
 
     Source:
         Farrell & Wandell, section 3.

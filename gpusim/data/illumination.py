@@ -29,7 +29,7 @@ def illuminated(scene: Scene, lights: dict[Any, Any]) -> Scene:
     light multiplies the number of planes.
 
     Args:
-        scene: scene of reflectances in any form. Its own light is not used.
+        scene: Scene of reflectances in any form. Its own light is not used.
         lights: {light: map}. A light is a name for `illuminant`, or a Spectrum of relative power in
             energy units. A map is the luminance of a perfect white diffuser in only this light [cd
             m-2], an array of the shape of the scene's samples, or one number.
@@ -38,9 +38,9 @@ def illuminated(scene: Scene, lights: dict[Any, Any]) -> Scene:
         A scene with Illuminated content, whose illuminant is the mean of all light.
 
     Raises:
-        BadData: the scene has layers or unknown light, or a map has the wrong shape or values.
-        OutOfRange: a light has no visible power.
-        UnknownName: a light is not known.
+        BadData: The scene has layers or unknown light, or a map has the wrong shape or values.
+        OutOfRange: A light has no visible power.
+        UnknownName: A light is not known.
     """
     scene = checked_scene(scene)
     if not scene.light_is_known:

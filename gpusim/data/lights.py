@@ -21,18 +21,18 @@ def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
     outside its table; a blackbody has no limits.
 
     Args:
-        name: a CIE illuminant ("A", "C", "D65", "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65",
+        name: A CIE illuminant ("A", "C", "D65", "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65",
             ...), CIE daylight of a temperature ("daylight-5000K", 4000 .. 25000 K) or a blackbody
             ("blackbody-3200K"); upper or lower case.
-        wavelengths: wavelengths [nm], or None for its own table (CIE: 5 nm steps; daylight: 300 ..
+        wavelengths: Wavelengths [nm], or None for its own table (CIE: 5 nm steps; daylight: 300 ..
             830 nm in 5 nm steps; blackbody: 300 .. 1100 nm in 1 nm steps).
 
     Returns:
         The spectrum.
 
     Raises:
-        OutOfRange: the temperature is outside its range.
-        UnknownName: the name is not known.
+        OutOfRange: The temperature is outside its range.
+        UnknownName: The name is not known.
     """
     if not isinstance(name, str):
         raise UnknownName("light", str(name), illuminant_names())
@@ -52,14 +52,14 @@ def light_of(light: str | Spectrum) -> Spectrum:
     """Return the relative power [W nm-1, up to a factor] of a light.
 
     Args:
-        light: name of an illuminant, or a Spectrum.
+        light: Name of an illuminant, or a Spectrum.
 
     Returns:
         The spectrum.
 
     Raises:
-        BadData: the value is neither, or has several functions.
-        UnknownName: the name is not known.
+        BadData: The value is neither, or has several functions.
+        UnknownName: The name is not known.
     """
     if isinstance(light, str):
         return illuminant(light)
@@ -94,13 +94,13 @@ def daylight(temperature: float) -> Spectrum:
     """Return CIE daylight of a correlated colour temperature, 100 at 560 nm, at 300, 305 .. 830 nm.
 
     Args:
-        temperature: correlated colour temperature [K].
+        temperature: Correlated colour temperature [K].
 
     Returns:
         The spectrum.
 
     Raises:
-        OutOfRange: the temperature is outside 4000 .. 25000 K.
+        OutOfRange: The temperature is outside 4000 .. 25000 K.
 
     Source:
         CIE 15:2018, equations 4.5 to 4.11. Factors M1 and M2 are rounded to three decimals as it
@@ -132,14 +132,14 @@ def blackbody(temperature: float, wavelengths) -> Spectrum:
     """Return Planck's law for a temperature, 100 at 560 nm.
 
     Args:
-        temperature: temperature [K].
-        wavelengths: wavelengths [nm].
+        temperature: Temperature [K].
+        wavelengths: Wavelengths [nm].
 
     Returns:
         The spectrum.
 
     Raises:
-        OutOfRange: the temperature is outside 300 .. 100000 K.
+        OutOfRange: The temperature is outside 300 .. 100000 K.
     """
     if not 300 <= temperature <= 100000:
         raise OutOfRange("blackbody temperature", f"{temperature:g} K", "300 .. 100000 K")
@@ -155,14 +155,14 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
     """Return the radiance of a perfect white diffuser [photon s-1 m-2 sr-1 nm-1].
 
     Args:
-        light: relative power in energy units.
-        luminance: luminance of the diffuser [cd m-2].
+        light: Relative power in energy units.
+        luminance: Luminance of the diffuser [cd m-2].
 
     Returns:
         The radiance.
 
     Raises:
-        OutOfRange: the luminance is not positive, or the light has no visible power.
+        OutOfRange: The luminance is not positive, or the light has no visible power.
     """
     if not (isinstance(luminance, Real) and 0 < luminance <= BRIGHTEST):
         raise OutOfRange(

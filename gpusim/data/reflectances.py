@@ -18,7 +18,7 @@ def reflectances(set_name: str) -> Spectrum:
         The reflectances [1].
 
     Raises:
-        UnknownName: the set is not known.
+        UnknownName: The set is not known.
     """
     if set_name == "colorchecker":
         table = tables("cie")

@@ -57,7 +57,7 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
         Matrix, shape (3, 3), or None.
 
     Raises:
-        BadData: the chromaticities are not finite, or do not span a colour space.
+        BadData: The chromaticities are not finite, or do not span a colour space.
     """
     given = np.asarray(chromaticities, np.float64)
     if np.abs(given - [*SRGB_PRIMARIES, SRGB_WHITE]).max() < CLOSE:
@@ -86,7 +86,7 @@ def drawn_into_srgb(linear: np.ndarray) -> float:
     Afterwards no channel is negative. A colour without luminance becomes black.
 
     Args:
-        linear: linear sRGB, float32, shape (3, rows, cols).
+        linear: Linear sRGB, float32, shape (3, rows, cols).
 
     Returns:
         Fraction of samples that were outside by more than SEEN.

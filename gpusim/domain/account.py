@@ -17,9 +17,9 @@ class Bound:
     """Error of the mean electrons that one cause adds.
 
     Attributes:
-        rms: root mean square error, relative to the root mean square of the frame [1].
+        rms: Root mean square error, relative to the root mean square of the frame [1].
         p999_sigma: 99.9 % quantile over the pixels of |error| / noise sigma of the pixel [1].
-        max_sigma: maximum over the pixels of |error| / noise sigma of the pixel [1].
+        max_sigma: Maximum over the pixels of |error| / noise sigma of the pixel [1].
     """
 
     rms: float = 0.0
@@ -47,7 +47,7 @@ class Bound:
         """Find the figure closest to its limit, or farthest beyond it.
 
         Args:
-            tolerance: limits; a figure whose limit is None does not count.
+            tolerance: Limits; a figure whose limit is None does not count.
 
         Returns:
             Error over tolerance, name of the figure, its error, its tolerance, and its unit as
@@ -87,9 +87,9 @@ class Account:
     """Named errors of the mean electrons, predicted for the scene as sampled.
 
     Attributes:
-        bounds: name and error of each cause.
-        seconds: exposure time that the errors are predicted for [s]. The RMS does not depend on it.
-        doubt: reason why the errors are too uncertain for the verdict "met", or "".
+        bounds: Name and error of each cause.
+        seconds: Exposure time that the errors are predicted for [s]. The RMS does not depend on it.
+        doubt: Reason why the errors are too uncertain for the verdict "met", or "".
     """
 
     bounds: dict[str, Bound] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class Account:
         shrink by at least r^(1/2).
 
         Args:
-            seconds: exposure time [s].
+            seconds: Exposure time [s].
 
         Returns:
             The account for that time.
@@ -149,8 +149,8 @@ class Account:
         Otherwise "not judged".
 
         Args:
-            tolerance: limits on the errors.
-            remedy: advice for meeting the tolerance, used if it is not met.
+            tolerance: Limits on the errors.
+            remedy: Advice for meeting the tolerance, used if it is not met.
 
         Returns:
             The verdict with its figures.
@@ -183,10 +183,10 @@ class Verdict:
     Attributes:
         state: "met", "not met", or "not judged" if the known errors are within the tolerance but
             others are unknown.
-        words: the figures.
-        by: the cause of most of the error.
-        remedy: advice for meeting the tolerance, "" if it is met.
-        unknown: names of the causes whose errors are unknown.
+        words: The figures.
+        by: The cause of most of the error.
+        remedy: Advice for meeting the tolerance, "" if it is met.
+        unknown: Names of the causes whose errors are unknown.
     """
 
     state: str

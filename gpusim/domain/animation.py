@@ -22,16 +22,16 @@ class Actor:
     """A flat object in the light of the scene, in front of the scene's content.
 
     Args:
-        content: its samples, on a grid as fine as the scene's, shape (rows, cols): a Cube with the
+        content: Its samples, on a grid as fine as the scene's, shape (rows, cols): a Cube with the
             wavelengths of the scene, or a Basis with the basis of the scene.
-        alpha: coverage of each sample, 0 .. 1, shape (rows, cols).
-        place: position of its centre relative to the scene's centre at time 0, rows and columns
+        alpha: Coverage of each sample, 0 .. 1, shape (rows, cols).
+        place: Position of its centre relative to the scene's centre at time 0, rows and columns
             [pixel].
-        path: its movement from there. The rotation of the motion turns it, the zoom enlarges it.
+        path: Its movement from there. The rotation of the motion turns it, the zoom enlarges it.
 
     Raises:
-        BadData: the content cannot be interpolated, or shapes or types do not match.
-        OutOfRange: alpha is outside 0 .. 1.
+        BadData: The content cannot be interpolated, or shapes or types do not match.
+        OutOfRange: Alpha is outside 0 .. 1.
     """
 
     content: Content
@@ -65,8 +65,8 @@ class Actor:
         """Return its corners relative to the scene's centre.
 
         Args:
-            time: time [s].
-            ratio: scene samples per pixel.
+            time: Time [s].
+            ratio: Scene samples per pixel.
 
         Returns:
             Rows and columns [sample], shape (2, 2, 2).
@@ -88,9 +88,9 @@ class Actor:
         samples.
 
         Args:
-            planes: samples of the scene, shape (P, rows, cols).
-            time: time [s].
-            ratio: scene samples per pixel.
+            planes: Samples of the scene, shape (P, rows, cols).
+            time: Time [s].
+            ratio: Scene samples per pixel.
         """
         corners, shape = self.corners(time, ratio), planes.shape[1:]
         middle = [(n - 1) / 2 for n in shape]
@@ -126,11 +126,11 @@ class Animation:
     The scene has no depth and no layers. The error account takes the samples at a time as true.
 
     Args:
-        scene: the background.
-        actors: the objects, nearest first.
+        scene: The background.
+        actors: The objects, nearest first.
 
     Raises:
-        BadData: the scene has depth or layers, or an actor does not match its content.
+        BadData: The scene has depth or layers, or an actor does not match its content.
     """
 
     scene: Scene
@@ -156,7 +156,7 @@ class Animation:
         """Return the scene at one time. Its samples are not checked again.
 
         Args:
-            time: time [s].
+            time: Time [s].
 
         Returns:
             A scene with the actors drawn into its samples.
@@ -171,7 +171,7 @@ class Animation:
         """Return the longest distance that a corner of an actor moves between consecutive times.
 
         Args:
-            times: times [s].
+            times: Times [s].
 
         Returns:
             Distance [sample].

@@ -12,8 +12,8 @@ def binned(cfa_indices: np.ndarray, binning: tuple[int, int]) -> tuple[tuple[int
     is.
 
     Args:
-        cfa_indices: channel indices of one period, shape (period_y, period_x).
-        binning: rows and columns that become one.
+        cfa_indices: Channel indices of one period, shape (period_y, period_x).
+        binning: Rows and columns that become one.
 
     Returns:
         The stride along rows and columns [pixel], and the shortest period of the new mosaic, int32,

@@ -55,15 +55,15 @@ class BrownConrady:
     `radius` is the focal length.
 
     Args:
-        k1, k2, k3, k4, k5, k6: radial coefficients [1].
-        p1, p2: decentring coefficients [1].
-        radius: unit of the positions [m].
-        scale: magnification relative to the nominal one [1].
-        s1, s2, s3, s4: thin-prism coefficients [1].
-        tau_x, tau_y: tilt of the sensor [rad].
+        k1, k2, k3, k4, k5, k6: Radial coefficients [1].
+        p1, p2: Decentring coefficients [1].
+        radius: Unit of the positions [m].
+        scale: Magnification relative to the nominal one [1].
+        s1, s2, s3, s4: Thin-prism coefficients [1].
+        tau_x, tau_y: Tilt of the sensor [rad].
 
     Raises:
-        OutOfRange: a coefficient is not finite, the tilt is too steep, or radius or scale is not
+        OutOfRange: A coefficient is not finite, the tilt is too steep, or radius or scale is not
             positive.
 
     Source:
@@ -186,12 +186,12 @@ class Fisheye:
     Kalibr, if `radius` is the focal length.
 
     Args:
-        k1, k2, k3, k4: coefficients [1].
-        radius: unit of the positions [m].
-        scale: magnification relative to the nominal one [1].
+        k1, k2, k3, k4: Coefficients [1].
+        radius: Unit of the positions [m].
+        scale: Magnification relative to the nominal one [1].
 
     Raises:
-        OutOfRange: a coefficient is not finite, or radius or scale is not positive.
+        OutOfRange: A coefficient is not finite, or radius or scale is not positive.
 
     Source:
         Kannala and Brandt, PAMI 28 (2006) 1335.
@@ -243,16 +243,16 @@ class Calibration:
     another aspect ratio is refused.
 
     Args:
-        width, height: size of the calibration images [pixel].
-        fx, fy: focal lengths [pixel].
-        cx, cy: principal point [pixel]; (0, 0) is the centre of the first pixel.
-        coefficients: in OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]],
+        width, height: Size of the calibration images [pixel].
+        fx, fy: Focal lengths [pixel].
+        cx, cy: Principal point [pixel]; (0, 0) is the centre of the first pixel.
+        coefficients: In OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]],
             empty for a pinhole; with `fisheye`, k1 k2 k3 k4 of the fisheye (equidistant) model.
-        fisheye: use the fisheye model.
+        fisheye: Use the fisheye model.
 
     Raises:
-        BadData: the number of coefficients does not fit the model.
-        OutOfRange: a size, focal length, principal point or coefficient is outside its range.
+        BadData: The number of coefficients does not fit the model.
+        OutOfRange: A size, focal length, principal point or coefficient is outside its range.
     """
 
     width: int
@@ -305,17 +305,17 @@ class Calibration:
         """Build a calibration from results of `cv2.calibrateCamera` or `cv2.fisheye.calibrate`.
 
         Args:
-            camera_matrix: array or nested lists, shape (3, 3), without skew.
-            coefficients: array or list of any shape, or None.
-            size: width and height of the images [pixel].
-            fisheye: the coefficients belong to the fisheye model.
+            camera_matrix: Array or nested lists, shape (3, 3), without skew.
+            coefficients: Array or list of any shape, or None.
+            size: Width and height of the images [pixel].
+            fisheye: The coefficients belong to the fisheye model.
 
         Returns:
             The calibration.
 
         Raises:
-            BadData: the arguments are not numbers of the right shape, or the matrix has skew.
-            OutOfRange: see `Calibration`.
+            BadData: The arguments are not numbers of the right shape, or the matrix has skew.
+            OutOfRange: See `Calibration`.
         """
         try:
             matrix, (width, height) = np.array(camera_matrix, np.float64), map(int, size)
@@ -356,14 +356,14 @@ class Calibration:
         """Return the distortion for a frame of another resolution.
 
         Args:
-            shape: rows and columns of the frame [pixel].
-            pitch: pixel pitch [m].
+            shape: Rows and columns of the frame [pixel].
+            pitch: Pixel pitch [m].
 
         Returns:
             The distortion with positions relative to the centre of the frame.
 
         Raises:
-            OutOfRange: the frame has another aspect ratio than the calibration images.
+            OutOfRange: The frame has another aspect ratio than the calibration images.
         """
         rows, cols = shape
         across, down = cols / self.width, rows / self.height
@@ -403,9 +403,9 @@ class Framed:
     Positions are relative to the centre of the frame, in units of `radius`.
 
     Attributes:
-        lens: distortion of normalised positions.
-        radius: focal length along rows [m].
-        aspect: focal length along columns over `radius` [1].
+        lens: Distortion of normalised positions.
+        radius: Focal length along rows [m].
+        aspect: Focal length along columns over `radius` [1].
         middle: (x, y) of the principal point, the same in the ideal image and in the camera's.
     """
 

@@ -26,15 +26,15 @@ class Camera(Tabled):
     """Everything between the radiance of a scene and a picture of it.
 
     Args:
-        name: name in reports and files.
-        optics: the lens.
-        sensor: the image sensor.
-        processor: the image processor.
-        display: the display that pictures are encoded for.
+        name: Name in reports and files.
+        optics: The lens.
+        sensor: The image sensor.
+        processor: The image processor.
+        display: The display that pictures are encoded for.
 
     Raises:
-        OutOfRange: the settings of two parts exclude each other.
-        UnknownName: a learned filter table is for another mosaic.
+        OutOfRange: The settings of two parts exclude each other.
+        UnknownName: A learned filter table is for another mosaic.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Camera(Tabled):
         """Return a camera with some settings changed: `camera.with_(f_number=2.0, read_e=3)`.
 
         Args:
-            changes: new values, with keys and units of camera files. If a key occurs in two
+            changes: New values, with keys and units of camera files. If a key occurs in two
                 sections, write the section too: `with_(**{"processor.white": [2, 1, 1.5]})`. Values
                 have the form of a camera file. A value that a file names or tabulates is passed as
                 the object, in the unit of the field: Spectrum, Pupil, PointSpread, FilterTable,
@@ -96,9 +96,9 @@ class Camera(Tabled):
             The new camera.
 
         Raises:
-            UnknownName: a key is not known.
-            BadData: a value has the wrong type.
-            OutOfRange: a value is outside its range.
+            UnknownName: A key is not known.
+            BadData: A value has the wrong type.
+            OutOfRange: A value is outside its range.
         """
         from gpusim.domain.changes import apply_changes
 

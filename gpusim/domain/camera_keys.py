@@ -366,16 +366,16 @@ def section_fields(path, table, section, cls=None):
     """Return the keys of one section as arguments of `cls`.
 
     Args:
-        path: path of the camera file, for messages.
-        table: the file as tomllib reads it.
-        section: name of the section.
-        cls: class whose fields without a default must be present; None: no check.
+        path: Path of the camera file, for messages.
+        table: The file as tomllib reads it.
+        section: Name of the section.
+        cls: Class whose fields without a default must be present; None: no check.
 
     Returns:
         Names of fields and their values.
 
     Raises:
-        BadFile: a key is unknown or missing, or a value has the wrong type.
+        BadFile: A key is unknown or missing, or a value has the wrong type.
     """
     known = SECTIONS[section]
     given = table.get(section, {})

@@ -34,11 +34,11 @@ class Content:
     device converts samples of types that it does not store.
 
     Attributes:
-        wavelengths: wavelengths of the spectra [nm], shape (L,).
-        form: name of the form.
-        samples: names of the arrays with one value per sample; their last two axes are rows and
+        wavelengths: Wavelengths of the spectra [nm], shape (L,).
+        form: Name of the form.
+        samples: Names of the arrays with one value per sample; their last two axes are rows and
             columns.
-        shared: names of the arrays that all samples share.
+        shared: Names of the arrays that all samples share.
     """
 
     wavelengths: np.ndarray
@@ -107,7 +107,7 @@ class Content:
         """Return the type of an array of samples on a device.
 
         Args:
-            name: name of the array, one of `samples`.
+            name: Name of the array, one of `samples`.
 
         Returns:
             The NumPy type, for light float16 if the array has that type, otherwise float32.
@@ -122,7 +122,7 @@ class Content:
             Picture becomes a Basis.
 
         Raises:
-            BadData: an array cannot be read.
+            BadData: An array cannot be read.
         """
         if all(isinstance(getattr(self, name), np.ndarray) for name in self.samples):
             return self
@@ -132,7 +132,7 @@ class Content:
         """Return the content with another array in place of `planes`.
 
         Args:
-            planes: the new array.
+            planes: The new array.
 
         Returns:
             New content with the same spectra.
@@ -143,7 +143,7 @@ class Content:
         """Return the content with `change(array)` in place of each array of samples.
 
         Args:
-            change: function of an array.
+            change: Function of an array.
 
         Returns:
             New content of the same form.
@@ -154,8 +154,8 @@ class Content:
         """Return content made of selected samples.
 
         Args:
-            rows: row indices, shape (n,) for whole rows, or any shape that broadcasts with `cols`.
-            cols: column indices, or None for whole rows.
+            rows: Row indices, shape (n,) for whole rows, or any shape that broadcasts with `cols`.
+            cols: Column indices, or None for whole rows.
 
         Returns:
             Content whose samples are those at (rows, cols).
@@ -168,7 +168,7 @@ class Content:
         """Return the content with some samples taken from other content.
 
         Args:
-            front: content of the same form, wavelengths and entries.
+            front: Content of the same form, wavelengths and entries.
             mask: True for samples to take from `front`, shape (rows, cols).
 
         Returns:
@@ -186,7 +186,7 @@ class Content:
         """Return content that is `factor` times as bright.
 
         Args:
-            factor: factor on all samples [1].
+            factor: Factor on all samples [1].
 
         Returns:
             New content of the same form.
@@ -197,7 +197,7 @@ class Content:
         """Return reflectances from radiances.
 
         Args:
-            light: spectrum of the light, shape (L,).
+            light: Spectrum of the light, shape (L,).
 
         Returns:
             New content whose spectra are divided by the light.
@@ -208,7 +208,7 @@ class Content:
         """Compare the form, wavelengths and entries with other content.
 
         Args:
-            other: the other content.
+            other: The other content.
 
         Returns:
             True if all are equal.
@@ -224,8 +224,8 @@ class Content:
         """Return channel values of samples in whole rows.
 
         Args:
-            rates: response of each channel to one unit of each entry, shape (C, entries).
-            rows: the rows.
+            rates: Response of each channel to one unit of each entry, shape (C, entries).
+            rows: The rows.
 
         Returns:
             Channel values in the type of `rates`, shape (C, rows, cols).
@@ -236,7 +236,7 @@ class Content:
         """Return the spectra of whole rows.
 
         Args:
-            rows: the rows, a slice or indices.
+            rows: The rows, a slice or indices.
 
         Returns:
             Spectra, float64, shape (L, rows, cols).
@@ -247,7 +247,7 @@ class Content:
         """Return the amount of each entry in whole rows, summed over all samples.
 
         Args:
-            rows: the rows.
+            rows: The rows.
 
         Returns:
             Amounts, shape (entries,).
@@ -268,8 +268,8 @@ class Content:
         """Return weighted sums over wavelength of the samples in a window.
 
         Args:
-            weights: weight of each wavelength in each channel, shape (C, L).
-            window: rows and columns.
+            weights: Weight of each wavelength in each channel, shape (C, L).
+            window: Rows and columns.
 
         Returns:
             Sums, float64, shape (C, rows, cols).
@@ -285,7 +285,7 @@ class Content:
         """Return one weighted sum over wavelength of all samples.
 
         Args:
-            total: weight of each wavelength, for example the sum of all channels, shape (L,).
+            total: Weight of each wavelength, for example the sum of all channels, shape (L,).
 
         Returns:
             Sums, float32, shape (rows, cols).
@@ -298,8 +298,8 @@ class Content:
         """Return single samples as spectra and strengths.
 
         Args:
-            rows: row indices of the samples, shape (N,).
-            cols: column indices, shape (N,).
+            rows: Row indices of the samples, shape (N,).
+            cols: Column indices, shape (N,).
 
         Returns:
             Spectra, shape (K, L); index of the spectrum of each sample, shape (N,); strength of the
@@ -312,11 +312,11 @@ class Content:
         """Refuse content that no camera could see.
 
         Args:
-            name: name of the content in messages.
+            name: Name of the content in messages.
 
         Raises:
-            BadData: wrong shapes or types, NaN, negative light, or unsorted wavelengths.
-            OutOfRange: an index of a material is too large.
+            BadData: Wrong shapes or types, NaN, negative light, or unsorted wavelengths.
+            OutOfRange: An index of a material is too large.
         """
         self._check_types(name)
         self._check_shapes(name)
@@ -369,8 +369,8 @@ class Cube(Content):
     65504 become infinite. Scale a radiance into that range, and its light by the inverse factor.
 
     Args:
-        wavelengths: wavelengths [nm], shape (L,).
-        values: samples, float32 or float16, shape (L, rows, cols).
+        wavelengths: Wavelengths [nm], shape (L,).
+        values: Samples, float32 or float16, shape (L, rows, cols).
     """
 
     values: np.ndarray
@@ -424,9 +424,9 @@ class Basis(Content):
     """A linear model of spectra: spectrum of a pixel = sum_k coefficients[k] basis[k].
 
     Args:
-        wavelengths: wavelengths [nm], shape (L,).
-        coefficients: weights of the basis, float32 or float16 (see Cube), shape (K, rows, cols).
-        basis: basis spectra, shape (K, L).
+        wavelengths: Wavelengths [nm], shape (L,).
+        coefficients: Weights of the basis, float32 or float16 (see Cube), shape (K, rows, cols).
+        basis: Basis spectra, shape (K, L).
     """
 
     coefficients: np.ndarray
@@ -471,10 +471,10 @@ class Materials(Content):
     """One material per pixel: spectrum of a pixel = shading * spectra[ids].
 
     Args:
-        wavelengths: wavelengths [nm], shape (L,).
-        ids: index of the material, uint8 or uint16, shape (rows, cols).
-        shading: factor on the spectrum, float32, shape (rows, cols).
-        spectra: spectra of the materials, shape (M, L).
+        wavelengths: Wavelengths [nm], shape (L,).
+        ids: Index of the material, uint8 or uint16, shape (rows, cols).
+        shading: Factor on the spectrum, float32, shape (rows, cols).
+        spectra: Spectra of the materials, shape (M, L).
     """
 
     ids: np.ndarray
@@ -542,10 +542,10 @@ class Picture(Content):
     (`on_host`); operations on the samples return a Basis. `np.asarray` returns the codes.
 
     Args:
-        wavelengths: wavelengths [nm], shape (L,).
+        wavelengths: Wavelengths [nm], shape (L,).
         codes: uint8 or uint16, shape (rows, cols, K), or (rows, cols) for K = 1.
-        basis: spectra of the channels, not negative, shape (K, L).
-        curve: light of each code, not negative, float32, shape (256,) or (65536,).
+        basis: Spectra of the channels, not negative, shape (K, L).
+        curve: Light of each code, not negative, float32, shape (256,) or (65536,).
     """
 
     codes: np.ndarray

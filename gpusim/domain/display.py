@@ -16,18 +16,18 @@ class Display:
     """An additive display with three primaries; by default sRGB (IEC 61966-2-1).
 
     Args:
-        name: name in messages and files.
+        name: Name in messages and files.
         primaries: CIE 1931 (x, y) of red, green and blue.
         white: (x, y) of full red + green + blue.
-        curve: transfer curve from code to light, "srgb" or the exponent of a power law ("gamma", 1
+        curve: Transfer curve from code to light, "srgb" or the exponent of a power law ("gamma", 1
             .. 4).
-        luminance: luminance of white [cd m-2].
-        spectra: radiance of the three primaries at full drive [W m-2 sr-1 nm-1], 3 rows, or None if
+        luminance: Luminance of white [cd m-2].
+        spectra: Radiance of the three primaries at full drive [W m-2 sr-1 nm-1], 3 rows, or None if
             they are not known.
 
     Raises:
-        BadData: primaries, white or spectra have the wrong shape, or do not span a colour space.
-        OutOfRange: a number is outside its range.
+        BadData: Primaries, white or spectra have the wrong shape, or do not span a colour space.
+        OutOfRange: A number is outside its range.
     """
 
     name: str = "srgb"
@@ -87,7 +87,7 @@ class Display:
         """Compare primaries, white and curve with another display.
 
         Args:
-            other: the other display.
+            other: The other display.
 
         Returns:
             True if codes mean the same colours on both; their luminances may differ.
@@ -111,7 +111,7 @@ class Display:
         """Return linear light, white = 1, from codes.
 
         Args:
-            values: codes as fractions of the largest, 0 .. 1. The curve is odd: negative values
+            values: Codes as fractions of the largest, 0 .. 1. The curve is odd: negative values
                 give negative light.
 
         Returns:
@@ -128,7 +128,7 @@ class Display:
         """Return the linear light of every code.
 
         Args:
-            kind: type of the codes, uint8 or uint16.
+            kind: Type of the codes, uint8 or uint16.
 
         Returns:
             Linear light, float32, shape (256,) or (65536,).
@@ -139,7 +139,7 @@ class Display:
         """Return codes from linear light: the inverse of `decode`.
 
         Args:
-            light: linear light, white = 1.
+            light: Linear light, white = 1.
 
         Returns:
             Codes as fractions of the largest, shape of `light`.
@@ -157,7 +157,7 @@ class Display:
         """Return the colours that the screen shows for 8-bit codes.
 
         Args:
-            codes: codes 0 .. 255, shape (..., 3).
+            codes: Codes 0 .. 255, shape (..., 3).
 
         Returns:
             CIE XYZ [cd m-2], shape (..., 3).

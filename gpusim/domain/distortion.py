@@ -21,13 +21,13 @@ class RadialPolynomial:
     y^ follows the same formula.
 
     Args:
-        k1, k2: coefficients [1]. Negative ones make a barrel, positive ones a pincushion.
-        radius: ideal field height of r = 1 [m].
-        scale: magnification relative to the nominal one [1]; it differs between wavelengths for
+        k1, k2: Coefficients [1]. Negative ones make a barrel, positive ones a pincushion.
+        radius: Ideal field height of r = 1 [m].
+        scale: Magnification relative to the nominal one [1]; it differs between wavelengths for
             lateral colour.
 
     Raises:
-        OutOfRange: a coefficient is not finite, or radius or scale is not positive.
+        OutOfRange: A coefficient is not finite, or radius or scale is not positive.
 
     Source:
         Farrell and Wandell, section 4.2.
@@ -74,13 +74,13 @@ class RadialTable:
     The spline is odd in r.
 
     Args:
-        ideal, real: measured or ray-traced field heights [m], shape (n,), n >= 4, both increasing
+        ideal, real: Measured or ray-traced field heights [m], shape (n,), n >= 4, both increasing
             from 0; `real` is the image height of `ideal`.
-        scale: magnification relative to the nominal one [1].
+        scale: Magnification relative to the nominal one [1].
 
     Raises:
-        BadData: the heights have different lengths, or do not increase from 0.
-        OutOfRange: the scale is not positive.
+        BadData: The heights have different lengths, or do not increase from 0.
+        OutOfRange: The scale is not positive.
     """
 
     ideal: np.ndarray
@@ -156,15 +156,15 @@ def framed(distortion: Distortion, shape, pitch: float) -> Model:
     """Return the distortion for a frame; a calibration is scaled to its resolution.
 
     Args:
-        distortion: distortion of a lens.
-        shape: rows and columns of the frame [pixel].
-        pitch: pixel pitch [m].
+        distortion: Distortion of a lens.
+        shape: Rows and columns of the frame [pixel].
+        pitch: Pixel pitch [m].
 
     Returns:
         The distortion with positions relative to the centre of the frame.
 
     Raises:
-        OutOfRange: a calibration is of another aspect ratio.
+        OutOfRange: A calibration is of another aspect ratio.
     """
     return distortion.framed(shape, pitch) if isinstance(distortion, Calibration) else distortion
 
@@ -175,15 +175,15 @@ def ideal(distortion: Model, x, y):
     Newton's method in float64, to 1e-13 of `radius`.
 
     Args:
-        distortion: distortion of the frame.
-        x: distorted positions along columns, in units of `radius`.
-        y: distorted positions along rows.
+        distortion: Distortion of the frame.
+        x: Distorted positions along columns, in units of `radius`.
+        y: Distorted positions along rows.
 
     Returns:
         Ideal positions (x, y), same shapes.
 
     Raises:
-        OutOfRange: the mapping folds over before the farthest position; the message names the field
+        OutOfRange: The mapping folds over before the farthest position; the message names the field
             height.
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))

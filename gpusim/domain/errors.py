@@ -38,10 +38,10 @@ class GpusimError(Exception):
     """Base class of all errors that a user's input can cause. Its text is one line.
 
     Args:
-        message: the text, shortened to one line.
+        message: The text, shortened to one line.
 
     Attributes:
-        details: the text before it was shortened.
+        details: The text before it was shortened.
     """
 
     def __init__(self, message: object = ""):

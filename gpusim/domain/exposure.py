@@ -26,8 +26,8 @@ def exposure_value(f_number: ArrayLike, exposure_time: ArrayLike) -> Any:
     """Return the exposure value EV = log2(N^2 / T). Arrays broadcast.
 
     Args:
-        f_number: f-number N [1].
-        exposure_time: exposure time T [s].
+        f_number: F-number N [1].
+        exposure_time: Exposure time T [s].
 
     Returns:
         Exposure value [stop], a NumPy scalar or array.
@@ -42,8 +42,8 @@ def exposure_time(value, f_number):
     """Return the exposure time T = N^2 / 2^EV [s], the inverse of `exposure_value`.
 
     Args:
-        value: exposure value [stop].
-        f_number: f-number N [1].
+        value: Exposure value [stop].
+        f_number: F-number N [1].
 
     Returns:
         Exposure time [s].
@@ -86,9 +86,9 @@ class LightStatistics:
     """Statistics of the light in a frame, computed by `gpusim.kernels.sensor.meter`.
 
     Attributes:
-        values: result of the kernel for the weights and fractions of an AutoExposure, shape (6 + 2
+        values: Result of the kernel for the weights and fractions of an AutoExposure, shape (6 + 2
             Q,).
-        pixels: number of pixels that were counted.
+        pixels: Number of pixels that were counted.
     """
 
     values: np.ndarray
@@ -119,21 +119,21 @@ class AutoExposure:
     """Rule that sets exposure time and analog gain from the light in the frame.
 
     Args:
-        method: signal that is brought to `level`. "highlights": the brightest pixel, except for a
+        method: Signal that is brought to `level`. "highlights": the brightest pixel, except for a
             thousandth of the pixels, see `without_highlights`. "full": the brightest pixel; nothing
             clips. "percentile": the given percentile of the pixels; a few lamps may clip. "mean":
             the average. "centre": the average weighted by a Gaussian about the centre of the frame.
-        level: target, relative to saturation [1]. The default is 0.95 for a bright pixel, and 0.95
+        level: Target, relative to saturation [1]. The default is 0.95 for a bright pixel, and 0.95
             x 18 % for an average, which puts white at 0.95.
-        percentile: percentile for method "percentile" [%].
-        longest: longest exposure time [s], or None for no limit. If it is too short, the analog
+        percentile: Percentile for method "percentile" [%].
+        longest: Longest exposure time [s], or None for no limit. If it is too short, the analog
             gain rises up to most_gain.
-        most_gain: largest analog gain [1].
+        most_gain: Largest analog gain [1].
 
     Raises:
         BadData: most_gain without longest.
-        OutOfRange: a number is outside its range.
-        UnknownName: the method is not known.
+        OutOfRange: A number is outside its range.
+        UnknownName: The method is not known.
     """
 
     method: str = "highlights"
@@ -200,7 +200,7 @@ class AutoExposure:
         """Return the signal that the method brings to the level.
 
         Args:
-            electron_rate: electrons per second of each pixel [e- s-1], shape (..., rows, cols).
+            electron_rate: Electrons per second of each pixel [e- s-1], shape (..., rows, cols).
 
         Returns:
             The signal [e- s-1].
@@ -230,7 +230,7 @@ class AutoExposure:
         """Return the weights of method "centre" along both axes; their products add up to 1.
 
         Args:
-            shape: shape of the frame, (..., rows, cols). Layers are stacked along the rows.
+            shape: Shape of the frame, (..., rows, cols). Layers are stacked along the rows.
 
         Returns:
             Weights of rows, shape (layers rows,), and of columns, shape (cols,).
@@ -251,13 +251,13 @@ class AutoExposure:
         """Return the same as `signal`, from the statistics of the pixels.
 
         Args:
-            statistics: statistics of electrons per second, with the quantiles `fractions`.
+            statistics: Statistics of electrons per second, with the quantiles `fractions`.
 
         Returns:
             The signal [e- s-1].
 
         Raises:
-            BadData: the light is not finite.
+            BadData: The light is not finite.
         """
         highest, mean, _, centre, missing, _, *pair = statistics.values
         if missing:
@@ -282,17 +282,17 @@ class AutoExposure:
         """Choose exposure time and analog gain.
 
         Args:
-            electron_rate: mean electrons per second of each pixel, from light and dark current [e-
+            electron_rate: Mean electrons per second of each pixel, from light and dark current [e-
                 s-1], shape (..., rows, cols), or their LightStatistics.
-            saturation: electrons at which a pixel saturates with an analog gain of 1 [e-]
+            saturation: Electrons at which a pixel saturates with an analog gain of 1 [e-]
                 (`Sensor.saturation`).
 
         Returns:
             Exposure time [s] and analog gain [1].
 
         Raises:
-            BadData: the scene is dark, or its light is not finite.
-            OutOfRange: the saturation is not positive and finite.
+            BadData: The scene is dark, or its light is not finite.
+            OutOfRange: The saturation is not positive and finite.
         """
         if not 0 < saturation < np.inf:
             raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
@@ -320,8 +320,8 @@ def without_highlights(rest: float, brightest: float) -> float:
     again. The result is continuous in the ratio of the two.
 
     Args:
-        rest: quantile that exceeds all but HIGHLIGHTS of the pixels.
-        brightest: the brightest pixel.
+        rest: Quantile that exceeds all but HIGHLIGHTS of the pixels.
+        brightest: The brightest pixel.
 
     Returns:
         The signal, in the unit of the arguments.
@@ -338,18 +338,18 @@ def auto_exposure(
     """Return the exposure time at which the signal of a method reaches `level` of saturation.
 
     Args:
-        electron_rate: see `AutoExposure.choose`.
-        saturation: see `AutoExposure.choose`.
-        level: see `AutoExposure`; None: its default.
-        method: see `AutoExposure`.
+        electron_rate: See `AutoExposure.choose`.
+        saturation: See `AutoExposure.choose`.
+        level: See `AutoExposure`; None: its default.
+        method: See `AutoExposure`.
 
     Returns:
         Exposure time [s].
 
     Raises:
-        BadData: see `AutoExposure.choose`.
-        OutOfRange: see `AutoExposure` and `AutoExposure.choose`.
-        UnknownName: the method is not known.
+        BadData: See `AutoExposure.choose`.
+        OutOfRange: See `AutoExposure` and `AutoExposure.choose`.
+        UnknownName: The method is not known.
     """
     automatic = AutoExposure(method) if level is None else AutoExposure(method, level)
     return automatic.choose(np.atleast_2d(electron_rate), saturation)[0]

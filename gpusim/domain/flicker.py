@@ -17,14 +17,14 @@ class Flicker:
     """Relative brightness of all light over time, with mean 1.
 
     Args:
-        frequency: frequency of the light [Hz], twice the mains frequency.
-        depth: modulation of a sinusoid, (max - min) / (max + min) [1].
-        duty: fraction of the period in which switched light is on, or None for a sinusoid.
-        phase: fraction of a period that has passed at time 0. At phase 0 a sinusoid is brightest,
+        frequency: Frequency of the light [Hz], twice the mains frequency.
+        depth: Modulation of a sinusoid, (max - min) / (max + min) [1].
+        duty: Fraction of the period in which switched light is on, or None for a sinusoid.
+        phase: Fraction of a period that has passed at time 0. At phase 0 a sinusoid is brightest,
             and switched light turns on.
 
     Raises:
-        OutOfRange: a number is outside its range.
+        OutOfRange: A number is outside its range.
 
     Source:
         IEEE Std 1789-2015 for the terms.
@@ -57,7 +57,7 @@ class Flicker:
         """Return the flicker on a clock that starts later.
 
         Args:
-            start: time at which the new clock is at 0 [s].
+            start: Time at which the new clock is at 0 [s].
 
         Returns:
             The same light with another phase.
@@ -68,7 +68,7 @@ class Flicker:
         """Integrate the brightness, and the brightness times the time, from 0 on.
 
         Args:
-            times: upper ends of the integrals [s].
+            times: Upper ends of the integrals [s].
 
         Returns:
             Both integrals [s] and [s^2], each in the shape of `times`.

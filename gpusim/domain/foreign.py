@@ -18,7 +18,7 @@ class Described:
     """An array in CUDA memory that has only the CUDA array interface, with `shape` and `dtype`.
 
     Args:
-        source: the array. It is kept alive because it owns the memory.
+        source: The array. It is kept alive because it owns the memory.
     """
 
     def __init__(self, source):
@@ -32,14 +32,14 @@ def described(values, what: str):
     """Return an array with `shape` and `dtype`: the value itself, or a view of its memory.
 
     Args:
-        values: an array of any library.
-        what: name of the array in messages.
+        values: An array of any library.
+        what: Name of the array in messages.
 
     Returns:
         An array with `shape` and `dtype`.
 
     Raises:
-        BadData: the value is no array.
+        BadData: The value is no array.
     """
     if hasattr(values, "shape") and hasattr(values, "dtype"):
         return values
@@ -94,14 +94,14 @@ def to_host(values, reader: str) -> np.ndarray:
     Values that are no array go through `np.asarray`.
 
     Args:
-        values: array of any library, or numbers.
-        reader: name of the caller for messages.
+        values: Array of any library, or numbers.
+        reader: Name of the caller for messages.
 
     Returns:
         A NumPy array.
 
     Raises:
-        BadData: the memory cannot be read.
+        BadData: The memory cannot be read.
     """
     if isinstance(values, np.ndarray):
         return values

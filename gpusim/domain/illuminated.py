@@ -18,11 +18,11 @@ class Illuminated(Content):
     all pairs of a light and a surface, light by light. A device computes and stores K J planes.
 
     Args:
-        wavelengths: wavelengths [nm], shape (L,).
-        maps: strength of each light at each sample, float32, shape (K, rows, cols).
-        coefficients: weights of the surface basis, float32 or float16, shape (J, rows, cols).
-        basis: reflectance basis, shape (J, L).
-        lights: spectra relative to the illuminant of the scene, shape (K, L).
+        wavelengths: Wavelengths [nm], shape (L,).
+        maps: Strength of each light at each sample, float32, shape (K, rows, cols).
+        coefficients: Weights of the surface basis, float32 or float16, shape (J, rows, cols).
+        basis: Reflectance basis, shape (J, L).
+        lights: Spectra relative to the illuminant of the scene, shape (K, L).
     """
 
     maps: np.ndarray
@@ -126,13 +126,13 @@ def surfaces_of(content: Content) -> Basis:
     For a cube the basis is its wavelengths; for materials it is the smallest basis that spans them.
 
     Args:
-        content: content of any form.
+        content: Content of any form.
 
     Returns:
         The surfaces.
 
     Raises:
-        BadData: samples in other memory cannot be read.
+        BadData: Samples in other memory cannot be read.
     """
     content = content.on_host()
     if isinstance(content, Illuminated):
@@ -151,9 +151,9 @@ def spline(wavelengths, values, others) -> np.ndarray:
     """Interpolate with the spline that also integrates spectra of surfaces.
 
     Args:
-        wavelengths: nodes [nm], shape (L,).
-        values: values at the nodes, shape (N, L).
-        others: wavelengths to interpolate at [nm], shape (M,).
+        wavelengths: Nodes [nm], shape (L,).
+        values: Values at the nodes, shape (N, L).
+        others: Wavelengths to interpolate at [nm], shape (M,).
 
     Returns:
         Interpolated values, shape (N, M).

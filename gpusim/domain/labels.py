@@ -24,7 +24,7 @@ class Shown:
             The matplotlib figure.
 
         Raises:
-            GpusimError: matplotlib is missing, or no window can be opened.
+            GpusimError: Matplotlib is missing, or no window can be opened.
         """
         return _notebook().show(self)
 

@@ -34,16 +34,16 @@ class Code:
         domain: "linear": code = DN - black_level. "root": sgn(y) sqrt|y| - sqrt(o) with y = DN -
             black_level + o and o = 3/8 gain + read^2 / gain, which makes the noise equal
             everywhere, sqrt(gain) / 2.
-        black_level: digital number of a dark pixel [DN].
+        black_level: Digital number of a dark pixel [DN].
         scale: 1 / (white - black_level) [1/DN].
-        noise: gain [DN/e-] and read noise [DN] of the variance gain (DN - black_level) + read^2
+        noise: Gain [DN/e-] and read noise [DN] of the variance gain (DN - black_level) + read^2
             [DN^2]; (0, 0) for no noise.
-        balance: factors on red and blue signals that make white as strong in them as in green. For
+        balance: Factors on red and blue signals that make white as strong in them as in green. For
             "root" only: codes, noise included, grow by the square root (see `factors`).
 
     Raises:
-        OutOfRange: a number is outside its range.
-        UnknownName: the domain is not known.
+        OutOfRange: A number is outside its range.
+        UnknownName: The domain is not known.
 
     Source:
         Anscombe 1948, Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995,
@@ -150,36 +150,36 @@ class Layout:
     + share.
 
     Args:
-        mosaic: one period of the colour filter array, a string per row, a letter per channel, at
+        mosaic: One period of the colour filter array, a string per row, a letter per channel, at
             most 8 x 8.
-        outputs: names of the output planes, for example ("R", "G", "B") or ("X", "Y", "Z").
+        outputs: Names of the output planes, for example ("R", "G", "B") or ("X", "Y", "Z").
         domain: "root" or "linear", the domain that the table was made for.
-        taps: rows and columns from the pixel to each sample that a filter uses, shape (T, 2).
-        groups: index of the weight of each tap, shape (T,), using all of 0 .. G - 1. Taps of one
+        taps: Rows and columns from the pixel to each sample that a filter uses, shape (T, 2).
+        groups: Index of the weight of each tap, shape (T,), using all of 0 .. G - 1. Taps of one
             group are summed first.
-        contrast: integer weights of 2 r + 1 pixels along columns (dy = -r .. r), and the same along
+        contrast: Integer weights of 2 r + 1 pixels along columns (dy = -r .. r), and the same along
             rows. Each set sums to zero over the pixels of one colour: flat fields have no contrast.
-        box: contrast, detail and level are means over (2 box + 1)^2 pixels.
-        ratios: bounds of direction [1/8], shape (D,), above 8, increasing. A pixel has direction d
+        box: Contrast, detail and level are means over (2 box + 1)^2 pixels.
+        ratios: Bounds of direction [1/8], shape (D,), above 8, increasing. A pixel has direction d
             > 0 if its contrast along rows exceeds d of the bounds ratios / 8 times the contrast
             along columns, and -d in the opposite case.
-        noise: standard deviations of the code, relative to white, for which the table has filters,
+        noise: Standard deviations of the code, relative to white, for which the table has filters,
             shape (N,), increasing.
-        floor: mean contrast that is added to both sides of these comparisons, relative to white,
+        floor: Mean contrast that is added to both sides of these comparisons, relative to white,
             shape (N,).
-        strengths: bounds of the mean of both contrasts, relative to white, shape (N, S),
+        strengths: Bounds of the mean of both contrasts, relative to white, shape (N, S),
             increasing.
-        levels: codes, relative to white, for which the table has filters, shape (L,), increasing.
-        detail: weights of a second kind, with the same sum of absolute weights. If contrast
+        levels: Codes, relative to white, for which the table has filters, shape (L,), increasing.
+        detail: Weights of a second kind, with the same sum of absolute weights. If contrast
             measures colour differences and detail measures samples, their ratio shows whether the
             colours change together.
-        shares: bounds of contrast / detail [1/8], shape (E,), increasing. Each of the two is the
+        shares: Bounds of contrast / detail [1/8], shape (E,), increasing. Each of the two is the
             smaller one of rows and columns.
 
     Raises:
-        BadData: shapes or weights do not fit.
-        OutOfRange: ratios or shares are outside their range.
-        UnknownName: the domain is not known.
+        BadData: Shapes or weights do not fit.
+        OutOfRange: Ratios or shares are outside their range.
+        UnknownName: The domain is not known.
     """
 
     mosaic: tuple[str, ...]
@@ -348,13 +348,13 @@ class Layout:
         """Find the row and column of the table's period at which the mosaic of a sensor begins.
 
         Args:
-            mosaic: rows of letters, or four letters of a Bayer mosaic like "RGGB".
+            mosaic: Rows of letters, or four letters of a Bayer mosaic like "RGGB".
 
         Returns:
             Row and column.
 
         Raises:
-            UnknownName: the table is for another mosaic.
+            UnknownName: The table is for another mosaic.
         """
         texts = (
             (mosaic[:2], mosaic[2:])
@@ -382,14 +382,14 @@ class FilterTable:
     """Linear filters of every noise level, level, position, class and output.
 
     Args:
-        layout: the layout.
-        filters: weights of the sums of groups, float32, shape `layout.shape` (N, L, P, K, outputs,
+        layout: The layout.
+        filters: Weights of the sums of groups, float32, shape `layout.shape` (N, L, P, K, outputs,
             G).
-        offsets: values to add, relative to white, shape (N, L, P, K, outputs), or None for zero.
-        provenance: source of the table.
+        offsets: Values to add, relative to white, shape (N, L, P, K, outputs), or None for zero.
+        provenance: Source of the table.
 
     Raises:
-        BadData: a shape is wrong, or a value is not finite.
+        BadData: A shape is wrong, or a value is not finite.
     """
 
     layout: Layout
@@ -417,7 +417,7 @@ class FilterTable:
         Linear between the nearest two of `layout.noise`, constant beyond the ends.
 
         Args:
-            sigma: standard deviation of the code relative to white.
+            sigma: Standard deviation of the code relative to white.
 
         Returns:
             Filters, shape (L, P, K, outputs, G); offsets, shape (L, P, K, outputs), or None; floor;

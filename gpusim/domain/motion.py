@@ -19,18 +19,18 @@ class Motion:
     """View of a camera as a function of time.
 
     Args:
-        pan: speed of the scene point at the centre of the frame, along rows and columns
+        pan: Speed of the scene point at the centre of the frame, along rows and columns
             [pixel/s].
-        roll: rotation speed of the camera [rad/s].
-        zoom: magnification at time 0 [1].
-        zooming: factor on the magnification per second [1].
+        roll: Rotation speed of the camera [rad/s].
+        zoom: Magnification at time 0 [1].
+        zooming: Factor on the magnification per second [1].
         shake: RMS displacement by a hand along each axis [pixel]: a sum of waves of SLOWEST to
             FASTEST with amplitudes inverse to frequency, and rotations of ROLL.
-        seed: seed of the shake.
+        seed: Seed of the shake.
 
     Raises:
-        BadData: a value is no finite number.
-        OutOfRange: a value is outside its range.
+        BadData: A value is no finite number.
+        OutOfRange: A value is outside its range.
     """
 
     pan: tuple[float, float] = (0.0, 0.0)
@@ -59,13 +59,13 @@ class Motion:
         """Return the view at one time.
 
         Args:
-            time: time [s].
+            time: Time [s].
 
         Returns:
             The view.
 
         Raises:
-            OutOfRange: shift or zoom of the view is outside its range, see `View`.
+            OutOfRange: Shift or zoom of the view is outside its range, see `View`.
         """
         down, right, turn = self._shake_at(time)
         return View(

@@ -24,36 +24,36 @@ class Noise:
     `seed`. For pixels that are binned as charge, or stacked, see `Sensor`.
 
     Args:
-        photon: statistics of electrons: "fast" (Poisson within 1e-4 in total variation), "exact"
+        photon: Statistics of electrons: "fast" (Poisson within 1e-4 in total variation), "exact"
             (within 1e-6), or "none" (the mean itself).
-        dark_current: dark current at the reference temperature [e- s-1]; its electrons have the
+        dark_current: Dark current at the reference temperature [e- s-1]; its electrons have the
             statistics of `photon`. It doubles with every `doubling` [K] above the reference
             temperature.
-        temperature: temperature of the sensor [deg C].
-        reference_temperature: temperature that dark_current and hot_current refer to [deg C].
-        doubling: temperature difference that doubles the dark current [K].
-        read: read noise before the analog gain [e- rms].
+        temperature: Temperature of the sensor [deg C].
+        reference_temperature: Temperature that dark_current and hot_current refer to [deg C].
+        doubling: Temperature difference that doubles the dark current [K].
+        read: Read noise before the analog gain [e- rms].
         reset: kTC noise of the pixel reset [e- rms], the same for all reads of an exposure.
-        adc: noise of the converter, after the analog gain [DN rms].
-        row, column: temporal noise common to a row or a column [e- rms].
-        prnu, row_prnu, column_prnu: photo-response non-uniformity of pixels, rows and columns:
+        adc: Noise of the converter, after the analog gain [DN rms].
+        row, column: Temporal noise common to a row or a column [e- rms].
+        prnu, row_prnu, column_prnu: Photo-response non-uniformity of pixels, rows and columns:
             relative standard deviation [1].
-        dsnu, row_dsnu, column_dsnu: offset non-uniformity (DSNU) of pixels, rows and columns:
+        dsnu, row_dsnu, column_dsnu: Offset non-uniformity (DSNU) of pixels, rows and columns:
             standard deviation [e- rms].
-        hot_pixels: fraction of pixels with additional dark current [1].
-        hot_current: mean of that dark current at the reference temperature [e- s-1]; it is
+        hot_pixels: Fraction of pixels with additional dark current [1].
+        hot_current: Mean of that dark current at the reference temperature [e- s-1]; it is
             exponentially distributed.
-        dead_pixels: fraction of pixels without response [1].
-        telegraph_pixels: fraction of pixels with a trap [1]. Their signal jumps between two values,
+        dead_pixels: Fraction of pixels without response [1].
+        telegraph_pixels: Fraction of pixels with a trap [1]. Their signal jumps between two values,
             half the time each.
-        telegraph: mean distance between the two values [e-]; it is exponentially distributed.
-        telegraph_switching: probability that the state of a trap is drawn again from one frame to
+        telegraph: Mean distance between the two values [e-]; it is exponentially distributed.
+        telegraph_switching: Probability that the state of a trap is drawn again from one frame to
             the next [1]; 1: frames are independent.
-        seed: seed of the fixed patterns.
+        seed: Seed of the fixed patterns.
 
     Raises:
         BadData: hot_pixels or telegraph_pixels without their size.
-        OutOfRange: a number is outside its range.
+        OutOfRange: A number is outside its range.
         UnknownName: `photon` is not known.
     """
 
@@ -155,14 +155,14 @@ def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
     """Return the standard deviation of the charge that a reset leaves on a pixel, sqrt(k T C) / q.
 
     Args:
-        conversion_gain: conversion gain [V/e-]; the capacitance is q / conversion_gain.
-        temperature: temperature [deg C].
+        conversion_gain: Conversion gain [V/e-]; the capacitance is q / conversion_gain.
+        temperature: Temperature [deg C].
 
     Returns:
         Standard deviation [e-].
 
     Raises:
-        OutOfRange: the conversion gain is outside its range.
+        OutOfRange: The conversion gain is outside its range.
 
     Source:
         Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.

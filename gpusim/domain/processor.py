@@ -40,36 +40,36 @@ class Processor:
     used, or estimated, white surfaces are neutral.
 
     Args:
-        defects: replacement of dead and hot pixels: "known" (the list of this chip, as from a
+        defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
             factory), "detect" (pixels that differ from their neighbours) or "none".
-        shading: divide out the fall-off of lens and pixels towards the corners.
-        denoise: strength of denoising before demosaicking: 1 follows the noise model, 0 is off.
-        demosaic: method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
+        shading: Divide out the fall-off of lens and pixels towards the corners.
+        denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off.
+        demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table). Other mosaics take "bilinear" or
             "learned".
-        table: filters of "learned"; None: the built-in ones for Bayer mosaics.
+        table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
             neutral), an estimate from the picture ("gray-world", "max-rgb", "shades-of-gray",
             "red-blue"), "preset" (the light in which white has the values `white`), or "none" (as
             if the light were `target`).
-        color: method that finds the 3 x C transform to CIE XYZ (see
+        color: Method that finds the 3 x C transform to CIE XYZ (see
             `gpusim.color.color.color_matrix`), or "none" (channels are displayed as they are).
-        training: name of the reflectance set that the transform is trained on.
-        target: light in which the picture shows the surfaces of the scene.
-        scaling: definition of display white: "exposure" (the signal at which automatic exposure
+        training: Name of the reflectance set that the transform is trained on.
+        target: Light in which the picture shows the surfaces of the scene.
+        scaling: Definition of display white: "exposure" (the signal at which automatic exposure
             puts white, `AutoExposure.white`; longer exposures are brighter and clip) or
             "normalised" (a perfect white diffuser at any exposure; saturation if the light of the
             scene is not known).
-        tone: tone curve, (x, y) of two or more nodes, both increasing, or () for none. x is a
+        tone: Tone curve, (x, y) of two or more nodes, both increasing, or () for none. x is a
             linear value (white = 1) encoded as sRGB; y is the displayed value, encoded the same
             way, from 0 to 1. Between nodes it is a monotone cubic.
-        white: camera values of white for white balance "preset", one per channel, any scale.
+        white: Camera values of white for white balance "preset", one per channel, any scale.
 
     Raises:
-        BadData: the tone curve or `white` has the wrong form.
-        OutOfRange: a number is outside its range, or two settings exclude each other.
-        UnknownName: the name of a method is not known.
+        BadData: The tone curve or `white` has the wrong form.
+        OutOfRange: A number is outside its range, or two settings exclude each other.
+        UnknownName: The name of a method is not known.
     """
 
     defects: str = "none"

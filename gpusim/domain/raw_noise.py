@@ -16,14 +16,14 @@ class RawNoise:
     pixels share averages out less. Telegraph noise, hot and dead pixels are not included.
 
     Args:
-        photons: variance per mean electron of light or dark current: 1, or 0 without photon noise.
-        read: read, reset and converter noise of one read [e-^2].
-        lines: row and column noise of one frame [e-^2].
-        offsets, line_offsets: fixed offset patterns of pixels, and of rows and columns [e-^2].
-        response, line_response: relative variance of the response of pixels, and of rows and
+        photons: Variance per mean electron of light or dark current: 1, or 0 without photon noise.
+        read: Read, reset and converter noise of one read [e-^2].
+        lines: Row and column noise of one frame [e-^2].
+        offsets, line_offsets: Fixed offset patterns of pixels, and of rows and columns [e-^2].
+        response, line_response: Relative variance of the response of pixels, and of rows and
             columns [1]; multiplies the squared electrons of light.
-        rounding: rounding to whole digital numbers [e-^2], 0 without a converter.
-        averaged: number of digital numbers that are averaged into a raw value (digital binning).
+        rounding: Rounding to whole digital numbers [e-^2], 0 without a converter.
+        averaged: Number of digital numbers that are averaged into a raw value (digital binning).
     """
 
     photons: float
@@ -41,8 +41,8 @@ class RawNoise:
         """Return the noise of a sensor with its settings.
 
         Args:
-            sensor: the sensor.
-            averaged: see the class.
+            sensor: The sensor.
+            averaged: See the class.
 
         Returns:
             The parts of the variance.
@@ -77,8 +77,8 @@ class RawNoise:
         """Return the variance of a raw value around its mean, without PRNU.
 
         Args:
-            electrons: mean electrons of light and dark current [e-], a number or an array.
-            temporal: include only noise that differs from frame to frame.
+            electrons: Mean electrons of light and dark current [e-], a number or an array.
+            temporal: Include only noise that differs from frame to frame.
 
         Returns:
             Variance [e-^2], in the form of `electrons`.
@@ -93,7 +93,7 @@ class RawNoise:
         full^2 + (b / full) x.
 
         Args:
-            full: electrons of light and dark current at x = 1 [e-].
+            full: Electrons of light and dark current at x = 1 [e-].
 
         Returns:
             S and O [1].
@@ -107,8 +107,8 @@ class RawNoise:
         Half of the pairs are in a row, half in a column.
 
         Args:
-            electrons: mean electrons of light and dark current [e-].
-            light: the part of them that PRNU multiplies [e-].
+            electrons: Mean electrons of light and dark current [e-].
+            light: The part of them that PRNU multiplies [e-].
 
         Returns:
             Mean square [e-^2].

@@ -22,9 +22,9 @@ class Layer:
     """An object in front of the content of a scene, which continues behind it.
 
     Args:
-        content: samples of the same form, wavelengths, basis or materials and shape as the scene's.
-        alpha: coverage of each sample, 0 .. 1, shape (rows, cols).
-        depth: distance [m], a number or shape (rows, cols).
+        content: Samples of the same form, wavelengths, basis or materials and shape as the scene's.
+        alpha: Coverage of each sample, 0 .. 1, shape (rows, cols).
+        depth: Distance [m], a number or shape (rows, cols).
     """
 
     content: Content
@@ -42,28 +42,28 @@ class Scene(Pictured):
         content: Cube, Basis, Materials, Picture or Illuminated: samples on a square grid. It is the
             reflectance [1] if the light is known. If only the radiance was measured, it is that
             radiance, and the illuminant is 1.
-        illuminant: radiance of a perfect white diffuser in the light of the scene [photon s-1 m-2
+        illuminant: Radiance of a perfect white diffuser in the light of the scene [photon s-1 m-2
             sr-1 nm-1].
-        border: surroundings of the frame: "zero" (dark), "edge" (the outermost samples continue),
+        border: Surroundings of the frame: "zero" (dark), "edge" (the outermost samples continue),
             "reflect" (mirrored), "scene" (the outermost `margin` samples of `content`, which are
             outside the frame).
-        margin: width of the surroundings [sample], only for border "scene".
-        fov: horizontal field of view [rad]; None: from the camera's pixels and focal length.
-        depth: distance of every sample [m], shape (rows, cols), or None.
-        name: name in messages and reports.
-        samples_per_pixel: scene samples along the pitch of a pixel, any number from 1 on. The frame
+        margin: Width of the surroundings [sample], only for border "scene".
+        fov: Horizontal field of view [rad]; None: from the camera's pixels and focal length.
+        depth: Distance of every sample [m], shape (rows, cols), or None.
+        name: Name in messages and reports.
+        samples_per_pixel: Scene samples along the pitch of a pixel, any number from 1 on. The frame
             is the centre of the samples, with as many whole pixels as fit. Samples outside it
             contribute to the blur.
-        layers: objects in front of `content`, nearest first, for a scene that knows hidden
+        layers: Objects in front of `content`, nearest first, for a scene that knows hidden
             surfaces. They need `depth`.
-        view: part of the scene that the frame shows. It replaces the scene, and continues outside
+        view: Part of the scene that the frame shows. It replaces the scene, and continues outside
             the frame according to `border`. Not with `depth`.
-        notes: deviations from the file it was read from; reports repeat them.
+        notes: Deviations from the file it was read from; reports repeat them.
 
     Raises:
-        BadData: content, depth, layers or view do not fit together.
-        OutOfRange: a number is outside its range.
-        UnknownName: the border is not known.
+        BadData: Content, depth, layers or view do not fit together.
+        OutOfRange: A number is outside its range.
+        UnknownName: The border is not known.
     """
 
     content: Content
@@ -178,7 +178,7 @@ class Scene(Pictured):
         The samples are not checked.
 
         Args:
-            arrays: new arrays, with their names in `content`.
+            arrays: New arrays, with their names in `content`.
 
         Returns:
             The scene with these arrays.
@@ -193,13 +193,13 @@ class Scene(Pictured):
         """Return the scene from another view. Its samples are not checked again.
 
         Args:
-            view: the view.
+            view: The view.
 
         Returns:
             The scene with this view.
 
         Raises:
-            BadData: the scene has depth, or `view` is no View.
+            BadData: The scene has depth, or `view` is no View.
         """
         scene = copy(self)
         object.__setattr__(scene, "view", view)
@@ -210,7 +210,7 @@ class Scene(Pictured):
         """Return the scene in brighter light. Its samples are not checked again.
 
         Args:
-            factor: factor on the light [1].
+            factor: Factor on the light [1].
 
         Returns:
             The scene with this light.

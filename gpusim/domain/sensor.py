@@ -21,14 +21,14 @@ class Microlens:
     """Response of a pixel to oblique light.
 
     Args:
-        angles: chief-ray angles [rad], increasing from 0, shape (n,).
-        response: response relative to a pixel on the axis [1], 1 at angle 0, shape (n,).
-        shift: displacement of the microlenses toward the axis: 0 is none; with 1 every pixel
+        angles: Chief-ray angles [rad], increasing from 0, shape (n,).
+        response: Response relative to a pixel on the axis [1], 1 at angle 0, shape (n,).
+        shift: Displacement of the microlenses toward the axis: 0 is none; with 1 every pixel
             receives its chief ray as a pixel on the axis does.
 
     Raises:
-        BadData: angles and responses do not fit.
-        OutOfRange: the shift is outside its range.
+        BadData: Angles and responses do not fit.
+        OutOfRange: The shift is outside its range.
     """
 
     angles: np.ndarray
@@ -67,53 +67,53 @@ class Sensor:
     """An image sensor with square pixels and one repeating colour mosaic.
 
     Args:
-        pixel_pitch: pixel pitch [m].
-        qe: quantum efficiency [e-/photon] of photons inside the pixel's aperture, shape (C, L), C =
+        pixel_pitch: Pixel pitch [m].
+        qe: Quantum efficiency [e-/photon] of photons inside the pixel's aperture, shape (C, L), C =
             len(channels): the product of colour filter, photodetector and infrared cut. It must
             cover the light of the scene. The quantum efficiency of a data sheet counts all photons
-            on the pixel: use it with fill_factor = 1.
-        full_well: full-well capacity of a pixel [e-].
-        bits: resolution of the converter, 1 to 16; digital numbers go from 0 to 2**bits - 1. 32: no
+            on the pixel: Use it with fill_factor = 1.
+        full_well: Full-well capacity of a pixel [e-].
+        bits: Resolution of the converter, 1 to 16; digital numbers go from 0 to 2**bits - 1. 32: no
             converter, raw values are float32, neither rounded nor clipped after the well.
-        channels: one letter per curve, for example ("R", "G", "B") or ("Y",).
-        cfa: period of the colour filter array as rows of these letters, for example ("RG", "GB"),
+        channels: One letter per curve, for example ("R", "G", "B") or ("Y",).
+        cfa: Period of the colour filter array as rows of these letters, for example ("RG", "GB"),
             or ("Y",) for monochrome; at most 8 x 8.
-        stacked: every pixel has all channels, one above the other, instead of the mosaic. They are
-            read one after the other through the same columns: column noise is common to all
+        stacked: Every pixel has all channels, one above the other, instead of the mosaic. They are
+            read one after the other through the same columns: Column noise is common to all
             channels, row noise is separate.
-        fill_factor: aperture area over pixel area [1]. The aperture is a square unless
+        fill_factor: Aperture area over pixel area [1]. The aperture is a square unless
             `photodetector` is given.
-        photodetector: height and width of the aperture over the pitch [1]; their product is then
+        photodetector: Height and width of the aperture over the pitch [1]; their product is then
             the fill factor.
-        centre: position of the aperture relative to the pixel's centre, over the pitch, (rows,
+        centre: Position of the aperture relative to the pixel's centre, over the pitch, (rows,
             cols) [1].
-        offset: displacement of the whole pixel grid from the centre of the picture, (rows, cols)
+        offset: Displacement of the whole pixel grid from the centre of the picture, (rows, cols)
             [pixel]. Several captures sample a finer grid; give each its own noise.seed, and its own
             seed or frame number for temporal noise.
-        microlens: loss of oblique light toward the corner, or None.
-        vignetting: map of relative responses over the frame, shape (ny, nx), nodes evenly spaced
+        microlens: Loss of oblique light toward the corner, or None.
+        vignetting: Map of relative responses over the frame, shape (ny, nx), nodes evenly spaced
             from edge to edge, interpolated bilinearly; or None.
-        exposure_time: exposure time [s]; None: `auto_exposure` sets it.
-        auto_exposure: rule for exposure time and gain.
-        row_time: delay of each row relative to the row above [s]; 0: global shutter.
-        binning: rows and columns of neighbours of one colour that are read as one pixel.
+        exposure_time: Exposure time [s]; None: `auto_exposure` sets it.
+        auto_exposure: Rule for exposure time and gain.
+        row_time: Delay of each row relative to the row above [s]; 0: global shutter.
+        binning: Rows and columns of neighbours of one colour that are read as one pixel.
         binning_mode: "digital": digital numbers are averaged. "charge": electrons are added on one
             node with as many full wells; response, dark current, hot and dead pixels belong to
             each pixel, while reset, offset, traps and all read noise occur once per node. Overflow
             of single wells is not simulated.
-        gain: system gain at analog gain 1 [DN/e-]; None: a full well just reaches the white level,
+        gain: System gain at analog gain 1 [DN/e-]; None: a full well just reaches the white level,
             or the gain follows from conversion_gain and adc_range.
-        conversion_gain: conversion gain of the pixel [V/e-], with adc_range.
-        adc_range: voltage of all 2**bits - 1 steps (without a converter, of 65535) [V].
-        analog_gain: factor on the gain [1].
-        analog_offset: electrons added before the converter [e-].
-        black_level: digital number of a dark pixel [DN].
-        noise: noise of the sensor.
+        conversion_gain: Conversion gain of the pixel [V/e-], with adc_range.
+        adc_range: Voltage of all 2**bits - 1 steps (without a converter, of 65535) [V].
+        analog_gain: Factor on the gain [1].
+        analog_offset: Electrons added before the converter [e-].
+        black_level: Digital number of a dark pixel [DN].
+        noise: Noise of the sensor.
 
     Raises:
-        BadData: settings have the wrong type or shape, or exclude each other.
-        OutOfRange: a number is outside its range.
-        UnknownName: the binning mode is not known.
+        BadData: Settings have the wrong type or shape, or exclude each other.
+        OutOfRange: A number is outside its range.
+        UnknownName: The binning mode is not known.
     """
 
     pixel_pitch: float

@@ -23,12 +23,12 @@ class Spectrum:
     `np.asarray` returns the values.
 
     Args:
-        wavelengths: wavelengths [nm], strictly increasing, shape (L,), L >= 2.
-        values: one function, shape (L,), or N functions, shape (N, L), in any unit.
-        name: name in messages and reports.
+        wavelengths: Wavelengths [nm], strictly increasing, shape (L,), L >= 2.
+        values: One function, shape (L,), or N functions, shape (N, L), in any unit.
+        name: Name in messages and reports.
 
     Raises:
-        BadData: wavelengths are not sorted or outside the range of light, shapes do not match, or
+        BadData: Wavelengths are not sorted or outside the range of light, shapes do not match, or
             values are not finite.
     """
 
@@ -64,8 +64,8 @@ class Spectrum:
         """Interpolate the values.
 
         Args:
-            wavelengths: wavelengths [nm], shape (M,).
-            outside: value beyond the ends of the table; None: the end values continue.
+            wavelengths: Wavelengths [nm], shape (M,).
+            outside: Value beyond the ends of the table; None: the end values continue.
 
         Returns:
             Values, shape (..., M).
@@ -81,7 +81,7 @@ class Spectrum:
         """Return the spectrum times a factor.
 
         Args:
-            factor: factor on the values [1].
+            factor: Factor on the values [1].
 
         Returns:
             The new spectrum.

@@ -11,12 +11,12 @@ class Tolerance:
     """Limits on the error of the mean electrons. None means no limit.
 
     Args:
-        rms: root mean square error, relative to the root mean square of the frame [1].
+        rms: Root mean square error, relative to the root mean square of the frame [1].
         p999_sigma: 99.9 % quantile over the pixels of |error| / noise sigma of the pixel [1].
-        max_sigma: maximum over the pixels of |error| / noise sigma of the pixel [1].
+        max_sigma: Maximum over the pixels of |error| / noise sigma of the pixel [1].
 
     Raises:
-        OutOfRange: a limit is not positive and finite, or there is none.
+        OutOfRange: A limit is not positive and finite, or there is none.
     """
 
     rms: float | None = None
@@ -36,15 +36,15 @@ class Tolerance:
         """Read a tolerance from text.
 
         Args:
-            text: name of a preset ("preview", "video", "metrology"), a relative RMS error like
+            text: Name of a preset ("preview", "video", "metrology"), a relative RMS error like
                 "1e-4", or a Tolerance.
 
         Returns:
             The tolerance.
 
         Raises:
-            OutOfRange: the number is not positive and finite.
-            UnknownName: the text is neither a preset nor a number.
+            OutOfRange: The number is not positive and finite.
+            UnknownName: The text is neither a preset nor a number.
         """
         if isinstance(text, Tolerance):
             return text

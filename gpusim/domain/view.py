@@ -17,15 +17,15 @@ class View:
     Both positions are relative to the centre [pixel].
 
     Args:
-        shift: rows and columns of the scene point at the centre of the frame [pixel].
-        rotation: rotation of the camera about its axis, in the plane of the frame, from the columns
+        shift: Rows and columns of the scene point at the centre of the frame [pixel].
+        rotation: Rotation of the camera about its axis, in the plane of the frame, from the columns
             to the rows [rad].
-        zoom: magnification, 1 or more. A smaller one would make samples finer than the scene's
+        zoom: Magnification, 1 or more. A smaller one would make samples finer than the scene's
             `samples_per_pixel` says.
 
     Raises:
-        BadData: a value is no number.
-        OutOfRange: a number is outside its range.
+        BadData: A value is no number.
+        OutOfRange: A number is outside its range.
     """
 
     shift: tuple[float, float] = (0.0, 0.0)
@@ -59,7 +59,7 @@ class View:
         """Return True if pixels fall on samples: the shift is a whole number of samples.
 
         Args:
-            ratio: scene samples per pixel.
+            ratio: Scene samples per pixel.
 
         Returns:
             True if no interpolation is needed.
@@ -74,9 +74,9 @@ class View:
         """Return the scene positions that frame positions show, both relative to the centre.
 
         Args:
-            y: rows of the frame [sample], a number or an array.
-            x: columns of the frame [sample].
-            ratio: scene samples per pixel.
+            y: Rows of the frame [sample], a number or an array.
+            x: Columns of the frame [sample].
+            ratio: Scene samples per pixel.
 
         Returns:
             Rows and columns of the scene [sample].
