@@ -1,8 +1,8 @@
-"""Image systems simulation on CPU and GPU: scene radiance, optics, sensor, image processor, display.
+"""Image systems simulation on CPU and GPU: scene, optics, sensor, image processor, display.
 
 import gpusim as gs
 simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
-frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame.raw, frame.rgb, frame.report
+frame = simulate(gs.open_scene("colorchecker"), seed=1)  # frame.mean, .raw, .rgb, .report
 """
 
 from functools import partial
@@ -14,7 +14,7 @@ from gpusim.pipeline import truths
 
 __version__ = "0.1.0"
 
-# name -> module; resolved on first use, so that `import gpusim` stays fast
+# name -> module; resolved on first use, which keeps `import gpusim` fast
 _PUBLIC = {
     "Camera": "gpusim.domain.camera",
     "Display": "gpusim.domain.display",
@@ -82,13 +82,12 @@ _PUBLIC = {
     "picture": "gpusim.io.scene.scenes",
     "scene_from": "gpusim.io.scene.arrays",
     "preview": "gpusim.apps.preview",
-    "plot": "gpusim",  # a package of its own
+    "plot": "gpusim",  # a package
 }
 __all__ = sorted(_PUBLIC)
 
-if (
-    TYPE_CHECKING
-):  # the same for type checkers and editors, which do not run the code; a test compares the two
+# The same names for type checkers and editors, which do not run the code. A test compares the two.
+if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
     from gpusim.apps.tensors.batches import Batch as Batch
@@ -162,7 +161,7 @@ if (
     from gpusim.pipeline.readout import Readout as Readout
     from gpusim.pipeline.simulator import Simulator as Simulator
 
-# what stands above a package is handed in, and loaded when it is needed
+# Lower packages get access to higher ones here. They are loaded when they are needed.
 labels.load = partial(import_module, "gpusim.plot.notebook")
 truths.load = partial(import_module, "gpusim.judge.truth")
 

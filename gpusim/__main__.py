@@ -1,32 +1,31 @@
-"""`gpusim`, the program: what the system does to it, a signal or a full disk, is said in one line.
+"""The program `gpusim`: signals and failures of the system end it with a message of one line.
 
-Nothing is imported here but what Python itself has loaded, so that a signal during the imports is said as well.
+Only modules that Python itself has loaded are imported here. A signal during later imports is
+therefore handled too.
 """
 
 import os
 import signal
 import sys
 
-INTERRUPTED, FAILED = (
-    2,
-    2,
-)  # exit statuses; that of another signal is 128 + its number, as shells have it
-GONE = 128 + 13  # the reader of our output has gone, as `head` does: SIGPIPE's
+# Exit statuses. After another signal the status is 128 + its number, as in shells.
+INTERRUPTED, FAILED = 2, 2
+GONE = 128 + 13  # the reader of the output has ended, like `head`: SIGPIPE
 
 
 def start() -> int:
-    """Run the command of `sys.argv`; returns its exit status."""
+    """Run the command of `sys.argv` and return its exit status."""
     came: list[int] = []
 
     def stop(number, frame):
         came.append(number)
-        raise KeyboardInterrupt  # unwinds, so that temporary files go
+        raise KeyboardInterrupt  # unwinds the stack: temporary files are removed
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
     try:
         status = _run()
-    except BaseException:  # libraries make other exceptions of it while they are loaded
+    except BaseException:  # libraries turn it into other exceptions while they are loaded
         if not came:
             raise
         status = INTERRUPTED
@@ -35,10 +34,10 @@ def start() -> int:
 
 
 def _run():
-    """Run the command with standard streams that may be closed, full, without a reader or without some letters."""
+    """Run the command with standard streams that may be closed, full or without a reader."""
     for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:  # it was closed: what is written there goes nowhere
-            # the lowest free number, which is the closed one's: no file that is opened later takes its place
+        if getattr(sys, name) is None:  # it was closed: discard its output
+            # This takes the closed stream's number, the lowest free one: no later file gets it.
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))
     sys.stdout, sys.stderr = out, _ = _Output(sys.stdout), _Messages(sys.stderr)  # type: ignore[assignment]
     for stream in (out, sys.stderr):
@@ -56,9 +55,8 @@ def _run():
             raise
     if out.failure is None:
         return status
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), out.fileno()
-    )  # what is left goes nowhere as Python ends
+    # discard the rest of the output when Python ends
+    os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     if isinstance(out.failure, BrokenPipeError):
         return GONE
     print(f"gpusim: standard output cannot be written: {out.failure.strerror}", file=sys.stderr)
@@ -66,7 +64,7 @@ def _run():
 
 
 class _Output:
-    """Standard output, whose first failure is kept: argparse, for one, says nothing of it."""
+    """Standard output. It records its first failure, which argparse, for one, ignores."""
 
     failure: OSError | None = None
 
@@ -91,7 +89,7 @@ class _Output:
 
 
 class _Messages(_Output):
-    """Standard error: a message that nobody can read stops no work."""
+    """Standard error. A message that cannot be written does not stop the command."""
 
     def _do(self, work, *text):
         try:

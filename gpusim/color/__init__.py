@@ -1,1 +1,1 @@
-"""Color: matrices, rendering, white balance, encoding, shading."""
+"""Colour: matrices, rendering, white balance, encoding, shading."""

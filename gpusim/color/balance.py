@@ -1,4 +1,4 @@
-"""Estimates of the light from the camera's picture: what a perfect white would read in it."""
+"""Estimates of the light from the camera's picture: the camera's response to a perfect white."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,17 @@ from gpusim.color.color import TransformSet
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
 ESTIMATES = ("gray-world", "max-rgb", "shades-of-gray", "red-blue")
-MINKOWSKI = 6  # the exponent that Finlayson & Trezzi found best
+MINKOWSKI = 6  # the best exponent according to Finlayson & Trezzi
 
 
 @dataclass(frozen=True, eq=False)
 class WhiteEstimate:
-    """What white reads in a picture: `white`, largest entry 1, shape (C,). model: how it was found, in words."""
+    """Estimated camera response to white.
+
+    Attributes:
+        white: The response, largest entry 1, shape (C,).
+        model: Method and outcome in words.
+    """
 
     white: np.ndarray
     model: str
@@ -24,19 +29,34 @@ def estimate_white(
 ) -> WhiteEstimate:
     """Estimate the camera's response to white from block means of its picture.
 
-    thumbnail: shape (C, rows, cols), as `processor.thumbnail` makes; blocks that are not finite are left out.
-    method: "gray-world": the mean of the scene is neutral (Buchsbaum 1980, J. Franklin Institute 310, 1-26).
-        "max-rgb": the largest responses of all channels are white's (Land 1977, Scientific American 237, 108-128).
-        "shades-of-gray": between the two, the Minkowski mean of exponent 6 is neutral (Finlayson & Trezzi 2004, Color
-            Imaging Conference 12, 37-41).
-        "red-blue": the light, of those of `transforms`, in which the training surfaces' red and blue responses
-            fill an area that correlates best with the picture's: overlap / sqrt(product). Areas are hulls of the
-            responses and black; both are scaled so that their brightest colour, the root of the sum of squares over
-            the channels, is 1 (Tominaga & Wandell 2002, Proc. IEEE 90, 42-56). Any channels, with R and B among them.
-    floor: mean response that counts as darkness, the read noise say [camera value].
-    A picture without an estimate is taken as lit by the target light of `transforms`, or, without these, as balanced
-    already; `model` says so and why.
-    Raises BadData (shape, missing transforms or channels), OutOfRange (floor), UnknownName.
+    If no estimate is possible, the picture is treated as lit by the target light of `transforms`,
+    or, without these, as balanced already; `model` then gives the reason.
+
+    Args:
+        thumbnail: Block means from `processor.thumbnail`, shape (C, rows, cols). Blocks that are
+            not finite are left out.
+        method: "gray-world": the mean of the scene is neutral. "max-rgb": the largest responses of
+            all channels belong to white. "shades-of-gray": between the two, the Minkowski mean with
+            exponent 6 is neutral. "red-blue": the light of `transforms` in which the red and blue
+            responses of the training surfaces fill an area that correlates best with the picture's:
+            overlap / sqrt(product). Areas are convex hulls of the responses and black. Both are
+            scaled until their brightest colour, the root of the sum of squares over the channels,
+            is 1. The channels must include R and B.
+        transforms: Colour transforms of the candidate lights, necessary for "red-blue".
+        floor: Mean response that counts as dark, for example the read noise [camera value].
+
+    Returns:
+        The estimate.
+
+    Raises:
+        BadData: The shape is wrong, or transforms or channels are missing.
+        OutOfRange: The floor is negative.
+        UnknownName: The method is not known.
+
+    Source:
+        Buchsbaum 1980, J. Franklin Institute 310, 1-26 (gray-world); Land 1977, Scientific American
+        237, 108-128 (max-rgb); Finlayson & Trezzi 2004, Color Imaging Conference 12, 37-41
+        (shades-of-gray); Tominaga & Wandell 2002, Proc. IEEE 90, 42-56 (red-blue).
     """
     if method not in ESTIMATES:
         raise UnknownName("white balance estimate", method, ESTIMATES)
@@ -49,14 +69,14 @@ def estimate_white(
         raise BadData(
             f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}"
         )
-    pair = _red_and_blue(transforms) if method == "red-blue" else None
+    pair = _find_red_and_blue(transforms) if method == "red-blue" else None
     blocks = thumbnail[:, np.isfinite(thumbnail).all(0)]
     if not blocks.size:
-        return _assumed(transforms, len(thumbnail), "every block is clipped")
+        return _assume_white(transforms, len(thumbnail), "every block is clipped")
     if not (blocks.mean(1) > floor).all():
-        return _assumed(transforms, len(thumbnail), "a channel is dark")
+        return _assume_white(transforms, len(thumbnail), "a channel is dark")
     if pair:
-        return _by_red_and_blue(blocks, transforms, pair)
+        return _match_red_and_blue(blocks, transforms, pair)
     means = (
         blocks.mean(1)
         if method == "gray-world"
@@ -65,7 +85,8 @@ def estimate_white(
     return WhiteEstimate(means / means.max(), f"{method} of {blocks.shape[1]} blocks")
 
 
-def _assumed(transforms, channels, reason):
+def _assume_white(transforms, channels, reason):
+    """Return the white of the target light, or of balanced data, with the reason in words."""
     if transforms is None:
         return WhiteEstimate(np.ones(channels), f"not estimated, {reason}: as if balanced already")
     return WhiteEstimate(
@@ -74,7 +95,7 @@ def _assumed(transforms, channels, reason):
 
 
 def _minkowski(blocks, exponent):
-    """Generalised mean of each row (C, N) >= 0."""
+    """Return the generalised mean of each row of blocks (C, N) >= 0."""
     peak = blocks.max()  # powers neither overflow nor underflow
     return (
         peak * np.mean((blocks / peak) ** exponent, 1) ** (1 / exponent)
@@ -83,8 +104,8 @@ def _minkowski(blocks, exponent):
     )
 
 
-def _red_and_blue(transforms):
-    """Indices of the channels R and B."""
+def _find_red_and_blue(transforms):
+    """Return the indices of the channels R and B."""
     if transforms is None:
         raise BadData(
             "white balance 'red-blue' compares the picture with lights: give it their transforms"
@@ -98,11 +119,11 @@ def _red_and_blue(transforms):
     return [letters.index("R"), letters.index("B")]
 
 
-def _by_red_and_blue(blocks, transforms, pair):
-    """The light whose area in the (R, B) plane correlates best with that of the blocks (C, N)."""
+def _match_red_and_blue(blocks, transforms, pair):
+    """Return the light whose area in the (R, B) plane correlates best with the blocks (C, N)."""
     picture = _hull(blocks, pair)
     if picture is None:
-        return _assumed(transforms, len(blocks), "there is one color alone")
+        return _assume_white(transforms, len(blocks), "there is only one color")
     areas = [_hull(surfaces, pair) for surfaces in transforms.responses]
     correlations = [
         0.0
@@ -118,7 +139,10 @@ def _by_red_and_blue(blocks, transforms, pair):
 
 
 def _hull(colors, pair):
-    """Hull, counterclockwise, of black and the pair's responses (C, N), scaled to brightest = 1; None if of no area."""
+    """Return the convex hull, counterclockwise, of black and the pair's responses (C, N).
+
+    Scaled to brightest = 1; None if it has no area.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     points = np.vstack([np.zeros(2), (colors / np.linalg.norm(colors, axis=0).max())[pair].T])
@@ -129,12 +153,14 @@ def _hull(colors, pair):
 
 
 def _overlap(polygon, clip):
-    """Intersection of two convex polygons, counterclockwise (Sutherland & Hodgman 1974, Comm. ACM 17, 32-42)."""
+    """Return the intersection of two convex polygons, both counterclockwise.
+
+    Source: Sutherland & Hodgman 1974, Comm. ACM 17, 32-42.
+    """
     for begin, end in zip(clip, np.roll(clip, -1, 0), strict=True):
         edge, kept = end - begin, []
-        sides = edge[0] * (polygon[:, 1] - begin[1]) - edge[1] * (
-            polygon[:, 0] - begin[0]
-        )  # >= 0: inside
+        # >= 0: inside
+        sides = edge[0] * (polygon[:, 1] - begin[1]) - edge[1] * (polygon[:, 0] - begin[0])
         for i in range(len(polygon)):
             if (sides[i] >= 0) != (sides[i - 1] >= 0):
                 kept.append(

@@ -1,6 +1,8 @@
-"""From camera channels to display colours: the matrix that a known light, camera and set of surfaces call for."""
+"""Colour matrices from camera channels to a display, for a known light and training surfaces."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +16,16 @@ from gpusim.optics.weights import product_weights
 
 METHODS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal")
 
-# Of white in the strongest channel, weighed against colour errors where more than three channels leave a choice. At
-# 1e5 electrons shot noise is a third of the colour error of a good camera: it bars the matrices that gain a fraction of
-# that error as a small difference of large responses (clear against red + green + blue: 5 times the noise).
+# Electrons of white in the strongest channel, for the balance of noise and colour error with more
+# than three channels. At 1e5 electrons shot noise is a third of the colour error of a good
+# camera. This excludes matrices that gain a fraction of that error as a small difference of large
+# responses (clear minus red + green + blue has 5 times the noise).
 WHITE_ELECTRONS = 1e5
 
-EXCELLENT_SNR = 40.0  # signal to noise of the first picture that ISO 12232 calls excellent
+EXCELLENT_SNR = 40.0  # signal-to-noise ratio that ISO 12232 calls excellent
 
-# Even on the scale of reciprocal temperature, as differences of colour are (Tominaga & Wandell 2002): 25 MK-1 apart.
-# Then lamps off that line: halophosphate and three-band fluorescent, a white diode.
+# Evenly spaced in reciprocal temperature, 25 MK-1 apart, as colour differences are (Tominaga &
+# Wandell 2002). Then lamps off that line: halophosphate and three-band fluorescent, a white diode.
 LIGHTS = (
     "blackbody-2500K",
     "blackbody-2667K",
@@ -41,17 +44,20 @@ LIGHTS = (
     "FL11",
     "LED-B3",
 )
-REACH = 2.0  # how far around a white transforms are mixed, in distances to the second nearest node
+REACH = 2.0  # radius around a white in which transforms are mixed, over the second-nearest distance
 
 
 @dataclass(frozen=True, eq=False)
 class ColorTransform:
-    """Linear maps from camera responses that are normalised so that perfect white has 1 in its strongest channel.
+    """Linear maps from camera responses that are 1 for perfect white in its strongest channel.
 
-    matrix: to linear display RGB, white = (1, 1, 1), about where the method does not keep white; shape (3, C).
-    xyz: to the XYZ of the surfaces in the target light, white Y = 1; shape (3, C).
-    white: response to perfect white in the scene's light, largest entry 1; shape (C,). As the `ceiling` of
-        processor.color, times what saturation is in units of white, it keeps blown-out highlights neutral.
+    Attributes:
+        matrix: To linear display RGB, shape (3, C). White becomes (1, 1, 1), approximately if the
+            method does not preserve white.
+        xyz: To the XYZ of the surfaces in the target light, white Y = 1, shape (3, C).
+        white: Response to perfect white in the scene's light, largest entry 1, shape (C,).
+            Multiplied by saturation in units of white, it is the `ceiling` of processor.color,
+            which keeps blown-out highlights neutral.
     """
 
     matrix: np.ndarray
@@ -61,7 +67,7 @@ class ColorTransform:
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """Responses of camera (C, N) and eye (3, N) to surfaces in their lights, and to white: largest entry, and Y, 1."""
+    """Responses of camera (C, N) and eye (3, N) to surfaces, and to white (largest or Y 1)."""
 
     camera: np.ndarray
     xyz: np.ndarray
@@ -78,33 +84,51 @@ def color_matrix(
     target_light: Spectrum | str = "D65",
     display: Display = DISPLAYS["srgb"],
     snr: float = EXCELLENT_SNR,
-    channels="RGB",
+    channels: Iterable[str] = "RGB",
 ) -> ColorTransform:
-    """Find the colour transform of a camera that sees surfaces in `light` and shows them as if in `target_light`.
+    """Find the colour transform from surfaces seen in `light` to surfaces shown in `target_light`.
 
-    qe: quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), infrared filter included.
-    light, target_light: photon radiance, any scale, shape (L,), or the name of an illuminant.
-    reflectances: the training surfaces [1], shape (N, L), or the name of a set. Their wavelengths bound the integrals.
-    method: all but "diagonal" minimise an error of the training surfaces' XYZ in the target light:
-        "white-preserving": squared, among the matrices that map white exactly to the target's white (Finlayson & Drew
-            1997, Color Research and Application 22, 2-15).
-        "pseudo-inverse": squared, L = (H' diag(d1) S) [C' diag(d2) S]^-1; white is met as nearly as others.
-        "ridge": squared, expected under the shot noise of every surface: see `snr`. White and all colours come out
-            smaller, the less light the more.
-        "cielab": mean CIELAB difference, white exact, by search from "white-preserving" on.
-        "fixed-diagonal": L = D F. F is the white-preserving matrix for the target light; D, for the scene's, scales the
-            cone-like responses (Bradford) that F leads to so that white is exact: von Kries's rule behind a matrix.
-        "diagonal": channels R, G, B are shown as the display's primaries, each scaled so that white is exact. This
-            leaves no choice, and crosstalk of the filters as it is. Other channels are not used.
-    display: the white that the target's is adapted to (Bradford), and primaries.
-    snr: "ridge" alone: signal to noise ratio of white in the strongest channel [1], that is snr^2 electrons.
-    channels: "diagonal" alone: a letter for each channel, in the order of `qe`.
-    Of more than three channels, some are nearly a mixture of others (a clear pixel of red, green and blue), and the
-    error of colour alone would be bought with noise many times amplified; there "white-preserving" and "cielab" count
-    the expected error of shot noise (WHITE_ELECTRONS) as well. "pseudo-inverse" never does.
-    Raises BadData when wavelengths do not overlap, the surfaces do not determine the matrix or the channels are not
-    those that the method needs; UnknownName (method, light, set); OutOfRange (snr).
-    Source: Farrell & Wandell, section 6.2 and Figure 11.
+    If there are more than three channels, some are nearly a mixture of others (a clear pixel of
+    red, green and blue). Minimising only the colour error would then amplify noise many times.
+    "white-preserving" and "cielab" therefore add the expected error of shot noise
+    (WHITE_ELECTRONS); "pseudo-inverse" does not.
+
+    Args:
+        qe: Quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), with infrared
+            filter.
+        light: Photon radiance of the scene's light in any scale, shape (L,), or name of an
+            illuminant.
+        reflectances: Training surfaces [1], shape (N, L), or name of a set. Their wavelengths bound
+            the integrals.
+        method: All but "diagonal" minimise an error of the training surfaces' XYZ in the target
+            light. "white-preserving": squared error, among the matrices that map white exactly to
+            the target's white. "pseudo-inverse": squared error, L = (H' diag(d1) S) [C' diag(d2)
+            S]^-1, without a condition on white. "ridge": expected squared error with the shot noise
+            of every surface, see `snr`; white and all colours come out darker, more so in less
+            light. "cielab": mean CIELAB difference with exact white, by search that starts from
+            "white-preserving". "fixed-diagonal": L = D F with the white-preserving matrix F for the
+            target light; D scales the cone-like responses (Bradford) of F for the scene's light
+            until white is exact (von Kries's rule after a matrix). "diagonal": channels R, G, B are
+            the display's primaries, each scaled until white is exact. It does not correct crosstalk
+            of the filters, and ignores other channels.
+        target_light: Light of the rendered surfaces, as `light`.
+        display: Its white, to which the target's is adapted (Bradford), and its primaries.
+        snr: Only for "ridge": signal-to-noise ratio of white in the strongest channel [1], that is
+            snr^2 electrons.
+        channels: Only for "diagonal": a letter for each channel, in the order of `qe`.
+
+    Returns:
+        The transform.
+
+    Raises:
+        BadData: Wavelengths do not overlap, the surfaces do not determine the matrix, or the method
+            needs other channels.
+        OutOfRange: `snr` is not positive.
+        UnknownName: Method, light or set is not known.
+
+    Source:
+        Farrell & Wandell, section 6.2 and Figure 11; Finlayson & Drew 1997, Color Research and
+        Application 22, 2-15 (white-preserving).
     """
     if method not in METHODS:
         raise UnknownName("color matrix method", method, METHODS)
@@ -121,13 +145,13 @@ def color_matrix(
         )
     if method == "fixed-diagonal":
         fixed = _white_preserving(
-            _determined(_training(nodes, surfaces, qe, _photons(target_light), eye))
+            _check_rank(_training(nodes, surfaces, qe, _photons(target_light), eye))
         )
         shown = fixed @ seen.camera_white
         if not (BRADFORD @ shown > 0).all():
             raise BadData(
                 f"color matrix: the matrix for {_name(target_light)} takes white in {_name(light)} to XYZ "
-                f"{np.round(shown, 4).tolist()}, no colour that can be scaled to white"
+                f"{np.round(shown, 4).tolist()}, which cannot be scaled to white"
             )
         to_xyz = adaptation(shown, seen.xyz_white) @ fixed
     else:
@@ -137,15 +161,28 @@ def color_matrix(
             "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
             "ridge": lambda of: _least_squares(of.camera, of.xyz, of.camera.sum(1) / snr**2),
         }[method]
-        to_xyz = fit(_determined(seen))
+        to_xyz = fit(_check_rank(seen))
     return ColorTransform(display.rgb_from_xyz @ adapt @ to_xyz, to_xyz, seen.camera_white)
 
 
 def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | str) -> np.ndarray:
-    """Matrix (C, 3) from the XYZ of surfaces in `light` to the camera's responses, white (Y = 1) to white (largest 1).
+    """Return the matrix from the XYZ of surfaces in a light to the camera's responses.
 
-    Of three channels the inverse of the white-preserving `color_matrix` with the light itself as target; of more the
-    least squares of the responses that keep white. Arguments as there. Raises BadData, UnknownName.
+    White with Y = 1 becomes white with a largest response of 1. For three channels it is the
+    inverse of the white-preserving `color_matrix` with the light as target; for more it is the
+    least squares solution among matrices that preserve white.
+
+    Args:
+        qe: See `color_matrix`.
+        light: See `color_matrix`.
+        reflectances: See `color_matrix`.
+
+    Returns:
+        Matrix, shape (C, 3).
+
+    Raises:
+        BadData: See `color_matrix`.
+        UnknownName: See `color_matrix`.
     """
     nodes, surfaces = _surfaces(reflectances)
     photons = _photons(light)
@@ -153,7 +190,7 @@ def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | 
         nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons))
     )
     if len(seen.camera) == 3:
-        return np.linalg.inv(_white_preserving(_determined(seen)))
+        return np.linalg.inv(_white_preserving(_check_rank(seen)))
     return _white_preserving(_Training(seen.xyz, seen.camera, seen.xyz_white, seen.camera_white))
 
 
@@ -166,13 +203,13 @@ def _name(light):
 
 
 def _surfaces(reflectances):
-    """Wavelengths [nm] and values (N, L) of training surfaces."""
+    """Return wavelengths [nm] and values (N, L) of training surfaces."""
     chosen = measured(reflectances) if isinstance(reflectances, str) else reflectances
     return chosen.wavelengths, np.atleast_2d(chosen.values)
 
 
 def _training(nodes, surfaces, qe, light, eye):
-    """What the camera sees in `light`, and the eye of weights `eye` (3, L) in its own."""
+    """Return responses of the camera in `light`, and of the eye with weights `eye` (3, L)."""
     weights = np.atleast_2d(product_weights(nodes, qe, light))
     camera_white, xyz_white = weights.sum(1), eye.sum(1)
     if not (camera_white > 0).all() or not xyz_white[1] > 0:
@@ -188,8 +225,8 @@ def _training(nodes, surfaces, qe, light, eye):
     )
 
 
-def _determined(of):
-    """The training itself; raises BadData where it leaves the matrix open."""
+def _check_rank(of):
+    """Return the training. Raise BadData if it does not determine the matrix."""
     channels, count = of.camera.shape
     if count < channels:
         raise BadData(
@@ -205,18 +242,19 @@ def _determined(of):
 
 
 def _least_squares(camera, xyz, variance):
-    """Return the (3, C) matrix M that takes `camera` (C, N) nearest to `xyz` (3, N), noise included.
+    """Return the (3, C) matrix M that maps `camera` (C, N) nearest to `xyz` (3, N), with noise.
 
-    Noise whose `variance` (C,) is summed over the N surfaces adds tr(M diag(variance) M') to the expected square of
-    their errors: as C more columns of `camera` that should come out as 0, it is part of the same least squares.
+    The noise `variance` (C,), summed over the N surfaces, adds tr(M diag(variance) M') to the
+    expected squared error. In the least squares problem it is C more columns of `camera` whose
+    result should be 0.
     """
     noise = np.diag(np.broadcast_to(np.sqrt(variance), len(camera)))
     camera, xyz = np.hstack([camera, noise]), np.hstack([xyz, np.zeros((len(xyz), len(noise)))])
     return np.linalg.lstsq(camera.T, xyz.T, rcond=None)[0].T
 
 
-def _white_kept(of):
-    """One matrix (3, C) that maps white to white, and the directions (C, C - 1) that white has no part in."""
+def _split_white(of):
+    """Return one matrix (3, C) that maps white to white, and directions (C, C - 1) without it."""
     white = of.camera_white
     return np.outer(of.xyz_white, white) / (white @ white), np.linalg.qr(
         white[:, None], mode="complete"
@@ -224,8 +262,11 @@ def _white_kept(of):
 
 
 def _white_preserving(of):
-    """Least squares among the matrices that map white to white; noise of white's variance counts if C > 3."""
-    fixed, free = _white_kept(of)
+    """Return the least squares matrix among those that map white to white.
+
+    For C > 3, noise with the variance of white counts as well.
+    """
+    fixed, free = _split_white(of)
     camera, missing = of.camera, of.xyz - fixed @ of.camera
     if len(camera) > 3:
         noise = np.diag(np.sqrt(camera.shape[1] * of.camera_white / WHITE_ELECTRONS))
@@ -234,13 +275,13 @@ def _white_preserving(of):
 
 
 def _least_in_cielab(of):
-    """Search for the least mean CIELAB difference of the surfaces among the matrices that map white to white.
+    """Return the matrix with the least mean CIELAB difference that maps white to white.
 
-    Difference: sqrt((Delta E*ab 1976)^2 + its variance by each surface's shot noise, if C > 3).
+    Difference: sqrt((Delta E*ab 1976)^2 + its variance from shot noise of each surface, if C > 3).
     """
     from scipy.optimize import minimize
 
-    start, free = _white_preserving(of), _white_kept(of)[1]
+    start, free = _white_preserving(of), _split_white(of)[1]
     wanted, white = _lab(of.xyz, of.xyz_white), of.xyz_white[:, None]
     slopes = _lab_slopes(of.xyz, white)
 
@@ -254,20 +295,21 @@ def _least_in_cielab(of):
             squares += np.einsum("lcn,cn->n", noise, of.camera) / WHITE_ELECTRONS
         return np.sqrt(squares + smooth**2).mean()
 
-    # The root has a corner at 0, where searches by gradients stall: rounded far below what an eye sees.
+    # The root has a corner at 0, which stalls gradient searches. It is rounded far below a visible
+    # difference.
     steps = minimize(difference, np.zeros(free.shape[1] * 3), args=(1e-2,), method="BFGS").x
     return matrix(steps) if difference(steps) < difference(np.zeros_like(steps)) else start
 
 
 def _lab(xyz, white):
-    """CIELAB of XYZ (3, N), linear near black and below. Source: CIE 15:2018, section 8.2.1."""
+    """Return CIELAB of XYZ (3, N), linear near and below black. Source: CIE 15:2018, 8.2.1."""
     ratio = xyz / white[:, None]
     x, y, z = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29)
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 
 def _lab_slopes(xyz, white):
-    """Derivatives of CIELAB by X, Y and Z, (3, 3, N)."""
+    """Return the derivatives of CIELAB with respect to X, Y and Z, (3, 3, N)."""
     ratio = xyz / white
     slopes = (
         np.where(ratio > (6 / 29) ** 3, np.cbrt(np.maximum(ratio, 1e-9)) ** -2, (29 / 6) ** 2)
@@ -278,7 +320,7 @@ def _lab_slopes(xyz, white):
 
 
 def _channels_as_primaries(white, letters):
-    """Matrix (3, C) that shows channels R, G and B as primaries, white as (1, 1, 1)."""
+    """Return the matrix (3, C) that shows channels R, G and B as primaries, white as (1, 1, 1)."""
     letters = list(letters)
     if len(letters) != len(white) or any(letters.count(letter) != 1 for letter in "RGB"):
         raise BadData(
@@ -291,11 +333,15 @@ def _channels_as_primaries(white, letters):
 
 @dataclass(frozen=True, eq=False)
 class TransformSet:
-    """Colour transforms of a set of lights, computed once; looked up by the camera's white.
+    """Colour transforms of a set of lights, computed once, selected by the camera's white.
 
-    names: of the K lights. channels: a letter for each channel, where known. transforms: of each light.
-    responses: of the camera to the N training surfaces in each light, in units of white's strongest channel, (K, C, N).
-    target_white: response to white in the target light, largest entry 1, shape (C,).
+    Attributes:
+        names: Names of the K lights.
+        channels: A letter for each channel, if known.
+        transforms: Transform of each light.
+        responses: Camera responses to the N training surfaces in each light, in units of white's
+            strongest channel, shape (K, C, N).
+        target_white: Response to white in the target light, largest entry 1, shape (C,).
     """
 
     names: tuple[str, ...]
@@ -309,14 +355,26 @@ class TransformSet:
         """Responses to white in each light, largest entry 1, shape (K, C)."""
         return np.stack([transform.white for transform in self.transforms])
 
-    def at(self, white) -> ColorTransform:
-        """The transform for a camera white: a light's own where it is that light's, else a mixture of the nearest.
+    def at(self, white: np.ndarray) -> ColorTransform:
+        """Return the transform for a camera white: the one of a light, or a mixture of the nearest.
 
-        white: response to white, any scale, shape (C,). Transforms behind white balance, M diag(white), are mixed, so
-        that this very white is shown as display white (if the method keeps white). Weights are 1/d - 1/r for distances
-        d below r in log chromaticity, r being REACH distances to the second nearest: between two neighbours on a line
-        of lights almost these two alone; continuous everywhere (a local form of Shepard 1968, Proc. ACM, 517-524).
-        Raises BadData for a white of the wrong shape or not positive.
+        Transforms after white balance, M diag(white), are mixed: the given white becomes display
+        white if the method preserves white. Weights are 1/d - 1/r for distances d below r in log
+        chromaticity; r is REACH times the distance of the second nearest light. Between two
+        neighbours on a line of lights almost only these two count. The result is continuous
+        everywhere.
+
+        Args:
+            white: Response to white, any scale, shape (C,).
+
+        Returns:
+            The transform.
+
+        Raises:
+            BadData: The white has the wrong shape or is not positive.
+
+        Source:
+            a local form of Shepard 1968, Proc. ACM, 517-524.
         """
         white, whites = np.asarray(white, np.float64), self.whites
         if white.shape != whites.shape[1:] or not (np.isfinite(white).all() and (white > 0).all()):
@@ -343,18 +401,37 @@ class TransformSet:
 
 
 def transform_set(
-    qe: Spectrum, reflectances: Spectrum | str, lights=LIGHTS, *, channels=(), **options
+    qe: Spectrum,
+    reflectances: Spectrum | str,
+    lights: Sequence[Spectrum | str] = LIGHTS,
+    *,
+    channels: Sequence[str] = (),
+    **options: Any,
 ) -> TransformSet:
     """Compute the transforms of a set of lights in advance.
 
-    lights: names or photon radiances. channels: a letter for each channel; "diagonal" here, and estimates of the light
-    that look at certain channels, need them. qe, reflectances, options: as for `color_matrix`, which raises.
-    Raises BadData without lights too.
-    Source: Farrell & Wandell, section 6.2 and Figure 12.
+    Args:
+        qe: See `color_matrix`.
+        reflectances: See `color_matrix`.
+        lights: Names or photon radiances.
+        channels: A letter for each channel, necessary for "diagonal" and for estimates of the light
+            that use certain channels.
+        options: Other arguments of `color_matrix`.
+
+    Returns:
+        The transforms.
+
+    Raises:
+        BadData: There are no lights; see also `color_matrix`.
+        OutOfRange: See `color_matrix`.
+        UnknownName: See `color_matrix`.
+
+    Source:
+        Farrell & Wandell, section 6.2 and Figure 12.
     """
     if not len(lights):
         raise BadData("transform set: no lights")
-    named = {"channels": channels} if channels else {}
+    named: dict[str, Any] = {"channels": channels} if channels else {}
     transforms = tuple(
         color_matrix(qe, light, reflectances, **named, **options) for light in lights
     )
@@ -375,6 +452,6 @@ def transform_set(
 
 
 def _chromaticity(white):
-    """Logarithms of responses (..., C), from which brightness is taken away."""
+    """Return logarithms of responses (..., C) minus their mean, independent of brightness."""
     logs = np.log(white)
     return logs - logs.mean(-1, keepdims=True)

@@ -1,23 +1,30 @@
-"""From linear display light to what is stored: the display's curve, bent by the processor's tone curve."""
+"""From linear display light to stored codes: the display's curve and the processor's tone curve."""
 
 import numpy as np
 
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData
 
-STEPS = 60  # of the bisection: float64 has no more
+STEPS = 60  # bisection steps: enough for float64
 
 
 def decoding(display: Display, tone: tuple = ()):
-    """The function from codes, as fractions of the largest, to the linear light before the tone curve.
+    """Return the function from codes to the linear light before the tone curve.
 
-    tone: see `gpusim.domain.processor.Processor`. Raises BadData.
+    Args:
+        display: The display.
+        tone: Tone curve, see `gpusim.domain.processor.Processor`.
+
+    Returns:
+        Function of codes as fractions of the largest.
+
+    Raises:
+        BadData: The cubic between the nodes of the tone curve overflows.
     """
     if not tone:
         return display.decode
-    from scipy.interpolate import (
-        PchipInterpolator,
-    )  # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
+    # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
+    from scipy.interpolate import PchipInterpolator
 
     scene = DISPLAYS["srgb"]
     x, y = np.array(tone).T

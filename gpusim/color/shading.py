@@ -1,6 +1,7 @@
 """Gains that undo what a lens and a sensor lose toward the corner."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.optics.geometry import relative_illumination
@@ -37,15 +38,27 @@ def relative_response(
     return response
 
 
-def shading_gains(response, channels: int, most: float = 8.0) -> np.ndarray:
-    """Gains for `processor.shade` that make a flat scene flat, float64 (channels, ny, nx), the smallest one 1.
+def shading_gains(response: ArrayLike, channels: int, most: float = 8.0) -> np.ndarray:
+    """Return gains for `processor.shade` that make a uniform scene uniform.
 
-    response: of every pixel to a flat scene, shape (rows, cols), or of every channel at every pixel, shape
-    (channels, rows, cols) [any unit, one for each channel: its largest value is not changed]. most: largest gain; where
-    more were needed, a flat scene stays darker [1]. The fewest nodes are taken between which gains err by at most
-    INTERPOLATION, or as many as there are in NODES. Raises BadData, OutOfRange.
+    They have the fewest nodes with an interpolation error of at most INTERPOLATION, or the most
+    nodes in NODES.
+
+    Args:
+        response: Response to a uniform scene, of every pixel, shape (rows, cols), or of every
+            channel at every pixel, shape (channels, rows, cols), in any unit. The largest value of
+            each channel is not changed.
+        channels: Number of channels.
+        most: Largest gain [1]. If more would be necessary, a uniform scene stays darker there.
+
+    Returns:
+        Gains, float64, shape (channels, ny, nx), the smallest one 1.
+
+    Raises:
+        BadData: The response has the wrong shape.
+        OutOfRange: A response or `most` is outside its range.
     """
-    response = _checked(response, most)
+    response = _check_response(response, most)
     if response.shape[:-2] not in ((), (channels,)):
         raise BadData(
             f"response to a flat scene: shape {response.shape}, wanted (rows, cols) or ({channels}, rows, "
@@ -58,16 +71,29 @@ def shading_gains(response, channels: int, most: float = 8.0) -> np.ndarray:
     return np.broadcast_to(nodes, (channels, *nodes.shape[1:])).copy()
 
 
-def phase_gains(response, period, most: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
-    """Gains that make a flat scene flat where the pixels of a mosaic do not lie on an even grid, as those of binning.
+def phase_gains(
+    response: ArrayLike, period: tuple[int, int], most: float = 8.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return shading gains for a mosaic with unevenly spaced pixels, for example binned ones.
 
-    response: what a flat scene gives at every pixel of the output, binned as charge or numbers are, shape (rows, cols)
-    [any unit]. period: rows and columns of the output's mosaic. most: see `shading_gains`.
-    Pixels of one phase of the mosaic are evenly spaced, so each phase counts as a channel; all have one scale.
-    Returns the gains, float64 (period_y period_x, ny, nx), the smallest one 1, and the mosaic of phases that
-    `processor.shade` is to take for the CFA, int32 (period_y, period_x). Raises BadData, OutOfRange.
+    Pixels of one phase of the mosaic are evenly spaced. Each phase therefore counts as a channel,
+    and all have one scale.
+
+    Args:
+        response: Response to a uniform scene of every output pixel, after binning, shape (rows,
+            cols), in any unit.
+        period: Rows and columns of the output's mosaic.
+        most: See `shading_gains`.
+
+    Returns:
+        The gains, float64, shape (period_y period_x, ny, nx), the smallest one 1; and the mosaic of
+        phases that `processor.shade` takes in place of the CFA, int32, shape (period_y, period_x).
+
+    Raises:
+        BadData: The response has the wrong shape.
+        OutOfRange: A response or `most` is outside its range.
     """
-    response, (down, right) = _checked(response, most), period
+    response, (down, right) = _check_response(response, most), period
     if response.ndim != 2 or response.shape[0] < down or response.shape[1] < right:
         raise BadData(
             f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period "
@@ -81,7 +107,8 @@ def phase_gains(response, period, most: float = 8.0) -> tuple[np.ndarray, np.nda
     ).reshape(down, right)
 
 
-def _checked(response, most):
+def _check_response(response: ArrayLike, most: float) -> np.ndarray:
+    """Return the response as float64. Raise OutOfRange if it or `most` is out of range."""
     response = np.asarray(response, np.float64)
     if not (np.isfinite(response).all() and response.min() >= 0 and response.max() > 0):
         raise OutOfRange(
@@ -95,7 +122,10 @@ def _checked(response, most):
 
 
 def _nodes(maps, steps, shape):
-    """Gains at nodes over a frame of `shape`, (maps, ny, nx); maps: (gains, pixel of the first), `steps` apart."""
+    """Return gains at nodes over a frame of `shape`, (maps, ny, nx).
+
+    maps: pairs of gains and the pixel of the first one; gains are `steps` pixels apart.
+    """
     for count in NODES:
         places = [np.linspace(0, size, max(min(count, size + 1), 2)) - 0.5 for size in shape]
         nodes = np.stack(
@@ -125,7 +155,7 @@ def _nodes(maps, steps, shape):
 
 
 def _at(values, places, pixels):
-    """Values along the first axis at `places`: linear between pixels, and on beyond the outermost."""
+    """Interpolate along the first axis at `places`: linear, also beyond the outermost pixels."""
     if pixels == 1:
         return np.repeat(values, len(places), axis=0)
     first = np.clip(np.floor(places).astype(int), 0, pixels - 2)
@@ -134,7 +164,10 @@ def _at(values, places, pixels):
 
 
 def _cubics(count, pixels):
-    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.distort`, shape (pixels, count)."""
+    """Return the weight of each of `count` nodes at each pixel, shape (pixels, count).
+
+    The polynomials equal those in `optics.distort`.
+    """
     place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
     first = np.clip(place.astype(int) - 1, 0, count - 4)
     weights = np.zeros((pixels, count))
@@ -146,6 +179,6 @@ def _cubics(count, pixels):
 
 
 def _hats(count, pixels):
-    """Weight of each of `count` nodes at each pixel, shape (pixels, count)."""
+    """Return the linear weight of each of `count` nodes at each pixel, shape (pixels, count)."""
     place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
     return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0)

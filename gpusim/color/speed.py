@@ -1,4 +1,4 @@
-"""ISO speed: what light saturates a camera's pixels, as photographers count it."""
+"""ISO speed: the light that saturates a camera's pixels, in the photographic scale."""
 
 from dataclasses import replace
 from math import prod
@@ -15,20 +15,22 @@ from gpusim.domain.spectrum import photons_from_energy
 from gpusim.optics.weights import product_weights
 
 LIGHT = "D55"  # daylight of ISO 7589, which ISO 12232 prescribes
-SATURATION_SPEED = (
-    78.0  # [lx s]: the 10 / S of a mean scene are 12.8 % of saturation, 18 % less half a stop
-)
-MOST_GAIN = 1e4  # of `Sensor.analog_gain`
+# [lx s] The exposure 10 / S of a mean scene is 12.8 % of saturation: 18 % minus half a stop.
+SATURATION_SPEED = 78.0
+MOST_GAIN = 1e4  # largest `Sensor.analog_gain`
 
 
 def electrons_per_exposure(sensor: Sensor) -> float:
-    """Electrons of the most sensitive channel per luminous exposure of D55 at the sensor [e- lx-1 s-1].
+    """Return electrons of the most sensitive channel per luminous exposure [e- lx-1 s-1].
 
-    For the irradiance E(lambda) [W m-2 nm-1], with the area A of a pixel's aperture,
+    The light is D55 at the sensor. For the irradiance E(lambda) [W m-2 nm-1] and the area A of a
+    pixel's aperture, the value is
 
-        A int qe(lambda) E(lambda) lambda / (h c) dlambda / (683 lm/W int V(lambda) E(lambda) dlambda).
+        A int qe(lambda) E(lambda) lambda / (h c) dlambda / (683 lm/W int V(lambda) E(lambda)
+        dlambda).
 
-    All light that the sensor sees counts, so also infrared where nothing cuts it. The lens is not part of it.
+    All light that the sensor sees counts, also infrared if nothing blocks it. The lens is not part
+    of it.
     """
     light = illuminant(LIGHT)
     low, high = light.wavelengths[[0, -1]]
@@ -39,63 +41,72 @@ def electrons_per_exposure(sensor: Sensor) -> float:
 
 
 def iso_speed(sensor: Sensor) -> float:
-    """Saturation-based ISO speed at the sensor's analog gain, S = 78 / H; 0 if it does not see daylight.
+    """Return the saturation-based ISO speed at the sensor's analog gain, S = 78 / H.
 
-    H is the luminous exposure [lx s] of D55 at which the most sensitive channel saturates: its full well, or the
-    converter. Of pixels binned by charge, the node's. Nothing is rounded to the standard's steps.
+    H is the luminous exposure [lx s] of D55 at which the most sensitive channel saturates, in its
+    full well or the converter; for pixels binned as charge, in their node. The result is not
+    rounded to the steps of the standard. It is 0 if the sensor does not see daylight.
+
     Source: ISO 12232:2019, saturation-based speed.
     """
     return SATURATION_SPEED * electrons_per_exposure(sensor) / _saturation(sensor)
 
 
 def gain_for_speed(sensor: Sensor, speed: float) -> float:
-    """Analog gain [1] at which the sensor has an ISO speed: the converter's range then ends where that asks.
+    """Return the analog gain [1] with which the sensor has an ISO speed.
 
-    The least is the base speed, that at an analog gain of 1. Raises OutOfRange and, for a sensor that does not see
-    daylight, BadData.
+    The lowest speed is the base speed, with an analog gain of 1.
+
+    Args:
+        sensor: The sensor.
+        speed: ISO speed [1].
+
+    Returns:
+        Analog gain [1].
+
+    Raises:
+        BadData: The sensor does not see daylight.
+        OutOfRange: The speed is below the base speed, or needs too large a gain.
     """
     unity = replace(sensor, analog_gain=1.0)
     base = iso_speed(unity)
     if not base:
-        raise BadData(
-            f"iso = {speed:.6g}: the sensor's efficiency leaves nothing of {LIGHT}, so it has no ISO speed"
-        )
+        raise BadData(f"iso = {speed:.6g}: the sensor does not see {LIGHT}, so it has no ISO speed")
     if sensor.bits == FLOAT_BITS:
         raise OutOfRange(
             "iso", f"{speed:.6g}", f"none: without a converter it is {base:.4g} at every gain"
         )
-    electrons = (
-        _saturation(unity) * base / speed if speed >= base else np.inf
-    )  # of a pixel, where it shall saturate
-    node = electrons * _added(sensor) + sensor.analog_offset
+    # electrons at which a pixel shall saturate
+    electrons = _saturation(unity) * base / speed if speed >= base else np.inf
+    node = electrons * _pixels_per_node(sensor) + sensor.analog_offset
     span = (sensor.white_level - sensor.black_level) / _node(unity).gain_dn_per_electron  # [e-]
     if not span / MOST_GAIN <= node < np.inf:
         raise OutOfRange(
             "iso",
             f"{speed:.6g}",
-            f"{_up(base):g}, this sensor's base speed, or more, up to an analog "
+            f"{_round_up(base):g}, this sensor's base speed, or more, up to an analog "
             f"gain of {MOST_GAIN:g}",
         )
     return span / node
 
 
-def _added(sensor):
-    """Pixels whose electrons one value has."""
+def _pixels_per_node(sensor):
+    """Return the number of pixels whose electrons are added to one value."""
     return prod(sensor.binning) if sensor.binning_mode == "charge" else 1
 
 
 def _node(sensor):
-    """The sensor that the electronics sees: as many full wells as are added."""
-    return replace(sensor, full_well=sensor.full_well * _added(sensor), binning=(1, 1))
+    """Return the sensor as its electronics sees it, with the full wells of all added pixels."""
+    return replace(sensor, full_well=sensor.full_well * _pixels_per_node(sensor), binning=(1, 1))
 
 
 def _saturation(sensor):
-    """Electrons of one pixel at which its value stops rising."""
-    return _node(sensor).saturation / _added(sensor)
+    """Return the electrons of one pixel at which its value stops rising."""
+    return _node(sensor).saturation / _pixels_per_node(sensor)
 
 
-def _up(speed):
-    """Rounded up to four digits: what a message allows must not be refused."""
+def _round_up(speed):
+    """Round up to four digits: a speed that a message allows must not be refused."""
     step = 10.0 ** (np.floor(np.log10(speed)) - 3)
     return np.ceil(speed / step) * step
 
@@ -109,17 +120,28 @@ def operate_camera(
     focus: float | None = None,
     scaling: str | None = None,
 ) -> Camera:
-    """Return the camera with other settings of its controls; None leaves one as it is.
+    """Return the camera with other settings of its controls; None leaves a setting as it is.
 
-    exposure: [s], or "auto". iso: speed. focus: distance of what is in focus [m]. scaling: of the processor. Raises
-    BadData for a lens of measured point spreads, and OutOfRange.
+    Args:
+        camera: The camera.
+        exposure: Exposure time [s], or "auto".
+        iso: ISO speed [1]. Automatic exposure then does not raise the gain.
+        f_number: F-number [1].
+        focus: Distance of the plane in focus [m].
+        scaling: See `Processor`.
+
+    Returns:
+        The camera with these settings.
+
+    Raises:
+        BadData: f_number or focus for a lens of measured point spreads, or a sensor without ISO
+            speed.
+        OutOfRange: A setting is outside its range.
     """
     optics, sensor, processor = camera.optics, camera.sensor, camera.processor
     if exposure is not None:
         sensor = replace(sensor, exposure_time=None if isinstance(exposure, str) else exposure)
-    if (
-        iso is not None
-    ):  # the speed that was asked for: automatic exposure raises no gain on its own
+    if iso is not None:  # a fixed speed: automatic exposure must not raise the gain
         sensor = replace(
             sensor,
             analog_gain=gain_for_speed(sensor, iso),

@@ -1,1 +1,1 @@
-"""What comes with gpusim: lights, reflectances, colorimetry, charts, cameras."""
+"""Built-in data: lights, reflectances, colorimetry, charts, cameras."""

@@ -1,7 +1,8 @@
-"""Makes the tables here: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz ISETCAM_SPECTRA.npz`.
+"""Build the tables of this folder.
 
-Run by hand when a source changes; the tables are part of the package, so nothing here runs in use. README.md of this
-folder names every source.
+Usage: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz ISETCAM_SPECTRA.npz`. Run it by
+hand when a source changes. The tables are part of the package; nothing here runs in use. README.md
+of this folder names every source.
 """
 
 import sys
@@ -31,7 +32,10 @@ DISPLAYS = {
 
 
 def build_cie(path=HERE / "cie.npz"):
-    """Colour matching functions, illuminants, daylight basis and ColorChecker, from colour-science."""
+    """Build colour matching functions, illuminants, daylight basis and ColorChecker.
+
+    Their source is colour-science.
+    """
     import colour
     from colour.colorimetry import SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES as DAYLIGHT
 
@@ -60,12 +64,11 @@ def build_cie(path=HERE / "cie.npz"):
 
 
 def build_reflectances(source, path=HERE / "reflectances.npz"):
-    """Measured reflectances at 400, 410 .. 700 nm from ISETCam's; samples with a NaN are left out."""
+    """Build measured reflectances at 400, 410 .. 700 nm (ISETCam), without samples with NaN."""
     tables = {}
     with np.load(source) as isetcam:
-        step = slice(
-            None, None, 2
-        )  # the source is at 5 nm, but was measured at 10 nm (macbeth: 4 nm)
+        # the source has steps of 5 nm, but was measured at 10 nm (macbeth: 4 nm)
+        step = slice(None, None, 2)
         for name, theirs in REFLECTANCE_SETS.items():
             samples = isetcam[f"refl_{theirs}"][step].T
             tables[name] = samples[np.isfinite(samples).all(1)].astype(np.float32)
@@ -73,7 +76,7 @@ def build_reflectances(source, path=HERE / "reflectances.npz"):
 
 
 def build_displays(source, path=HERE / "displays.npz"):
-    """Radiance of measured displays' primaries, 400, 410 .. 700 nm, and the exponent nearest to their curves."""
+    """Build radiance of measured displays' primaries at 400, 410 .. 700 nm, and curve exponents."""
     tables = {}
     with np.load(source, allow_pickle=True) as isetcam:
         for name, theirs in DISPLAYS.items():
@@ -91,9 +94,10 @@ def build_displays(source, path=HERE / "displays.npz"):
 
 
 def build_srgb(path=HERE / "srgb.npz"):
-    """Reflectance spectra of the three sRGB primaries: `smoothest_primaries` at 360, 370 .. 780 nm.
+    """Build reflectance spectra of the sRGB primaries: `smoothest_primaries` at 360 .. 780 nm.
 
-    Their colours hold for the cubic splines through the nodes, which is how the simulation interpolates a reflectance.
+    Their colours hold for cubic splines through the nodes, because the simulation interpolates
+    reflectances with them.
     """
     from scipy.interpolate import CubicSpline
 
@@ -101,31 +105,42 @@ def build_srgb(path=HERE / "srgb.npz"):
     from gpusim.data.lights import illuminant
     from gpusim.data.srgb import srgb_to_xyz
 
-    wavelengths = np.arange(360.0, 781.0, 10.0)  # where the tables of D65 and the observer overlap
+    wavelengths = np.arange(360.0, 781.0, 10.0)  # common range of the tables of D65 and observer
     fine = np.linspace(360, 780, 4201)
     cardinal = CubicSpline(wavelengths, np.eye(len(wavelengths)))(fine).T
     light = illuminant("D65")
-    responses = (
-        xyz(Spectrum(fine, cardinal), light).T / xyz(light)[1]
-    )  # linear in the table: that of each unit entry
+    # response to each unit entry: the result is linear in the table
+    responses = xyz(Spectrum(fine, cardinal), light).T / xyz(light)[1]
     np.savez_compressed(
         path, wavelengths=wavelengths, primaries=smoothest_primaries(responses, srgb_to_xyz())
     )
 
 
 def smoothest_primaries(responses, targets):
-    """Three smooth spectra within 0 .. 1 that add up to 1 and have given tristimulus values.
+    """Return three smooth spectra within 0 .. 1 that add up to 1 and have given tristimulus values.
 
-    responses: XYZ of a unit entry at each of the L nodes, shape (3, L). targets: XYZ of the primaries in columns.
-    Minimises the sum of squared first differences of all three. Returns shape (3, L).
-    Source: Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR 2019.
+    They minimise the sum of squared first differences of all three.
+
+    Args:
+        responses: XYZ of a unit entry at each of the L nodes, shape (3, L).
+        targets: XYZ of the primaries in columns.
+
+    Returns:
+        Spectra, shape (3, L).
+
+    Raises:
+        RuntimeError: The search failed.
+
+    Source:
+        Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR
+        2019.
     """
     from scipy.optimize import minimize
 
     nodes = responses.shape[1]
     difference = np.diff(np.eye(nodes), axis=0)
     roughness = difference.T @ difference
-    # Unknowns: red and blue; green is what is left of 1, so that white is exactly 1.
+    # Unknowns: red and blue; green is the rest to 1, which makes white exactly 1.
     hessian = 2 * np.block([[2 * roughness, roughness], [roughness, 2 * roughness]])
     equal = np.kron(np.eye(2), responses)
     wanted = np.concatenate([targets[:, 0], targets[:, 2]])

@@ -1,10 +1,12 @@
-"""Built-in scenes: test charts of known reflectance in a chosen light."""
+"""Built-in scenes: test charts with known reflectance in a chosen light."""
 
 import inspect
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.data.lights import light_of, white_radiance
 from gpusim.data.reflectances import reflectances
@@ -15,28 +17,39 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
-FINEST = 1e6  # samples along a pixel
+FINEST = 1e6  # largest number of samples along a pixel
 BYTES_PER_PIXEL = 48  # ids, shading and the float64 intermediates of the costliest chart
 
 
 def chart(
     name: str,
     *,
-    size=(768, 512),
+    size: tuple[int, int] = (768, 512),
     light: str | Spectrum = "D65",
-    luminance=100.0,
-    wavelengths=None,
+    luminance: float = 100.0,
+    wavelengths: ArrayLike | None = None,
     samples_per_pixel: float = 1.0,
-    **options,
+    **options: Any,
 ) -> Scene:
-    """Return a built-in scene; see CHARTS for the names, and the function of a chart for its options.
+    """Return a built-in scene.
 
-    size: columns and rows of the frame [pixel]. samples_per_pixel: the chart is drawn that much finer, as `Scene` says.
-    light: a name for `illuminant`, or its relative power in energy units.
-    luminance: of a perfect white diffuser in this light [cd m-2].
-    wavelengths: [nm] nodes of the reflectances; None: 400, 410 .. 700. Beyond its own table a reflectance keeps its
-        end value.
-    Raises UnknownName (chart, light, option), OutOfRange, and DoesNotFit before anything is allocated.
+    Args:
+        name: Name of the chart, one of CHARTS.
+        size: Columns and rows of the frame [pixel].
+        light: A name for `illuminant`, or its relative power in energy units.
+        luminance: Luminance of a perfect white diffuser in this light [cd m-2].
+        wavelengths: Wavelengths of the reflectances [nm]; None: 400, 410 .. 700. Beyond its own
+            table a reflectance keeps its end value.
+        samples_per_pixel: Scene samples along a pixel, see `Scene`.
+        options: Options of the chart, see its function.
+
+    Returns:
+        The scene.
+
+    Raises:
+        DoesNotFit: The chart needs more memory than there is; raised before any allocation.
+        OutOfRange: A number is outside its range.
+        UnknownName: Chart, light or option is not known.
     """
     if not is_known(name, CHARTS):
         raise UnknownName("chart", name, CHARTS)
@@ -60,9 +73,16 @@ def chart(
 
 
 def colorchecker_patches(size) -> list[tuple[slice, slice]]:
-    """Rows and columns of the 24 patches of chart "colorchecker", from dark skin to black, row by row.
+    """Return rows and columns of the 24 patches of "colorchecker", from dark skin to black.
 
-    size: columns and rows of the chart. Raises OutOfRange below 24 x 16 pixels.
+    Args:
+        size: Columns and rows of the chart [pixel].
+
+    Returns:
+        Slices of rows and columns of each patch, row by row.
+
+    Raises:
+        OutOfRange: The chart is smaller than 24 x 16 pixels.
     """
     cols, rows = checked_size(size)
     if cols < 24 or rows < 16:
@@ -81,10 +101,10 @@ def colorchecker_patches(size) -> list[tuple[slice, slice]]:
 
 
 def _colorchecker(cols, rows):
-    """24 patches of ISO 17321-1 in a black frame on middle grey.
+    """Draw the 24 patches of ISO 17321-1 in a black frame on middle grey.
 
-    The frame has half the reflectance of the black patch, so that this one can be told from it; the surroundings are
-    the patch neutral 5. Patch edges lie on pixel edges.
+    The frame has half the reflectance of the black patch, which keeps the two distinct. The
+    surroundings are the patch neutral 5. Patch edges lie on pixel edges.
     """
     patches = colorchecker_patches((cols, rows))
     _, _, frame = _colorchecker_measures(cols, rows)
@@ -102,16 +122,16 @@ def _colorchecker(cols, rows):
 
 
 def _colorchecker_measures(cols, rows):
-    """Side of a patch, gap between patches and width of the frame [pixel], as on the printed chart."""
+    """Return side of a patch, gap and frame width [pixel] as on the printed chart."""
     unit = min(cols / 8.15, rows / 5.85)
     return int(unit), max(1, round(0.15 * unit)), max(1, round(0.3 * unit))
 
 
 def _slanted_edge(cols, rows, angle_deg=5.0, contrast=4.0, bright=0.8):
-    """Dark left, bright right, divided by a line through the centre at `angle_deg` from the vertical.
+    """Draw an edge through the centre at `angle_deg` from the vertical, dark left, bright right.
 
-    bright: reflectance of the bright side; the dark one has bright / contrast (ISO 12233 asks for 4:1). A pixel on the
-    line has the average over its area, exactly.
+    bright: reflectance of the bright side. The dark side has bright / contrast (ISO 12233 demands
+    4:1). A pixel on the edge has the exact average over its area.
     """
     _require("slanted-edge: angle_deg", angle_deg, -90 <= angle_deg <= 90, "-90 .. 90")
     _require("slanted-edge: contrast", contrast, 1 <= contrast <= 1e9, "1 .. 1e9")
@@ -126,11 +146,18 @@ def _slanted_edge(cols, rows, angle_deg=5.0, contrast=4.0, bright=0.8):
 
 
 def half_plane_coverage(distance, across, along):
-    """Part of a unit pixel on the positive side of a line.
+    """Return the fraction of a unit pixel on the positive side of a line.
 
-    distance: of the pixel's centre from the line, signed [pixel], any shape. across, along: the line's unit normal.
-    The distance over a pixel is the sum of two uniform variables of widths |across| and |along|; its distribution
-    function is the second integral of the four corners' ramps.
+    The distance over a pixel is the sum of two uniform variables of widths |across| and |along|.
+    Its distribution function is the second integral of the four corners' ramps.
+
+    Args:
+        distance: Signed distance of the pixel's centre from the line [pixel], any shape.
+        across: First component of the line's unit normal.
+        along: Second component.
+
+    Returns:
+        Fraction [1], shape of `distance`.
     """
     wide, narrow = sorted((abs(across) / 2, abs(along) / 2), reverse=True)
     distance = np.clip(distance, -(wide + narrow), wide + narrow)
@@ -144,9 +171,10 @@ def half_plane_coverage(distance, across, along):
 
 
 def _ramp(cols, rows, low=0.0, high=1.0, decades=0.0):
-    """From `low` at the left to `high` at the right, in units of white, linear; high > 1 is a light source.
+    """Draw a linear ramp from `low` at the left to `high` at the right, in units of white.
 
-    decades: if positive, a logarithmic ramp instead, over that many decades below `high`.
+    high > 1 is a light source. decades: if positive, the ramp is logarithmic and ends that many
+    decades below `high`.
     """
     _require("ramp: low", low, 0 <= low < np.inf, "0 <= low")
     _require("ramp: high", high, 0 < high < np.inf, "0 < high")
@@ -157,16 +185,17 @@ def _ramp(cols, rows, low=0.0, high=1.0, decades=0.0):
 
 
 def _flat(cols, rows, reflectance=0.18):
-    """One uniform grey; the default is the photographer's grey card."""
+    """Draw one uniform grey; the default is the photographer's grey card."""
     _require("flat: reflectance", reflectance, 0 <= reflectance < np.inf, "0 <= reflectance")
     return _gray(cols, rows, reflectance)
 
 
 def _points(cols, rows, fine, count=24, background=1e-3, lowest=1e2, highest=1e6, seed=0):
-    """Point lights of one sample on a dim grey background, darkness around the frame.
+    """Draw point lights of one sample on a dim grey background, with darkness around the frame.
 
-    background: in units of white. The points give `lowest` to `highest` times the light of a pixel of it, evenly spaced
-    in the logarithm, white and six colours in turn, in the middle of pixels that depend on `seed` alone.
+    background: in units of white. The points have `lowest` to `highest` times the light of a
+    background pixel, evenly spaced in the logarithm, in white and six colours in turn, at the
+    centres of pixels that `seed` selects.
     """
     width, height = int(cols / fine), int(rows / fine)
     most = min(width * height, 100_000)
@@ -194,11 +223,12 @@ def _points(cols, rows, fine, count=24, background=1e-3, lowest=1e2, highest=1e6
 
 
 def _deadleaves(cols, rows, fine, surfaces="nature", smallest=4.0, seed=0):
-    """Overlapping discs whose radii follow the power law r^-3, each of a measured reflectance.
+    """Draw overlapping discs with radii from the power law r^-3, each of a measured reflectance.
 
-    This law makes a picture that looks the same at every scale, as natural scenes do (Lee, Mumford & Huang,
-    "Occlusion models for natural images", IJCV 41, 2001). Radii reach from `smallest` [pixel] to a third of the
-    picture. surfaces: a set of `reflectances`. A sample belongs to the disc at its centre.
+    This law makes a picture that looks the same at every scale, as natural scenes do (Lee, Mumford
+    & Huang, "Occlusion models for natural images", IJCV 41, 2001). Radii go from `smallest` [pixel]
+    to a third of the picture. surfaces: a set of `reflectances`. A sample belongs to the disc at
+    its centre.
     """
     _require("deadleaves: smallest", smallest, 1 <= smallest < np.inf, "at least 1 pixel")
     samples = reflectances(surfaces)
@@ -206,15 +236,14 @@ def _deadleaves(cols, rows, fine, surfaces="nature", smallest=4.0, seed=0):
     largest = max(2 * smallest, min(width, height) / 3)
     random = np.random.default_rng(seed)
     mean_area = 2 * np.pi * np.log(largest / smallest) / (smallest**-2 - largest**-2)
-    # Eight layers on average leave e^-8 of the picture to the bottom leaf. Centres lie outside the frame too.
+    # Eight layers on average leave e^-8 of the picture to the bottom leaf. Centres may lie outside.
     layers = 8 * (width + 2 * largest) * (height + 2 * largest) / mean_area
     ids = np.full((rows, cols), random.integers(len(samples.values)), np.uint8)
     for _ in range(int(layers)):
         x, y, quantile = random.random(3)
         x, y = x * (width + 2 * largest) - largest, y * (height + 2 * largest) - largest
-        x, y = (
-            place * fine + (fine - 1) / 2 for place in (x, y)
-        )  # from the middle of pixel 0 to that of sample 0
+        # shift the origin from the centre of pixel 0 to the centre of sample 0
+        x, y = (place * fine + (fine - 1) / 2 for place in (x, y))
         radius = fine * (smallest**-2 + quantile * (largest**-2 - smallest**-2)) ** -0.5
         left, right = max(0, int(np.ceil(x - radius))), min(cols, int(x + radius) + 1)
         top, bottom = max(0, int(np.ceil(y - radius))), min(rows, int(y + radius) + 1)
@@ -230,8 +259,8 @@ def _deadleaves(cols, rows, fine, surfaces="nature", smallest=4.0, seed=0):
 def _sweep(cols, rows, fine, contrast=1.0):
     """Draw a cosine whose frequency grows linearly from 0 at the left to Nyquist (0.5 cycle/pixel).
 
-    Reflectance 0.5 (1 + contrast cos(pi x^2 / (2 cols))), x and cols [pixel], averaged over each sample exactly: the
-    integral is Fresnel's.
+    Reflectance 0.5 (1 + contrast cos(pi x^2 / (2 cols))), x and cols [pixel], averaged over each
+    sample exactly with Fresnel's integral.
     """
     from scipy.special import fresnel
 
@@ -242,7 +271,7 @@ def _sweep(cols, rows, fine, contrast=1.0):
 
 
 def _gray(cols, rows, levels):
-    """One neutral material; levels: anything that broadcasts to (rows, cols)."""
+    """Return one neutral material; levels: an array that broadcasts to (rows, cols)."""
     shading = np.empty((rows, cols), np.float32)
     shading[:] = levels
     return (
@@ -259,7 +288,10 @@ def _require(key, value, allowed, text):
 
 
 def checked_size(size) -> tuple[int, int]:
-    """Columns and rows as whole numbers; raises OutOfRange below 1, and DoesNotFit for what no memory holds."""
+    """Return columns and rows as whole numbers.
+
+    Raise OutOfRange below 1, and DoesNotFit if the memory is too small.
+    """
     cols, rows = size
     if not all(isinstance(n, int | np.integer) and n >= 1 for n in (cols, rows)):
         raise OutOfRange(

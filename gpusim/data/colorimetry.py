@@ -11,7 +11,8 @@ HERE = Path(__file__).parent
 
 LUMINOUS_EFFICACY = 683.0  # [lm W-1], CIE 15:2018
 
-# XYZ to the cone-like primaries of CIECAM97s, in which the white is adapted (Lam 1985; Lindbloom's digits).
+# From XYZ to the cone-like primaries of CIECAM97s, for adaptation to a white (Lam 1985; Lindbloom's
+# digits).
 BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
@@ -19,25 +20,31 @@ BRADFORD = np.array(
 
 @functools.cache
 def tables(name: str) -> dict[str, np.ndarray]:
-    """Return the arrays of a table of this package, such as "cie"; read once."""
+    """Return the arrays of a table of this package, for example "cie"; read once."""
     with np.load(HERE / f"{name}.npz") as stored:
         return dict(stored)
 
 
 @functools.cache
 def cmf() -> Spectrum:
-    """CIE 1931 2-degree colour matching functions x, y, z at 360, 361 .. 830 nm; shape (3, 471)."""
+    """Return the CIE 1931 2-degree colour matching functions at 360, 361 .. 830 nm, (3, 471)."""
     table = tables("cie")
     return Spectrum(table["cmf_wavelengths"], table["cmf"], "CIE 1931")
 
 
 def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
-    """Tristimulus values of spectra in energy units, shape (..., 3).
+    """Return tristimulus values of spectra in energy units.
 
-    spectrum: radiance [W m-2 sr-1 nm-1], then Y is the luminance [cd m-2]; or reflectance [1] with the radiance of
-        white in `light`. Nothing is assumed outside a table: it counts as zero there.
-    The integral is exact for the tables: between the nodes of all three the product is a cubic polynomial, which
-    Simpson's rule integrates without error.
+    The integral is exact for the tables: between the nodes of all three the product is a cubic
+    polynomial, which Simpson's rule integrates without error. Spectra count as zero outside their
+    tables.
+
+    Args:
+        spectrum: Radiance [W m-2 sr-1 nm-1]; or reflectance [1] if `light` is given.
+        light: Radiance of white for a reflectance.
+
+    Returns:
+        XYZ, shape (..., 3); Y is the luminance [cd m-2].
     """
     factors = [cmf(), spectrum, *([light] if light else [])]
     nodes = np.unique(np.concatenate([factor.wavelengths for factor in factors]))
@@ -47,9 +54,8 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     if len(nodes) < 2:
         return np.zeros((*spectrum.values.shape[:-1], 3))
     steps = np.diff(nodes)
-    weights = np.zeros(
-        2 * len(nodes) - 1
-    )  # Simpson's weights on the nodes and the middles between them
+    # Simpson's weights of the nodes and of the points halfway between them
+    weights = np.zeros(2 * len(nodes) - 1)
     weights[1::2] = 4 * steps / 6
     weights[:-1:2] += steps / 6
     weights[2::2] += steps / 6
@@ -61,5 +67,5 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
 
 
 def adaptation(white, to):
-    """Matrix (3, 3) that takes XYZ `white` to the white `to`, scaling cone-like responses."""
+    """Return the matrix (3, 3) that maps XYZ `white` to `to` by scaling cone-like responses."""
     return np.linalg.solve(BRADFORD, ((BRADFORD @ to) / (BRADFORD @ white))[:, None] * BRADFORD)

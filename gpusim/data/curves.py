@@ -1,6 +1,6 @@
-"""The measured spectral curves that come with gpusim: quantum efficiencies and filters.
+"""Measured spectral curves of the package: quantum efficiencies and filters.
 
-Where each comes from, and what it does and does not include, is in README-curves.md beside this file.
+README-curves.md in this folder names their sources and contents.
 """
 
 from functools import cache
@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.spectrum import Spectrum
 
-# The functions of each table, one letter each; "" marks a table of a single, unnamed function.
+# The functions of each table, one letter each; "" for a table of a single function.
 CHANNELS = {
     "mt9v024": "RGBW",
     "iset-rgb": "RGB",
@@ -28,14 +28,15 @@ def _tables():
 
 
 def curve_names() -> list[str]:
-    """Names that `curve` knows, sorted."""
+    """Return the names that `curve` knows, sorted."""
     return sorted(CHANNELS)
 
 
 def curve(name: str) -> Spectrum:
-    """Return the table `name`: shape (C, L) in the order of CHANNELS[name], (L,) for a single function.
+    """Return the table `name`, 400 to 700 nm.
 
-    Efficiencies are in e-/photon, filters in transmitted fraction; 400 to 700 nm. Raises UnknownName.
+    Shape (C, L) in the order of CHANNELS[name], or (L,) for a single function. Efficiencies are in
+    e-/photon, filters in transmitted fraction. Raises UnknownName.
     """
     if name not in CHANNELS:
         raise UnknownName("curve", name, CHANNELS)

@@ -1,6 +1,7 @@
-"""Displays, and what they show as a scene."""
+"""Displays, and the scenes that they show."""
 
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,11 @@ from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
 
 def display_names() -> list[str]:
-    """Every name that `open_display` knows."""
+    """Return the names that `open_display` knows.
+
+    Returns:
+        The names.
+    """
     return [
         *DISPLAYS,
         *(key.removesuffix(" spectra") for key in tables("displays") if key.endswith(" spectra")),
@@ -24,20 +29,31 @@ def display_names() -> list[str]:
 
 
 def open_display(name: str) -> Display:
-    """A display by name: "srgb", "display-p3", or a measured one: "lcd-apple", "lcd-dell", "crt-dell", "oled-sony".
+    """Return the display with a given name.
 
-    The measured ones have the spectra of their primaries (ISETCam, see README.md in this folder); primaries, white and
-    luminance follow from these, and the curve is the power law nearest to the measured one. Raises UnknownName.
+    Measured displays have the spectra of their primaries (ISETCam, see README.md in this folder).
+    Their primaries, white and luminance follow from the spectra; the curve is the power law nearest
+    to the measured one.
+
+    Args:
+        name: "srgb", "display-p3", or a measured one: "lcd-apple", "lcd-dell", "crt-dell",
+            "oled-sony".
+
+    Returns:
+        The display.
+
+    Raises:
+        UnknownName: The name is not known.
     """
     if is_known(name, DISPLAYS):
         return DISPLAYS[name]
     if not is_known(name, display_names()):
         raise UnknownName("display", name, display_names())
-    return _measured(name)
+    return _load_display(name)
 
 
 @functools.cache
-def _measured(name):
+def _load_display(name):
     table = tables("displays")
     spectra = Spectrum(table["wavelengths"], table[f"{name} spectra"], name)
     colors = xyz(spectra)
@@ -55,13 +71,25 @@ def _measured(name):
     )
 
 
-def displayed(codes, display: Display) -> Scene:
-    """The screen as a scene: the radiance of a picture on a display whose spectra are known, one sample per pixel.
+def displayed(codes: Any, display: Display) -> Scene:
+    """Return the screen of a display with a picture as a scene, with one sample per pixel.
 
-    codes: uint8 or uint16, shape (rows, cols, 3), such as `Frame.rgb`, or an array of a device, which decodes them. The
-    scene's light is the display's white: radiance = linear light of the three primaries times their spectra (Farrell &
-    Wandell, section 3). For "srgb" the primaries are those of `srgb_primaries` in D65. Raises BadData for another shape
-    and for a display without spectra.
+    The scene's light is the display's white. Radiance = linear light of the three primaries times
+    their spectra. For "srgb" the primaries are `srgb_primaries` in D65.
+
+    Args:
+        codes: Picture, uint8 or uint16, shape (rows, cols, 3), for example `Frame.rgb`; or an array
+            of a device, which then decodes it.
+        display: A display with known spectra.
+
+    Returns:
+        The scene.
+
+    Raises:
+        BadData: The picture has another shape, or the display has no spectra.
+
+    Source:
+        Farrell & Wandell, section 3.
     """
     codes = described(codes, "displayed picture")
     if display.spectra is not None:

@@ -1,7 +1,8 @@
-"""Light that varies over a scene: several lights, each with a map of how strong it is."""
+"""Light that varies over a scene: several lights, each with a map of its strength."""
 
 import dataclasses
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -13,23 +14,33 @@ from gpusim.domain.illuminated import Illuminated, spline, surfaces_of
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum
 
-CLOSE = 1e-4  # error of a light in a channel, relative to the light's largest there, that its spectrum may cause
+CLOSE = 1e-4  # accepted error of a light in a channel, relative to its largest channel value
 BAND = 30.0  # [nm] full width at half maximum of a channel: narrow for a camera
-HALVINGS = 2  # of the steps between a scene's wavelengths, at most: 10 nm become 2.5
-STEP = 0.1  # [nm] of integrals
-EDGE = 1e-3  # [nm] in which a table's end becomes zero
+HALVINGS = 2  # largest number of halvings of the wavelength steps: 10 nm become 2.5
+STEP = 0.1  # [nm] step of integrals
+EDGE = 1e-3  # [nm] distance in which the end of a table falls to zero
 
 
-def illuminated(scene: Scene, lights: dict) -> Scene:
-    """A scene's surfaces in other light, which varies over it.
+def illuminated(scene: Scene, lights: dict[Any, Any]) -> Scene:
+    """Return the surfaces of a scene in other light, which varies over the scene.
 
-    scene: of reflectances, in any form; its own light is left out. lights: {light: map}. A light is a name for
-    `illuminant` or a Spectrum of relative power in energy units. A map is the luminance of a perfect white diffuser in
-    this light alone [cd m-2], an array of the shape of the scene's samples, or one number.
-    Returns a scene whose content is Illuminated, and whose illuminant is the mean of all the light. Its wavelengths are
-    those of the scene, and more where the lights need them: lines stay as sharp as their tables. Of materials, and
-    of pictures, the surfaces become a basis; its light costs as many planes more.
-    Raises BadData, UnknownName, OutOfRange.
+    The result keeps the wavelengths of the scene and adds more if the lights need them: spectral
+    lines stay as sharp as their tables. The surfaces of materials and pictures become a basis; each
+    light multiplies the number of planes.
+
+    Args:
+        scene: Scene of reflectances in any form. Its own light is not used.
+        lights: {light: map}. A light is a name for `illuminant`, or a Spectrum of relative power in
+            energy units. A map is the luminance of a perfect white diffuser in only this light [cd
+            m-2], an array of the shape of the scene's samples, or one number.
+
+    Returns:
+        A scene with Illuminated content, whose illuminant is the mean of all light.
+
+    Raises:
+        BadData: The scene has layers or unknown light, or a map has the wrong shape or values.
+        OutOfRange: A light has no visible power.
+        UnknownName: A light is not known.
     """
     scene = checked_scene(scene)
     if not scene.light_is_known:
@@ -38,7 +49,7 @@ def illuminated(scene: Scene, lights: dict) -> Scene:
         )
     if scene.layers:
         raise BadData(
-            f"{scene.name}: {len(scene.layers)} layers, which have content of their own; wanted a scene "
+            f"{scene.name}: {len(scene.layers)} layers, which have their own content; wanted a scene "
             "without"
         )
     if not isinstance(lights, dict) or not lights:
@@ -46,7 +57,7 @@ def illuminated(scene: Scene, lights: dict) -> Scene:
             f"lights: {type(lights).__name__}, wanted {{light: map}} of at least one light"
         )
     maps = np.stack([_map(label, values, scene) for label, values in lights.items()])
-    # luminance 1 each, so that the maps have their unit
+    # with luminance 1 each, the maps keep their unit
     units = [white_radiance(light_of(light), 1.0) for light in lights]
     surfaces = surfaces_of(scene.content)
     together = _total(units, maps.mean(axis=(1, 2), dtype=np.float64))
@@ -57,7 +68,7 @@ def illuminated(scene: Scene, lights: dict) -> Scene:
 
 
 def _map(label, values, scene):
-    """A light's map as float32 of the shape of the scene's samples."""
+    """Return the map of a light as float32 in the shape of the scene's samples."""
     name = f"{scene.name}: map of {label if isinstance(label, str) else getattr(label, 'name', '') or 'a light'}"
     values = described(values, name) if hasattr(values, "shape") else values
     try:
@@ -68,7 +79,7 @@ def _map(label, values, scene):
         ) from None
     if values.shape not in ((), scene.content.shape):
         raise BadData(
-            f"{name}: shape {values.shape}, wanted {scene.content.shape}, that of the scene's samples, or "
+            f"{name}: shape {values.shape}, wanted {scene.content.shape} as the scene's samples, or "
             "one number"
         )
     if is_seen(values) and not (np.isfinite(values).all() and values.min() >= 0):
@@ -79,10 +90,10 @@ def _map(label, values, scene):
 
 
 def _total(units, means):
-    """All the light together, as strong as on the scene's mean, on the wavelengths of all tables."""
+    """Return the sum of all light at its mean strength, on the wavelengths of all tables."""
     if not means.any():
         raise BadData("lights: all maps are dark")
-    # a table that ends above zero falls there at once: its end must not become a ramp to the next wavelength
+    # A table that ends above zero falls to zero at once: no ramp to the next wavelength.
     ends = [
         end for unit in units for end in (unit.wavelengths[0] - EDGE, unit.wavelengths[-1] + EDGE)
     ]
@@ -92,9 +103,9 @@ def _total(units, means):
 
 
 def _spectra(wavelengths, units, together):
-    """The fewest wavelengths that hold the lights, the given among them; and the lights relative to all of them.
+    """Return the fewest wavelengths, including the given ones, that hold the lights.
 
-    Returns shapes (L,) and (K, L).
+    Also returns the lights relative to their sum. Shapes (L,) and (K, L).
     """
     for _ in range(HALVINGS):
         ratios, error = _ratios(wavelengths, units, together)
@@ -105,11 +116,13 @@ def _spectra(wavelengths, units, together):
 
 
 def _ratios(wavelengths, units, together):
-    """Lights relative to all of them, shape (K, L), and the largest relative error of one that a camera's band sees.
+    """Return lights relative to their sum, (K, L), and the largest relative error in a band.
 
-    A ratio of lamps with lines is no smooth function, and its values at wavelengths say nothing of what lies between.
-    It is projected (Galerkin): the cubic spline through the values, times all the light, has the same integral as the
-    light over every cubic spline on these wavelengths, so over what a smooth surface and a channel make of it.
+    The ratio of lamps with spectral lines is not smooth, and its values at wavelengths say nothing
+    about the range between them. It is projected (Galerkin): the cubic spline through the values,
+    times the sum of light, has the same integral as the light over every cubic spline on these
+    wavelengths. This also holds for the product of a smooth surface and a channel. The bands
+    belong to a camera with narrow channels.
     """
     fine = np.union1d(np.arange(wavelengths[0], wavelengths[-1], STEP), wavelengths)
     steps = np.diff(fine) / 2

@@ -4,6 +4,7 @@ import re
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import tables, xyz
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
@@ -13,15 +14,25 @@ BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
 TEMPERATURE = re.compile(r"(daylight|blackbody)-(\d+(?:\.\d+)?)k")
 
 
-def illuminant(name: str, wavelengths=None) -> Spectrum:
-    """Relative spectral power [W nm-1, up to a factor] of a light.
+def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
+    """Return the relative spectral power of a light [W nm-1, up to a factor].
 
-    name: a CIE illuminant ("A", "C", "D65", "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65", ...), CIE daylight of a
-        temperature ("daylight-5000K", 4000 .. 25000 K) or a blackbody ("blackbody-3200K"); upper or lower case.
-        CIE illuminants have the published scale, the others are 100 at 560 nm.
-    wavelengths: [nm] where it is wanted, or None for its own table (CIE: 5 nm; daylight: 300 .. 830 nm by 5 nm;
-        blackbody: 300 .. 1100 nm by 1 nm). Zero outside a CIE table; a blackbody has no limits.
-    Raises UnknownName and OutOfRange.
+    CIE illuminants have the published scale, the others are 100 at 560 nm. A CIE illuminant is zero
+    outside its table; a blackbody has no limits.
+
+    Args:
+        name: A CIE illuminant ("A", "C", "D65", "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65",
+            ...), CIE daylight of a temperature ("daylight-5000K", 4000 .. 25000 K) or a blackbody
+            ("blackbody-3200K"); upper or lower case.
+        wavelengths: Wavelengths [nm], or None for its own table (CIE: 5 nm steps; daylight: 300 ..
+            830 nm in 5 nm steps; blackbody: 300 .. 1100 nm in 1 nm steps).
+
+    Returns:
+        The spectrum.
+
+    Raises:
+        OutOfRange: The temperature is outside its range.
+        UnknownName: The name is not known.
     """
     if not isinstance(name, str):
         raise UnknownName("light", str(name), illuminant_names())
@@ -31,13 +42,25 @@ def illuminant(name: str, wavelengths=None) -> Spectrum:
             float(match[2]), np.arange(300.0, 1101.0) if wavelengths is None else wavelengths
         )
     light = daylight(float(match[2])) if match else _cie_illuminant(name)
-    return (
-        light if wavelengths is None else Spectrum(wavelengths, light.at(wavelengths), light.name)
-    )
+    if wavelengths is None:
+        return light
+    nodes = np.asarray(wavelengths, np.float64)
+    return Spectrum(nodes, light.at(nodes), light.name)
 
 
 def light_of(light: str | Spectrum) -> Spectrum:
-    """Relative power [W nm-1, up to a factor] by an illuminant's name, or as given. Raises UnknownName, BadData."""
+    """Return the relative power [W nm-1, up to a factor] of a light.
+
+    Args:
+        light: Name of an illuminant, or a Spectrum.
+
+    Returns:
+        The spectrum.
+
+    Raises:
+        BadData: The value is neither, or has several functions.
+        UnknownName: The name is not known.
+    """
     if isinstance(light, str):
         return illuminant(light)
     if not isinstance(light, Spectrum) or light.values.ndim != 1:
@@ -48,7 +71,7 @@ def light_of(light: str | Spectrum) -> Spectrum:
 
 
 def illuminant_names() -> list[str]:
-    """Every name that `illuminant` knows, temperatures as a pattern."""
+    """Return the names that `illuminant` knows, temperatures as a pattern."""
     return [*tables("cie")["illuminant_names"].tolist(), "daylight-<T>K", "blackbody-<T>K"]
 
 
@@ -68,10 +91,20 @@ def _cie_illuminant(name):
 
 
 def daylight(temperature: float) -> Spectrum:
-    """CIE daylight of a correlated colour temperature [K], 100 at 560 nm, at 300, 305 .. 830 nm.
+    """Return CIE daylight of a correlated colour temperature, 100 at 560 nm, at 300, 305 .. 830 nm.
 
-    Source: CIE 15:2018, equations 4.5 to 4.11, with the factors M1 and M2 rounded to three decimals as it says, so
-    that 6503.6 K (6500 K on the scale of 1931) is the published D65. Raises OutOfRange outside 4000 .. 25000 K.
+    Args:
+        temperature: Correlated colour temperature [K].
+
+    Returns:
+        The spectrum.
+
+    Raises:
+        OutOfRange: The temperature is outside 4000 .. 25000 K.
+
+    Source:
+        CIE 15:2018, equations 4.5 to 4.11. Factors M1 and M2 are rounded to three decimals as it
+        says; 6503.6 K (6500 K on the scale of 1931) then is the published D65.
     """
     if not 4000 <= temperature <= 25000:
         raise OutOfRange(
@@ -96,7 +129,18 @@ def daylight(temperature: float) -> Spectrum:
 
 
 def blackbody(temperature: float, wavelengths) -> Spectrum:
-    """Planck's law at a temperature [K], 100 at 560 nm. Raises OutOfRange outside 300 .. 100000 K."""
+    """Return Planck's law for a temperature, 100 at 560 nm.
+
+    Args:
+        temperature: Temperature [K].
+        wavelengths: Wavelengths [nm].
+
+    Returns:
+        The spectrum.
+
+    Raises:
+        OutOfRange: The temperature is outside 300 .. 100000 K.
+    """
     if not 300 <= temperature <= 100000:
         raise OutOfRange("blackbody temperature", f"{temperature:g} K", "300 .. 100000 K")
     wavelengths = np.asarray(wavelengths, np.float64)
@@ -108,9 +152,17 @@ def blackbody(temperature: float, wavelengths) -> Spectrum:
 
 
 def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
-    """Radiance of a perfect white diffuser [photon s-1 m-2 sr-1 nm-1] of a given luminance [cd m-2].
+    """Return the radiance of a perfect white diffuser [photon s-1 m-2 sr-1 nm-1].
 
-    light: relative power in energy units. Raises OutOfRange for luminance <= 0 and for a light without visible power.
+    Args:
+        light: Relative power in energy units.
+        luminance: Luminance of the diffuser [cd m-2].
+
+    Returns:
+        The radiance.
+
+    Raises:
+        OutOfRange: The luminance is not positive, or the light has no visible power.
     """
     if not (isinstance(luminance, Real) and 0 < luminance <= BRIGHTEST):
         raise OutOfRange(

@@ -6,12 +6,19 @@ from gpusim.domain.spectrum import Spectrum
 
 
 def reflectances(set_name: str) -> Spectrum:
-    """All samples of a measured set, shape (N, 31), at 400, 410 .. 700 nm.
+    """Return all samples of a measured set at 400, 410 .. 700 nm, shape (N, 31).
 
-    set_name: "macbeth" (24 patches), "munsell" (64 chips), "dupont" (120 paint chips), "objects" (170), "nature" (79 of
-        these), "skin" (19), "colorchecker-sg" (140 patches); from ISETCam, see README.md in this folder.
-        "colorchecker": the 24 patches of ISO 17321-1, shape (24, 81), at 380, 385 .. 780 nm.
-    Raises UnknownName.
+    Args:
+        set_name: "macbeth" (24 patches), "munsell" (64 chips), "dupont" (120 paint chips),
+            "objects" (170), "nature" (79 of these), "skin" (19), "colorchecker-sg" (140 patches),
+            from ISETCam, see README.md in this folder; or "colorchecker": the 24 patches of ISO
+            17321-1, shape (24, 81), at 380, 385 .. 780 nm.
+
+    Returns:
+        The reflectances [1].
+
+    Raises:
+        UnknownName: The set is not known.
     """
     if set_name == "colorchecker":
         table = tables("cie")

@@ -12,16 +12,17 @@ from gpusim.domain.spectrum import Spectrum
 # Chromaticities x, y of red, green and blue, IEC 61966-2-1.
 SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
 SRGB_WHITE = (0.3127, 0.3290)
-CLOSE = 1e-5  # of chromaticities stored as float32
-SEEN = 1e-4  # of a colour's luminance: what lies no farther outside is rounding of half floats
+CLOSE = 1e-5  # largest difference of equal chromaticities stored as float32
+SEEN = 1e-4  # negative part over luminance that is only rounding of half floats
 
 
 @functools.cache
 def srgb_to_xyz() -> np.ndarray:
-    """Return the matrix from linear sRGB to XYZ, shape (3, 3), white Y = 1.
+    """Return the matrix from linear sRGB to XYZ, shape (3, 3), with Y = 1 for white.
 
-    White is the tabulated illuminant D65, not IEC 61966-2-1's rounded white point, so that a white reflectance in D65
-    is RGB = (1, 1, 1) exactly; entries differ from the standard's four digits by up to 3e-4.
+    White is the tabulated illuminant D65, not the rounded white point of IEC 61966-2-1: a white
+    reflectance in D65 is then exactly RGB = (1, 1, 1). Entries differ from the standard's four
+    digits by up to 3e-4.
     """
     x, y = SRGB_PRIMARIES.T
     primaries = np.stack([x / y, np.ones(3), (1 - x - y) / y])
@@ -31,21 +32,32 @@ def srgb_to_xyz() -> np.ndarray:
 
 @functools.cache
 def srgb_primaries() -> Spectrum:
-    """Return reflectances of the red, green and blue sRGB primaries in D65, shape (3, L); they add up to 1.
+    """Return reflectances of the red, green and blue sRGB primaries in D65, shape (3, L).
 
-    Smooth and within 0 .. 1 (a cubic spline between the nodes overshoots by less than 0.01). The XYZ of that spline
-    in illuminant D65 are the columns of `srgb_to_xyz`.
-    Source: Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR 2019.
+    They add up to 1, are smooth and within 0 .. 1 (a cubic spline between the nodes overshoots by
+    less than 0.01). The XYZ of that spline in illuminant D65 are the columns of `srgb_to_xyz`.
+
+    Source: Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance",
+    EGSR 2019.
     """
     table = tables("srgb")
     return Spectrum(table["wavelengths"], table["primaries"], "sRGB primaries")
 
 
 def srgb_from_rgb(chromaticities) -> np.ndarray | None:
-    """Return the matrix from another linear RGB to linear sRGB, shape (3, 3), or None where they are the same.
+    """Return the matrix from another linear RGB to linear sRGB, or None if they are the same.
 
-    chromaticities: CIE 1931 (x, y) of red, green, blue and white, shape (4, 2). White is adapted (Bradford), so that
-    (1, 1, 1) stays white; but the axes of XYZ themselves have no white of their own. Raises BadData.
+    White is adapted (Bradford): (1, 1, 1) stays white. The axes of XYZ have no white, and are not
+    adapted.
+
+    Args:
+        chromaticities: CIE 1931 (x, y) of red, green, blue and white, shape (4, 2).
+
+    Returns:
+        Matrix, shape (3, 3), or None.
+
+    Raises:
+        BadData: The chromaticities are not finite, or do not span a colour space.
     """
     given = np.asarray(chromaticities, np.float64)
     if np.abs(given - [*SRGB_PRIMARIES, SRGB_WHITE]).max() < CLOSE:
@@ -69,10 +81,15 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
 
 
 def drawn_into_srgb(linear: np.ndarray) -> float:
-    """Draw colours that sRGB cannot show towards grey of their luminance until they have no negative part, in place.
+    """Move colours outside sRGB towards grey of the same luminance, in place.
 
-    linear: linear sRGB, float32, shape (3, rows, cols). What has no luminance becomes black. Returns the share of
-    samples that were outside by more than SEEN.
+    Afterwards no channel is negative. A colour without luminance becomes black.
+
+    Args:
+        linear: Linear sRGB, float32, shape (3, rows, cols).
+
+    Returns:
+        Fraction of samples that were outside by more than SEEN.
     """
     lowest = linear.min(axis=0)
     if lowest.min() >= 0:

@@ -1,1 +1,4 @@
-"""What is simulated: scenes, lenses, sensors, processors, displays; with units and checks, knowing nothing else."""
+"""Simulated things: scenes, lenses, sensors, processors, displays; with units and checks.
+
+This package imports no other package of gpusim.
+"""

@@ -1,4 +1,4 @@
-"""Errors of a plan, cause by cause, and the verdict: whether they are within a tolerance."""
+"""The error budget of a plan, by cause, and the verdict on a tolerance."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, astuple, dataclass, field
@@ -7,15 +7,19 @@ from typing import Any
 
 from gpusim.domain.tolerance import Tolerance
 
-SAFETY = 1.5  # over what is predicted: with it "met" was true in 119 of 119 random frames (bench/README.md, Triples)
+# Factor on predicted errors: with it "met" was true in 119 of 119 random frames
+# (bench/README.md, Triples).
+SAFETY = 1.5
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Error of the mean electrons by one cause.
+    """Error of the mean electrons that one cause adds.
 
-    rms: root mean square over that of the frame [1]. p999_sigma, max_sigma: 99.9 % quantile and maximum over the pixels
-    of |error| over the pixel's own noise sigma [1].
+    Attributes:
+        rms: Root mean square error, relative to the root mean square of the frame [1].
+        p999_sigma: 99.9 % quantile over the pixels of |error| / noise sigma of the pixel [1].
+        max_sigma: Maximum over the pixels of |error| / noise sigma of the pixel [1].
     """
 
     rms: float = 0.0
@@ -24,23 +28,31 @@ class Bound:
 
     @property
     def is_known(self) -> bool:
-        """Whether all figures are finite; those of UNKNOWN are not."""
+        """True if all three figures are finite; for UNKNOWN they are not."""
         return all(map(isfinite, astuple(self)))
 
     def as_dict(self) -> dict[str, float | None]:
-        """Plain data, for JSON, which has no infinity: figures that nobody knows are None."""
+        """Return plain data for JSON. Unknown figures become None, because JSON has no infinity."""
         return {name: value if isfinite(value) else None for name, value in asdict(self).items()}
 
     def times(self, factor: float) -> "Bound":
-        """The error of a cause that is `factor` times as strong."""
+        """Return the error of a cause that is `factor` times as strong."""
         return Bound(self.rms * factor, self.p999_sigma * factor, self.max_sigma * factor)
 
     def ratio(self, tolerance: Tolerance) -> float:
-        """Error over tolerance, of the figure that is nearest to being broken or farthest beyond."""
+        """Return error over tolerance for the figure closest to, or farthest beyond, its limit."""
         return self.nearest(tolerance)[0]
 
     def nearest(self, tolerance: Tolerance) -> tuple[float, str, float, float, str]:
-        """Error over tolerance, name of the figure, its error, its tolerance and their unit: of the one nearest."""
+        """Find the figure closest to its limit, or farthest beyond it.
+
+        Args:
+            tolerance: Limits; a figure whose limit is None does not count.
+
+        Returns:
+            Error over tolerance, name of the figure, its error, its tolerance, and its unit as
+            text.
+        """
         figures = (
             (self.rms, tolerance.rms, "rms", " rms"),
             (self.p999_sigma, tolerance.p999_sigma, "p999_sigma", " sigma at 99.9 %"),
@@ -53,13 +65,15 @@ class Bound:
         )
 
 
-UNKNOWN = Bound(
-    inf, inf, inf
-)  # of a cause whose error nobody can tell: with it no tolerance is called met
+# Bound of a cause whose error cannot be predicted. With it, no verdict is "met".
+UNKNOWN = Bound(inf, inf, inf)
 
 
 def total(bounds: Iterable[Bound]) -> Bound:
-    """The known errors of several causes together, which are independent: their largest are seldom at one pixel."""
+    """Add the known errors of independent causes in quadrature.
+
+    Quadrature also serves for the maxima: they seldom fall on one pixel.
+    """
     bounds = [bound for bound in bounds if bound.is_known]
     return (
         Bound(*(hypot(*figures) for figures in zip(*map(astuple, bounds), strict=True)))
@@ -72,8 +86,10 @@ def total(bounds: Iterable[Bound]) -> Bound:
 class Account:
     """Named errors of the mean electrons, predicted for the scene as sampled.
 
-    seconds: exposure time that they are predicted for [s]. The root mean square does not depend on it. doubt: why they
-    are not sure enough for a tolerance to be called met, "" where they are.
+    Attributes:
+        bounds: Name and error of each cause.
+        seconds: Exposure time that the errors are predicted for [s]. The RMS does not depend on it.
+        doubt: Reason why the errors are too uncertain for the verdict "met", or "".
     """
 
     bounds: dict[str, Bound] = field(default_factory=dict)
@@ -85,13 +101,21 @@ class Account:
 
     @property
     def total(self) -> Bound:
-        """All together."""
+        """All known errors, added in quadrature."""
         return total(self.bounds.values())
 
     def at(self, seconds: float) -> "Account":
-        """The same at another exposure time [s]: sigmas grow no more than with the time, and shrink as shot noise.
+        """Return the account for another exposure time.
 
-        Twice the light is twice the error, and a sigma that is at least as large and at most 2^(1/2) times.
+        The RMS stays. With r times the light the error is r times as large, while the noise sigma
+        grows by a factor between 1 and r^(1/2). Errors in sigma therefore grow by at most r, and
+        shrink by at least r^(1/2).
+
+        Args:
+            seconds: Exposure time [s].
+
+        Returns:
+            The account for that time.
         """
         ratio = seconds / self.seconds
         factor = ratio if ratio > 1 else ratio**0.5
@@ -106,12 +130,12 @@ class Account:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Causes whose errors nobody can tell, and the doubt."""
+        """Names of the causes without a known error, and the doubt."""
         names = tuple(name for name, bound in self.bounds.items() if not bound.is_known)
         return (*names, self.doubt) if self.doubt else names
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, for JSON."""
+        """Return plain data for JSON."""
         return {
             "bounds": {name: bound.as_dict() for name, bound in self.bounds.items()},
             "seconds": self.seconds,
@@ -119,10 +143,17 @@ class Account:
         }
 
     def verdict(self, tolerance: Tolerance, remedy: str = "") -> "Verdict":
-        """Whether the tolerance is met, by what is predicted.
+        """Judge from the predicted errors whether the tolerance is met.
 
-        remedy: what would meet it, if it is not. It is not met if the known errors break it. It is met if they do not,
-        and every cause is known. Else it cannot be judged.
+        "not met" if the known errors exceed it. "met" if they do not and every cause is known.
+        Otherwise "not judged".
+
+        Args:
+            tolerance: Limits on the errors.
+            remedy: Advice for meeting the tolerance, used if it is not met.
+
+        Returns:
+            The verdict with its figures.
         """
         ratio, figure, value, bound, unit = self.total.nearest(tolerance)
         shares = {name: getattr(one, figure) for name, one in self.bounds.items() if one.is_known}
@@ -136,21 +167,26 @@ class Account:
         return Verdict("met", words, by)
 
 
+# States of a verdict as reports write them.
 SHOWN = {
     "met": "met",
     "not met": "NOT met",
     "not judged": "cannot be judged",
-}  # states of a verdict, in reports
+}
 STATUS = {"met": 0, "not met": 1, "not judged": 3}  # exit statuses of commands
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a tolerance is met.
+    """Result of comparing the errors of a plan with a tolerance.
 
-    state: "met", "not met" or "not judged": the known errors are within the tolerance, but there are unknown ones.
-    words: the figures. by: the cause of most of the error. remedy: what would meet it, "" if it is met. unknown: causes
-    whose errors nobody can tell.
+    Attributes:
+        state: "met", "not met", or "not judged" if the known errors are within the tolerance but
+            others are unknown.
+        words: The figures.
+        by: The cause of most of the error.
+        remedy: Advice for meeting the tolerance, "" if it is met.
+        unknown: Names of the causes whose errors are unknown.
     """
 
     state: str
@@ -161,16 +197,16 @@ class Verdict:
 
     @property
     def met(self) -> bool:
-        """Whether the state is "met"."""
+        """True if the state is "met"."""
         return self.state == "met"
 
     @property
     def shown(self) -> str:
-        """The state as reports show it."""
+        """The state as reports write it."""
         return SHOWN[self.state]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, for JSON."""
+        """Return plain data for JSON."""
         return asdict(self) | {"met": self.met}
 
     def __str__(self):
@@ -179,5 +215,5 @@ class Verdict:
 
 
 def worst_state(states: Iterable[str]) -> str:
-    """The worst of several verdicts' states: "not met" before "not judged" before "met"."""
+    """Return the worst of several verdict states: "not met", then "not judged", then "met"."""
     return max(states, key=("met", "not judged", "not met").index, default="met")

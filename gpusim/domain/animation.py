@@ -1,5 +1,9 @@
-"""Things that move before a scene, each along its own path: the scene at every time is made of samples on its grid."""
+"""Flat objects that move in front of a scene, each along its own path.
 
+The scene at any time consists of samples on the grid of the scene.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import ceil, cos, floor, sin
 
@@ -15,13 +19,19 @@ from gpusim.domain.short_repr import brief
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """A flat thing in the scene's light, in front of what is behind it.
+    """A flat object in the light of the scene, in front of the scene's content.
 
-    content: of its samples, on a grid as fine as the scene's, shape (rows, cols); a Cube of the scene's wavelengths, or
-    a Basis of its basis. alpha: part of each sample that it covers, 0 .. 1, shape (rows, cols). place: of its middle
-    from the scene's, rows and columns, at time 0 [pixel]. path: how it moves from there: it turns by the motion's
-    rotation and grows by its zoom.
-    Raises BadData, OutOfRange.
+    Args:
+        content: Its samples, on a grid as fine as the scene's, shape (rows, cols): a Cube with the
+            wavelengths of the scene, or a Basis with the basis of the scene.
+        alpha: Coverage of each sample, 0 .. 1, shape (rows, cols).
+        place: Position of its centre relative to the scene's centre at time 0, rows and columns
+            [pixel].
+        path: Its movement from there. The rotation of the motion turns it, the zoom enlarges it.
+
+    Raises:
+        BadData: The content cannot be interpolated, or shapes or types do not match.
+        OutOfRange: Alpha is outside 0 .. 1.
     """
 
     content: Content
@@ -52,7 +62,15 @@ class Actor:
         object.__setattr__(self, "alpha", alpha)
 
     def corners(self, time: float, ratio: float) -> np.ndarray:
-        """Rows and columns of its corners from the scene's middle, shape (2, 2, 2) [sample]. ratio: samples a pixel."""
+        """Return its corners relative to the scene's centre.
+
+        Args:
+            time: Time [s].
+            ratio: Scene samples per pixel.
+
+        Returns:
+            Rows and columns [sample], shape (2, 2, 2).
+        """
         view = self.path.at(time)
         down, right = np.meshgrid(*((-n / 2, n / 2) for n in self.alpha.shape), indexing="ij")
         c, s = view.zoom * cos(view.rotation), view.zoom * sin(view.rotation)
@@ -64,9 +82,15 @@ class Actor:
         )
 
     def onto(self, planes: np.ndarray, time: float, ratio: float) -> None:
-        """Put it onto planes (P, rows, cols), at a time [s].
+        """Draw the object onto planes of scene samples, in place.
 
-        It is interpolated by cubic splines of what it covers, light times alpha; beyond its own samples is nothing.
+        Light times alpha is interpolated with cubic splines. It is zero outside the object's own
+        samples.
+
+        Args:
+            planes: Samples of the scene, shape (P, rows, cols).
+            time: Time [s].
+            ratio: Scene samples per pixel.
         """
         corners, shape = self.corners(time, ratio), planes.shape[1:]
         middle = [(n - 1) / 2 for n in shape]
@@ -85,23 +109,28 @@ class Actor:
         places = np.stack([c * y[:, None] - s * x, s * y[:, None] + c * x])
         places += np.array([(n - 1) / 2 for n in self.alpha.shape])[:, None, None]
 
-        def there(values):
+        def resample(values):
             found = scipy.ndimage.map_coordinates(values, places, order=3, mode="grid-constant")
-            return np.clip(
-                found, min(values.min(), 0), max(values.max(), 0)
-            )  # splines ring beside steps
+            # splines ring next to steps
+            return np.clip(found, min(values.min(), 0), max(values.max(), 0))
 
-        behind = 1 - there(self.alpha)
+        behind = 1 - resample(self.alpha)
         for plane, own in zip(planes, self.content.planes, strict=True):
-            plane[tuple(box)] = behind * plane[tuple(box)] + there(self.alpha * own)
+            plane[tuple(box)] = behind * plane[tuple(box)] + resample(self.alpha * own)
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A scene in which things move. actors: the nearest first.
+    """A scene in which objects move.
 
-    The scene has no depth and no layers; its samples at a time are what the error account takes for true.
-    Raises BadData.
+    The scene has no depth and no layers. The error account takes the samples at a time as true.
+
+    Args:
+        scene: The background.
+        actors: The objects, nearest first.
+
+    Raises:
+        BadData: The scene has depth or layers, or an actor does not match its content.
     """
 
     scene: Scene
@@ -113,7 +142,7 @@ class Animation:
         scene = checked_scene(self.scene)
         object.__setattr__(self, "actors", tuple(self.actors))
         if scene.depth is not None or scene.layers:
-            raise BadData(f"{scene.name}: an animation of a scene with depth; wanted one without")
+            raise BadData(f"{scene.name}: an animation needs a scene without depth and layers")
         for number, actor in enumerate(self.actors):
             if not isinstance(actor, Actor):
                 raise BadData(f"actor {number}: {type(actor).__name__}, wanted an Actor")
@@ -124,15 +153,29 @@ class Animation:
                 )
 
     def at(self, time: float) -> Scene:
-        """The scene at a time [s]; its samples are not looked at again."""
+        """Return the scene at one time. Its samples are not checked again.
+
+        Args:
+            time: Time [s].
+
+        Returns:
+            A scene with the actors drawn into its samples.
+        """
         content, ratio = self.scene.content.surfaces, self.scene.samples_per_pixel
         planes = np.array(content.planes, np.promote_types(content.planes.dtype, np.float32))
         for actor in self.actors[::-1]:
             actor.onto(planes, time, ratio)
         return self.scene.stored(**{content.samples[-1]: planes})
 
-    def farthest(self, times) -> float:
-        """How far a part of an actor moves between two of these times, at most [sample]."""
+    def farthest(self, times: Sequence[float]) -> float:
+        """Return the longest distance that a corner of an actor moves between consecutive times.
+
+        Args:
+            times: Times [s].
+
+        Returns:
+            Distance [sample].
+        """
         ratio = self.scene.samples_per_pixel
         found = 0.0
         for actor in self.actors:

@@ -1,17 +1,23 @@
-"""Which pixels binning adds, and the mosaic that is left."""
+"""Pixel binning: which pixels are combined, and the colour mosaic of the result."""
 
 import numpy as np
 
 
-def binned(cfa_indices, binning) -> tuple[tuple[int, int], np.ndarray]:
-    """How far apart the pixels are that become one, and the binned frame's mosaic.
+def binned(cfa_indices: np.ndarray, binning: tuple[int, int]) -> tuple[tuple[int, int], np.ndarray]:
+    """Find the distance between pixels that are combined, and the mosaic of the binned frame.
 
-    Where the mosaic consists of cells of one colour that are `binning` large (quad-Bayer by 2 x 2, monochrome by
-    anything) neighbours are adjacent, and one pixel of the binned mosaic stands for a cell. Elsewhere pixels of one
-    colour are a period apart and the mosaic stays as it is.
+    If the mosaic consists of cells of one colour with the size of `binning` (quad-Bayer with 2 x 2,
+    monochrome with any size), adjacent pixels are combined, and each cell becomes one pixel of the
+    new mosaic. Otherwise the pixels of one colour are a period apart, and the mosaic stays as it
+    is.
 
-    cfa_indices: channels of one period, shape (period_y, period_x). binning: rows and columns that become one.
-    Returns the stride along rows and columns [pixel], and the mosaic's shortest period, int32 (period_y, period_x).
+    Args:
+        cfa_indices: Channel indices of one period, shape (period_y, period_x).
+        binning: Rows and columns that become one.
+
+    Returns:
+        The stride along rows and columns [pixel], and the shortest period of the new mosaic, int32,
+        shape (period_y, period_x).
     """
     cfa = shortest_period(cfa_indices)
     by, bx = binning
@@ -26,7 +32,7 @@ def binned(cfa_indices, binning) -> tuple[tuple[int, int], np.ndarray]:
 
 
 def shortest_period(mosaic) -> np.ndarray:
-    """The smallest corner of `mosaic` (rows, cols) that repeats to it, int32."""
+    """Return the smallest corner of `mosaic` (rows, cols) that repeats to the whole, int32."""
     mosaic = np.asarray(mosaic, np.int32)
     for axis in (0, 1):
         size = mosaic.shape[axis]

@@ -1,7 +1,8 @@
-"""A camera's geometry as calibration gives it: OpenCV's camera matrix and its two models of distortion."""
+"""Camera geometry from calibration: OpenCV's camera matrix and its two distortion models."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -25,13 +26,13 @@ PINHOLE = (
     "tau_y",
 )  # OpenCV's order
 FISHEYE = ("k1", "k2", "k3", "k4")
-COUNTS = (0, 4, 5, 8, 12, 14)  # of coefficients that OpenCV knows for a pinhole
-STEEPEST_TILT = 1.5  # [rad] of the sensor against the lens
+COUNTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows for a pinhole
+STEEPEST_TILT = 1.5  # [rad] largest tilt of the sensor against the lens
 ROUNDING = 1.0  # [pixel]; scaled sizes are rounded to whole pixels
 
 
 def check_model(distortion, *coefficients):
-    """Raise OutOfRange unless the coefficients are finite and radius and scale positive."""
+    """Raise OutOfRange unless the coefficients are finite and radius and scale are positive."""
     for name in coefficients:
         if not np.isfinite(getattr(distortion, name)):
             raise OutOfRange(f"distortion.{name}", getattr(distortion, name), "a finite number")
@@ -44,14 +45,31 @@ def check_model(distortion, *coefficients):
 
 @dataclass(frozen=True)
 class BrownConrady:
-    """x^ = x N(r^2) / D(r^2) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y^ with p1 and p2 exchanged, s3 and s4.
+    """Radial, decentring and thin-prism distortion on a sensor that may be tilted.
 
-    N(q) = 1 + k1 q + k2 q^2 + k3 q^3, D(q) = 1 + k4 q + k5 q^2 + k6 q^3; then seen on a sensor that is tilted by tau_x
-    and tau_y [rad]; times `scale`. The coefficients are those of camera calibration (OpenCV's calib3d) when `radius`
-    [m] is the focal length. p1, p2: decentring. s1 .. s4: thin prism.
-    Source: Brown, Photogrammetric Engineering 32 (1966) 444; Claus and Fitzgibbon, CVPR 2005 (rational); Weng, Cohen
-    and Herniou, PAMI 14 (1992) 965 (thin prism); Louhichi et al., Meas. Sci. Technol. 18 (2007) 2616 (tilt).
-    Raises OutOfRange.
+        x^ = x N(r^2) / D(r^2) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4
+
+    y^ is the same with x and y, and p1 and p2, exchanged, and with s3 and s4. N(q) = 1 + k1 q + k2
+    q^2 + k3 q^3, D(q) = 1 + k4 q + k5 q^2 + k6 q^3. The result is projected onto a sensor tilted by
+    tau_x and tau_y, and multiplied by `scale`. The coefficients equal OpenCV's (calib3d) if
+    `radius` is the focal length.
+
+    Args:
+        k1, k2, k3, k4, k5, k6: Radial coefficients [1].
+        p1, p2: Decentring coefficients [1].
+        radius: Unit of the positions [m].
+        scale: Magnification relative to the nominal one [1].
+        s1, s2, s3, s4: Thin-prism coefficients [1].
+        tau_x, tau_y: Tilt of the sensor [rad].
+
+    Raises:
+        OutOfRange: A coefficient is not finite, the tilt is too steep, or radius or scale is not
+            positive.
+
+    Source:
+        Brown, Photogrammetric Engineering 32 (1966) 444; Claus and Fitzgibbon, CVPR 2005
+        (rational); Weng, Cohen and Herniou, PAMI 14 (1992) 965 (thin prism); Louhichi et al., Meas.
+        Sci. Technol. 18 (2007) 2616 (tilt).
     """
 
     k1: float
@@ -85,7 +103,7 @@ class BrownConrady:
 
     @cached_property
     def _tilt(self):
-        """Projective map of the untilted image onto the tilted sensor along the axis, (3, 3); None without a tilt."""
+        """Projective map onto the tilted sensor along the axis, (3, 3); None without a tilt."""
         if not (self.tau_x or self.tau_y):
             return None
         (cx, cy), (sx, sy) = np.cos([self.tau_x, self.tau_y]), np.sin([self.tau_x, self.tau_y])
@@ -98,8 +116,8 @@ class BrownConrady:
             np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
         )
 
-    def _untilted(self, x, y):
-        """Position without tilt and scale; radial factor, and its derivative by r over r."""
+    def _distort_without_tilt(self, x, y):
+        """Return (x^, y^) without tilt and scale, the radial factor, and its derivative over r."""
         q = x * x + y * y
         above = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
         below = 1 + q * (self.k4 + q * (self.k5 + q * self.k6))
@@ -127,8 +145,8 @@ class BrownConrady:
         )
 
     def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        u, v, _, _ = self._untilted(x, y)
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        u, v, _, _ = self._distort_without_tilt(x, y)
         if self._tilt is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._tilt
             w = g * u + h * v + i
@@ -136,8 +154,8 @@ class BrownConrady:
         return self.scale * u, self.scale * v
 
     def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        u, v, factor, slope = self._untilted(x, y)
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        u, v, factor, slope = self._distort_without_tilt(x, y)
         q = x * x + y * y
         prism_x, prism_y = 2 * (self.s1 + 2 * q * self.s2), 2 * (self.s3 + 2 * q * self.s4)
         cross = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
@@ -160,10 +178,23 @@ class BrownConrady:
 
 @dataclass(frozen=True)
 class Fisheye:
-    """r^ = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r; times `scale`.
+    """Equidistant fisheye projection with polynomial corrections.
 
-    The coefficients are those of OpenCV's fisheye model, ROS's and Kalibr's equidistant, when `radius` [m] is the focal
-    length. Source: Kannala and Brandt, PAMI 28 (2006) 1335. Raises OutOfRange.
+        r^ = scale theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r
+
+    The coefficients equal the ones of OpenCV's fisheye model, and the equidistant model of ROS and
+    Kalibr, if `radius` is the focal length.
+
+    Args:
+        k1, k2, k3, k4: Coefficients [1].
+        radius: Unit of the positions [m].
+        scale: Magnification relative to the nominal one [1].
+
+    Raises:
+        OutOfRange: A coefficient is not finite, or radius or scale is not positive.
+
+    Source:
+        Kannala and Brandt, PAMI 28 (2006) 1335.
     """
 
     k1: float
@@ -179,7 +210,7 @@ class Fisheye:
         check_model(self, *FISHEYE)
 
     def _radial(self, r):
-        """r^ / r and the derivative of r^ by r, without scale."""
+        """Return r^ / r and dr^/dr, both without scale."""
         theta = np.arctan(r)
         q = theta * theta
         height = theta * (1 + q * (self.k1 + q * (self.k2 + q * (self.k3 + q * self.k4))))
@@ -187,12 +218,12 @@ class Fisheye:
         return np.divide(height, r, out=np.ones_like(r), where=r > 0), slope / (1 + r * r)
 
     def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         factor = self.scale * self._radial(np.hypot(x, y))[0]
         return x * factor, y * factor
 
     def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         r = np.hypot(x, y)
         factor, slope = self._radial(r)
         over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
@@ -204,14 +235,24 @@ class Fisheye:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Camera matrix and distortion, as OpenCV, ROS and Kalibr give them, of pictures of width x height pixels.
+    """Camera matrix and distortion in the convention of OpenCV, ROS and Kalibr.
 
-    A pinhole with this camera matrix makes the scene, as `cv2.undistort` gives it back: a point that it has at pixel p
-    is seen by the camera where `cv2.projectPoints` puts it. Frames of another resolution but the same shape scale the
-    camera matrix; frames of another shape are refused.
-    width, height: [pixel]. fx, fy: focal lengths [pixel]. cx, cy: principal point [pixel], (0, 0) the middle of the
-    first one. coefficients: in OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]], none for a
-    pinhole; or k1 k2 k3 k4 of the fisheye model (equidistant) with `fisheye`. Raises BadData, OutOfRange.
+    The scene is the image of an ideal pinhole with this camera matrix, as `cv2.undistort` returns
+    it. A scene point at pixel p is imaged at the pixel that `cv2.projectPoints` gives for it. A
+    frame of another resolution but the same aspect ratio scales the camera matrix; a frame of
+    another aspect ratio is refused.
+
+    Args:
+        width, height: Size of the calibration images [pixel].
+        fx, fy: Focal lengths [pixel].
+        cx, cy: Principal point [pixel]; (0, 0) is the centre of the first pixel.
+        coefficients: In OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]],
+            empty for a pinhole; with `fisheye`, k1 k2 k3 k4 of the fisheye (equidistant) model.
+        fisheye: Use the fisheye model.
+
+    Raises:
+        BadData: The number of coefficients does not fit the model.
+        OutOfRange: A size, focal length, principal point or coefficient is outside its range.
     """
 
     width: int
@@ -254,10 +295,27 @@ class Calibration:
         _ = self.lens  # its own checks
 
     @classmethod
-    def of(cls, camera_matrix, coefficients, size, fisheye: bool = False) -> "Calibration":
-        """What `cv2.calibrateCamera` or `cv2.fisheye.calibrate` returned for pictures of size = (width, height).
+    def of(
+        cls,
+        camera_matrix: Any,
+        coefficients: Any,
+        size: tuple[int, int],
+        fisheye: bool = False,
+    ) -> "Calibration":
+        """Build a calibration from results of `cv2.calibrateCamera` or `cv2.fisheye.calibrate`.
 
-        camera_matrix: shape (3, 3). coefficients: any shape, or None. Raises BadData, OutOfRange.
+        Args:
+            camera_matrix: Array or nested lists, shape (3, 3), without skew.
+            coefficients: Array or list of any shape, or None.
+            size: Width and height of the images [pixel].
+            fisheye: The coefficients belong to the fisheye model.
+
+        Returns:
+            The calibration.
+
+        Raises:
+            BadData: The arguments are not numbers of the right shape, or the matrix has skew.
+            OutOfRange: See `Calibration`.
         """
         try:
             matrix, (width, height) = np.array(camera_matrix, np.float64), map(int, size)
@@ -279,7 +337,7 @@ class Calibration:
 
     @cached_property
     def lens(self) -> BrownConrady | Fisheye:
-        """The distortion of normalised positions, tangents of field angles: x^ = X / Z distorted, radius 1."""
+        """Distortion of normalised positions X / Z, Y / Z (tangents of field angles), radius 1."""
         if self.fisheye:
             return Fisheye(
                 **dict(zip(FISHEYE, self.coefficients or (0.0,) * 4, strict=True)), radius=1.0
@@ -291,11 +349,22 @@ class Calibration:
 
     @property
     def off_middle(self) -> tuple[float, float]:
-        """Place of the principal point from the picture's middle, (x, y) [pixel]."""
+        """Position of the principal point relative to the image centre, (x, y) [pixel]."""
         return self.cx + 0.5 - self.width / 2, self.cy + 0.5 - self.height / 2
 
-    def framed(self, shape, pitch: float) -> "Framed":
-        """The same for a frame of `shape` = (rows, cols) pixels of `pitch` [m]. Raises OutOfRange for another shape."""
+    def framed(self, shape: tuple[int, int], pitch: float) -> "Framed":
+        """Return the distortion for a frame of another resolution.
+
+        Args:
+            shape: Rows and columns of the frame [pixel].
+            pitch: Pixel pitch [m].
+
+        Returns:
+            The distortion with positions relative to the centre of the frame.
+
+        Raises:
+            OutOfRange: The frame has another aspect ratio than the calibration images.
+        """
         rows, cols = shape
         across, down = cols / self.width, rows / self.height
         if abs(rows - self.height * across) > ROUNDING and abs(cols - self.width * down) > ROUNDING:
@@ -329,10 +398,15 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Framed:
-    """A calibration for the frame of one resolution: positions from the frame's middle, in units of `radius`.
+    """Distortion of a calibrated camera for the frame of one resolution.
 
-    lens: distortion of normalised positions. radius: focal length along rows [m]. aspect: of that along columns over
-    it [1]. middle: (x, y) of the principal point, the same in the pinhole's picture and in the camera's.
+    Positions are relative to the centre of the frame, in units of `radius`.
+
+    Attributes:
+        lens: Distortion of normalised positions.
+        radius: Focal length along rows [m].
+        aspect: Focal length along columns over `radius` [1].
+        middle: (x, y) of the principal point, the same in the ideal image and in the camera's.
     """
 
     lens: BrownConrady | Fisheye
@@ -343,18 +417,18 @@ class Framed:
     __repr__ = brief
 
     def normalised(self, x, y):
-        """Positions divided by the focal lengths, from the principal point: tangents of field angles, if ideal."""
+        """Return positions relative to the principal point, divided by the focal lengths."""
         return x - self.middle[0], (y - self.middle[1]) / self.aspect
 
     def of_normalised(self, u, v):
-        """The other way round."""
+        """Return positions in the frame from normalised ones: the inverse of `normalised`."""
         return u + self.middle[0], v * self.aspect + self.middle[1]
 
     def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         return self.of_normalised(*self.lens.distorted(*self.normalised(x, y)))
 
     def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         a, b, c, d = self.lens.derivative(*self.normalised(x, y))
         return a, b / self.aspect, c * self.aspect, d

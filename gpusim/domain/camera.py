@@ -1,6 +1,7 @@
-"""A camera: lens, sensor, processor and the display its pictures are made for."""
+"""A camera: lens, sensor, image processor, and the display its pictures are made for."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
@@ -12,17 +13,28 @@ from gpusim.domain.short_repr import shortened
 
 
 def checked_camera(camera) -> "Camera":
-    """Return a camera as it is. Raises BadData for anything else."""
+    """Return `camera`. Raise BadData if it is not a Camera."""
     if not isinstance(camera, Camera):
-        raise BadData(f"camera: {type(camera).__name__}, wanted a Camera, such as of open_camera")
+        raise BadData(
+            f"camera: {type(camera).__name__}, wanted a Camera, for example from open_camera"
+        )
     return camera
 
 
 @dataclass(frozen=True)
 class Camera(Tabled):
-    """Everything between a scene's radiance and a picture of it.
+    """Everything between the radiance of a scene and a picture of it.
 
-    Raises OutOfRange and UnknownName when the parts do not go together.
+    Args:
+        name: Name in reports and files.
+        optics: The lens.
+        sensor: The image sensor.
+        processor: The image processor.
+        display: The display that pictures are encoded for.
+
+    Raises:
+        OutOfRange: The settings of two parts exclude each other.
+        UnknownName: A learned filter table is for another mosaic.
     """
 
     name: str
@@ -69,22 +81,36 @@ class Camera(Tabled):
             f"{1e6 * sensor.pixel_pitch:.4g} um, {mosaic}, {bits}, {time})"
         )
 
-    def with_(self, **changes) -> "Camera":
-        """The same camera with other values: `camera.with_(f_number=2.0, read_e=3)`.
+    def with_(self, **changes: Any) -> "Camera":
+        """Return a camera with some settings changed: `camera.with_(f_number=2.0, read_e=3)`.
 
-        Names are the keys of camera files, in their units; a key of two sections is written with one of them:
-        `with_(**{"processor.white": [2, 1, 1.5]})`. Values are as in a camera file. What a file names or tabulates is
-        given as what it becomes, in the field's own unit: a Spectrum, Pupil, PointSpread, FilterTable, Microlens. Whole
-        parts go, too: optics, sensor, processor, display; other changes are made after these.
-        Raises UnknownName, BadData, OutOfRange.
+        Args:
+            changes: New values, with keys and units of camera files. If a key occurs in two
+                sections, write the section too: `with_(**{"processor.white": [2, 1, 1.5]})`. Values
+                have the form of a camera file. A value that a file names or tabulates is passed as
+                the object, in the unit of the field: Spectrum, Pupil, PointSpread, FilterTable,
+                Microlens. Whole parts are accepted too (optics, sensor, processor, display), and
+                are replaced before other changes.
+
+        Returns:
+            The new camera.
+
+        Raises:
+            UnknownName: A key is not known.
+            BadData: A value has the wrong type.
+            OutOfRange: A value is outside its range.
         """
-        from gpusim.domain.changes import changed
+        from gpusim.domain.changes import apply_changes
 
-        return changed(self, changes)
+        return apply_changes(self, changes)
 
     @property
     def is_developed_at_once(self) -> bool:
-        """Whether one pass leads from raw values to display codes: bilinear, of a Bayer mosaic, and nothing more."""
+        """True if one pass turns raw values into display codes.
+
+        This holds for bilinear demosaicking of a Bayer mosaic without other processing of raw
+        values.
+        """
         sensor, processor = self.sensor, self.processor
         return (
             processor.demosaic == "bilinear"
@@ -103,9 +129,7 @@ class Camera(Tabled):
             return
         mosaic = "/".join(sensor.cfa)
         if processor.demosaic == "learned" and processor.table is not None:
-            processor.table.layout.shift(
-                sensor.cfa
-            )  # UnknownName unless the table is for this mosaic
+            processor.table.layout.shift(sensor.cfa)  # UnknownName if it is for another mosaic
             if processor.table.layout.gives_xyz and (processor.estimates_white or processor.white):
                 raise OutOfRange(
                     "processor.white_balance",

@@ -1,4 +1,4 @@
-"""Keys of camera files: their sections, the types and units of their values, and the fields they stand for."""
+"""Keys of camera files: sections, types and units of values, and the fields they set."""
 
 import dataclasses
 import difflib
@@ -16,11 +16,11 @@ from gpusim.domain.sensor import Microlens
 
 
 class _Wanted(Exception):
-    """A value of the wrong type; the message says what was wanted."""
+    """A value has the wrong type; the message names the right one."""
 
 
 def _number(per_unit=1.0):
-    """Return a reader of a number given in a unit of which there are `per_unit` in the unit used inside."""
+    """Return a reader of a number. The internal unit holds `per_unit` units of the file."""
 
     def read(value):
         if type(value) not in (int, float):
@@ -123,7 +123,7 @@ def _distortion(value):
 
 
 def _calibration(value):
-    """A file and the camera in it, which are read later, when the folder is known; or the numbers themselves."""
+    """Return a Calibration, or the name of a file that is read later, when its folder is known."""
     if type(value) is str:
         return {"file": value}
     known = ("width", "height", "fx", "fy", "cx", "cy")
@@ -227,7 +227,7 @@ def _auto_exposure(value):
 
 def _number_or_ktc(value):
     if value == "kTC":
-        return value  # made a number when conversion gain and temperature are known
+        return value  # becomes a number when conversion gain and temperature are known
     try:
         return _number()(value)
     except _Wanted:
@@ -350,9 +350,9 @@ _DISPLAY = {
     "curve": ("curve", _number_or_srgb),
     "luminance_cd_per_m2": ("luminance", _number()),
 }
-# fields that another one may stand for
+# required fields, and the field that may replace each
 INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
-SPOKEN = {"diopters": "defocus"}  # fields of which the domain's messages speak as of another
+SPOKEN = {"diopters": "defocus"}  # fields that messages of the domain call by another name
 SECTIONS = {
     "optics": _OPTICS,
     "sensor": _SENSOR,
@@ -363,9 +363,19 @@ SECTIONS = {
 
 
 def section_fields(path, table, section, cls=None):
-    """One section's keys as arguments of `cls`, whose fields without a default must be there.
+    """Return the keys of one section as arguments of `cls`.
 
-    path: of the camera file. table: as tomllib read it. Raises BadFile.
+    Args:
+        path: Path of the camera file, for messages.
+        table: The file as tomllib reads it.
+        section: Name of the section.
+        cls: Class whose fields without a default must be present; None: no check.
+
+    Returns:
+        Names of fields and their values.
+
+    Raises:
+        BadFile: A key is unknown or missing, or a value has the wrong type.
     """
     known = SECTIONS[section]
     given = table.get(section, {})
@@ -400,10 +410,10 @@ def section_fields(path, table, section, cls=None):
 
 
 def key_spoken_of(table, message: str) -> str:
-    """The key, with its section and value, of the field that a message of the domain's classes begins with.
+    """Return the key, section and value of the field that an error message begins with.
 
-    They speak of "optics.focal_length = -0.003 m" where a file has focal_length_mm = -3. "" where it says the key
-    already, or speaks of none that the table has.
+    Messages of the domain say "optics.focal_length = -0.003 m" if the file says focal_length_mm =
+    -3. Returns "" if the message contains the key already or names no field of the file.
     """
     section = message.partition(".")[0]
     given = table.get(section, {}) if section in SECTIONS else {}
@@ -418,7 +428,7 @@ def key_spoken_of(table, message: str) -> str:
 
 
 def value_of(label, read, value):
-    """A value as a reader of SECTIONS gives it. label: of the key, which errors name. Raises BadData, UnknownName."""
+    """Read a value with a reader of SECTIONS. Raise BadData with `label`, the name of the key."""
     try:
         return read(value)
     except _Wanted as wanted:
@@ -428,14 +438,13 @@ def value_of(label, read, value):
 
 
 def _near_key(key, section):
-    """Hint at the nearest key of any section: noise has one of its own, apart from the sensor's."""
+    """Return a hint at the nearest key of any section; noise has its own section."""
     sections = {other: name for name, keys in SECTIONS.items() for other in keys} | dict.fromkeys(
         SECTIONS[section], section
     )
     found = (
-        difflib.get_close_matches(
-            key[:100], sections, n=1
-        )  # no known key is as long, and its time grows
+        # all known keys are shorter, and the search time grows with the length
+        difflib.get_close_matches(key[:100], sections, n=1)
         or [name for name in sections if key.endswith(f"_{name}")]
     )
     if not found or sections[found[0]] == section:

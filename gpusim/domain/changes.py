@@ -1,4 +1,4 @@
-"""Settings of a camera by the keys of camera files, in Python: `Camera.with_`."""
+"""Change settings of a camera with the keys of camera files: `Camera.with_`."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ from gpusim.domain.pupil import Pupil
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 
-# Fields whose values are read from tables and files: in Python they are what is read.
+# Fields that camera files give as tables or file names. In Python they are the objects themselves.
 OBJECTS = {
     "transmission": Spectrum,
     "defocus": Spectrum,
@@ -28,19 +28,16 @@ OBJECTS = {
     "auto_exposure": AutoExposure,
     "table": FilterTable,
 }
-READ = {"qe", "psf", "table"}  # of them those that a camera file names by a text
+READ = {"qe", "psf", "table"}  # fields that a camera file gives by a name
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
-IN_QE = (
-    "photodetector",
-    "ir_cut",
-    "qe_ends",
-)  # keys of factors of the quantum efficiency, which keeps their product
+# Factors of the quantum efficiency; a camera keeps only their product.
+IN_QE = ("photodetector", "ir_cut", "qe_ends")
 IN_FILES = ("calibration", "noise_profile")  # keys that name a file of several settings
 WHOLE = ("optics", "sensor", "processor", "display")
 
 
-def changed(camera, changes: dict):
-    """A camera with other values, see `Camera.with_`."""
+def apply_changes(camera, changes: dict):
+    """Return a camera with some settings changed, see `Camera.with_`."""
     parts: dict[str, dict] = {}
     for key, value in changes.items():
         if key in WHOLE:
@@ -65,7 +62,7 @@ def changed(camera, changes: dict):
 
 
 def _place(key):
-    """The section of a key, and the key without it. Raises UnknownName, BadData."""
+    """Return the section of a key, and the key without it. Raise UnknownName or BadData."""
     if "." in key:
         section, _, name = key.partition(".")
         if name in SECTIONS.get(section, ()):
@@ -95,15 +92,13 @@ def _whole(camera, key, value):
 
 
 def _value(key, name, field, read, value):
-    """A value as its field takes it: read as a camera file's, or the object that a file's would become."""
+    """Return the value of a field, read as in a camera file or passed as the object itself."""
     if name in IN_QE:
         raise BadData(
-            f"{key}: a camera has it in its qe, as a factor; wanted qe, a Spectrum with all factors"
+            f"{key}: a camera keeps it as a factor of qe; set qe, a Spectrum with all factors"
         )
     if name in IN_FILES:
-        raise BadData(
-            f"{key}: is read by camera files alone; wanted the settings that its file holds"
-        )
+        raise BadData(f"{key}: only camera files read it; set the values that its file holds")
     kind = OBJECTS.get(field)
     if kind and isinstance(value, kind):
         return value
@@ -119,7 +114,7 @@ def _value(key, name, field, read, value):
 
 
 def _plain(value):
-    """A value as TOML has it: without tuples, and without numbers of NumPy."""
+    """Return a value as TOML has it: without tuples and NumPy numbers."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, dict):

@@ -1,8 +1,12 @@
-"""Samples of a scene and their spectra: a cube, a basis, materials or an encoded picture. What differs is here."""
+"""Samples of a scene and their spectra: a cube, a basis, materials or an encoded picture.
 
+Everything that depends on the form of the samples is here.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,24 +17,28 @@ from gpusim.domain.short_repr import span
 from gpusim.domain.spectrum import check_wavelengths
 
 NUMBERS, WHOLE = "fiub", "iub"  # kinds of types that samples, and numbers of materials, may have
-NEGATIVE = (
-    0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
-)
+NEGATIVE = 0.25  # accepted undershoot of a truncated basis, relative to the brightest sample
 
 
 def is_seen(array) -> bool:
-    """Whether the values of an array of samples are looked at on the host."""
+    """Return True if the host checks the values of an array of samples."""
     return isinstance(array, np.ndarray) and not isinstance(array, Pinned)
 
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """Spectra at wavelengths (L,) [nm] of samples on a grid (rows, cols): each is a mix of a few entries' spectra.
+    """Samples on a grid (rows, cols), each a mixture of a few spectra (entries).
 
-    Arrays of samples may be a device's, another library's (`__dlpack__`, `__cuda_array_interface__`, `__array__`) or
-    Pinned: their values are not looked at here. Samples of another type than devices store are converted by them.
-    form: its name. samples: names of the arrays with a value for each sample, their last two axes rows and columns.
-    shared: names of those that all samples share.
+    Arrays of samples may belong to a device or to another library (`__dlpack__`,
+    `__cuda_array_interface__`, `__array__`), or be Pinned. The host does not check their values. A
+    device converts samples of types that it does not store.
+
+    Attributes:
+        wavelengths: Wavelengths of the spectra [nm], shape (L,).
+        form: Name of the form.
+        samples: Names of the arrays with one value per sample; their last two axes are rows and
+            columns.
+        shared: Names of the arrays that all samples share.
     """
 
     wavelengths: np.ndarray
@@ -53,22 +61,22 @@ class Content:
 
     @property
     def labels(self) -> np.ndarray | None:
-        """The one entry that each sample has, shape (rows, cols); None where it may mix them."""
+        """Index of the only entry of each sample, shape (rows, cols); None if samples mix."""
         return None
 
     @property
     def surfaces(self) -> "Content":
-        """What it shows without the light, where it knows that apart; else itself."""
+        """The content without the light if the two are stored separately, otherwise itself."""
         return self
 
     @property
     def entry_spectra(self) -> np.ndarray:
-        """Spectrum of one unit of each entry, float64 (entries, L)."""
+        """Spectrum of one unit of each entry, float64, shape (entries, L)."""
         return np.asarray(getattr(self, self.shared[0]), np.float64)
 
     @property
     def is_spectral(self) -> bool:
-        """Whether the entries are the wavelengths themselves."""
+        """True if the entries are the wavelengths themselves."""
         return not self.shared
 
     @property
@@ -79,7 +87,7 @@ class Content:
 
     @property
     def nbytes(self) -> int:
-        """What its samples take on a device [byte]."""
+        """Memory of the samples on a device [byte]."""
         return sum(
             self.stored_type(name).itemsize * prod(getattr(self, name).shape)
             for name in self.samples
@@ -87,43 +95,85 @@ class Content:
 
     @property
     def is_seen(self) -> bool:
-        """Whether the values of all its samples are looked at on the host."""
+        """True if the host checks the values of all samples."""
         return all(is_seen(getattr(self, name)) for name in self.samples)
 
     @property
     def lit(self) -> np.ndarray:
-        """Whether there may be light at each wavelength, bool (L,)."""
+        """True for each wavelength at which there may be light, bool, shape (L,)."""
         return np.asarray(self.entry_spectra.any(axis=0))
 
     def stored_type(self, name: str) -> np.dtype:
-        """Type of an array of samples on a device: float16 where it has that, else float32."""
+        """Return the type of an array of samples on a device.
+
+        Args:
+            name: Name of the array, one of `samples`.
+
+        Returns:
+            The NumPy type, for light float16 if the array has that type, otherwise float32.
+        """
         return np.dtype(np.float16 if type_of(getattr(self, name)) == np.float16 else np.float32)
 
-    def on_host(self):
-        """The same with all samples in host memory, waited for, as the host reads it; itself where it is so.
+    def on_host(self) -> "Content":
+        """Return the content with all samples in host memory, copied if necessary.
 
-        Raises BadData.
+        Returns:
+            The content itself if its samples are NumPy arrays, otherwise a copy on the host. A
+            Picture becomes a Basis.
+
+        Raises:
+            BadData: An array cannot be read.
         """
         if all(isinstance(getattr(self, name), np.ndarray) for name in self.samples):
             return self
         return self.with_samples(lambda array: to_host(array, self.form))
 
-    def with_planes(self, planes):
-        """The same with other `planes`."""
+    def with_planes(self, planes: Any) -> "Content":
+        """Return the content with another array in place of `planes`.
+
+        Args:
+            planes: The new array.
+
+        Returns:
+            New content with the same spectra.
+        """
         return replace(self, **{self.samples[-1]: planes})
 
-    def with_samples(self, change):
-        """The same with `change(array)` in place of each array of samples."""
+    def with_samples(self, change: Callable[[Any], Any]) -> Self:
+        """Return the content with `change(array)` in place of each array of samples.
+
+        Args:
+            change: Function of an array.
+
+        Returns:
+            New content of the same form.
+        """
         return replace(self, **{name: change(getattr(self, name)) for name in self.samples})
 
-    def take(self, rows, cols=None):
-        """Content of which each sample is that at (rows, cols), two arrays that broadcast; or of whole rows (n,)."""
+    def take(self, rows: Any, cols: Any = None) -> "Content":
+        """Return content made of selected samples.
+
+        Args:
+            rows: Row indices, shape (n,) for whole rows, or any shape that broadcasts with `cols`.
+            cols: Column indices, or None for whole rows.
+
+        Returns:
+            Content whose samples are those at (rows, cols).
+        """
         return self.with_samples(
             lambda array: np.take(array, rows, -2) if cols is None else array[..., rows, cols]
         )
 
-    def behind(self, front, mask):
-        """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""
+    def behind(self, front: "Content", mask: np.ndarray) -> "Content":
+        """Return the content with some samples taken from other content.
+
+        Args:
+            front: Content of the same form, wavelengths and entries.
+            mask: True for samples to take from `front`, shape (rows, cols).
+
+        Returns:
+            The combined content.
+        """
         return replace(
             self,
             **{
@@ -132,16 +182,37 @@ class Content:
             },
         )
 
-    def scaled(self, factor: float):
-        """Content that is `factor` times as bright."""
+    def scaled(self, factor: float) -> Self:
+        """Return content that is `factor` times as bright.
+
+        Args:
+            factor: Factor on all samples [1].
+
+        Returns:
+            New content of the same form.
+        """
         return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) * factor})
 
-    def divided(self, light):
-        """Reflectances from radiances in a light of this spectrum, shape (L,)."""
+    def divided(self, light: np.ndarray) -> Self:
+        """Return reflectances from radiances.
+
+        Args:
+            light: Spectrum of the light, shape (L,).
+
+        Returns:
+            New content whose spectra are divided by the light.
+        """
         return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) / light})
 
-    def is_like(self, other) -> bool:
-        """Whether the other is of the same form, wavelengths and entries."""
+    def is_like(self, other: "Content") -> bool:
+        """Compare the form, wavelengths and entries with other content.
+
+        Args:
+            other: The other content.
+
+        Returns:
+            True if all are equal.
+        """
         if type(self) is not type(other):
             return False
         pairs = [
@@ -149,48 +220,103 @@ class Content:
         ]
         return all(own is its or np.array_equal(own, its) for own, its in pairs)
 
-    def mixed(self, rates, rows=slice(None)):
-        """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols).
+    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+        """Return channel values of samples in whole rows.
 
-        In the type of the rates.
+        Args:
+            rates: Response of each channel to one unit of each entry, shape (C, entries).
+            rows: The rows.
+
+        Returns:
+            Channel values in the type of `rates`, shape (C, rows, cols).
         """
         return np.tensordot(rates, self.planes[:, rows].astype(rates.dtype, copy=False), 1)
 
-    def bands_at(self, rows) -> np.ndarray:
-        """Spectra of whole rows, float64 (L, rows, cols)."""
+    def bands_at(self, rows: Any) -> np.ndarray:
+        """Return the spectra of whole rows.
+
+        Args:
+            rows: The rows, a slice or indices.
+
+        Returns:
+            Spectra, float64, shape (L, rows, cols).
+        """
         return self.mixed(self.entry_spectra.T, rows)
 
-    def used(self, rows=slice(None)):
-        """How much of each entry is in whole rows, all samples added up, shape (entries,)."""
+    def used(self, rows: slice = slice(None)) -> np.ndarray:
+        """Return the amount of each entry in whole rows, summed over all samples.
+
+        Args:
+            rows: The rows.
+
+        Returns:
+            Amounts, shape (entries,).
+        """
         return self.planes[:, rows].sum(axis=(1, 2), dtype=np.float64)
 
     def mean_spectrum(self) -> np.ndarray:
-        """Mean of all samples' spectra, shape (L,)."""
+        """Return the mean spectrum of all samples.
+
+        Returns:
+            Spectrum, shape (L,).
+        """
         return self.used() @ self.entry_spectra / prod(self.shape)
 
-    def weighted(self, weights, window=(slice(None), slice(None))):
-        """Sums over wavelength by `weights` (C, L), of the samples in a window: float64 (C, rows, cols)."""
+    def weighted(
+        self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
+    ) -> np.ndarray:
+        """Return weighted sums over wavelength of the samples in a window.
+
+        Args:
+            weights: Weight of each wavelength in each channel, shape (C, L).
+            window: Rows and columns.
+
+        Returns:
+            Sums, float64, shape (C, rows, cols).
+        """
         table = weights @ self.entry_spectra.T
         total = np.zeros((len(weights), *self.planes[0][window].shape))
-        for plane, column in zip(
-            self.planes, table.T, strict=True
-        ):  # one by one: a cube in float64 is large
+        # one plane at a time: a cube in float64 is large
+        for plane, column in zip(self.planes, table.T, strict=True):
             total += column[:, None, None] * plane[window]
         return total
 
-    def brightness(self, total) -> np.ndarray:
-        """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols)."""
+    def brightness(self, total: np.ndarray) -> np.ndarray:
+        """Return one weighted sum over wavelength of all samples.
+
+        Args:
+            total: Weight of each wavelength, for example the sum of all channels, shape (L,).
+
+        Returns:
+            Sums, float32, shape (rows, cols).
+        """
         return np.tensordot((self.entry_spectra @ total).astype(np.float32), self.planes, 1)
 
-    def points(self, rows, cols):
-        """Single samples at `rows`, `cols` (N,): spectra (K, L), the one that each has, and how strong it is in it."""
+    def points(
+        self, rows: np.ndarray, cols: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return single samples as spectra and strengths.
+
+        Args:
+            rows: Row indices of the samples, shape (N,).
+            cols: Column indices, shape (N,).
+
+        Returns:
+            Spectra, shape (K, L); index of the spectrum of each sample, shape (N,); strength of the
+            sample in units of its spectrum, shape (N,).
+        """
         spectra = self.planes[:, rows, cols].T.astype(np.float64) @ self.entry_spectra
         return spectra, np.arange(len(rows)), np.ones(len(rows))
 
-    def check(self, name: str):
-        """Refuse what no camera could see: wrong shapes, NaN, negative light, unsorted wavelengths.
+    def check(self, name: str) -> None:
+        """Refuse content that no camera could see.
 
-        Raises BadData, OutOfRange.
+        Args:
+            name: Name of the content in messages.
+
+        Raises:
+            BadData: Wrong shapes or types, NaN, negative light, or unsorted wavelengths.
+            OutOfRange: An index of a material is too large.
         """
         self._check_types(name)
         self._check_shapes(name)
@@ -236,11 +362,15 @@ class Content:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cube(Content):
-    """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm].
+    """Spectra of all samples at common wavelengths.
 
-    `np.asarray` gives them. Values of float16 stay float16 on a device, half the memory and bus: exact to 2^-11 from
-    6.1e-5 on, to 3e-8 below; scale a radiance into that range, and its light by as much. What is beyond 65504 would be
-    infinite.
+    `np.asarray` returns the values. Values of float16 stay float16 on a device, which halves memory
+    and transfer time. float16 is exact to 2^-11 from 6.1e-5 on, and to 3e-8 below; values above
+    65504 become infinite. Scale a radiance into that range, and its light by the inverse factor.
+
+    Args:
+        wavelengths: Wavelengths [nm], shape (L,).
+        values: Samples, float32 or float16, shape (L, rows, cols).
     """
 
     values: np.ndarray
@@ -251,30 +381,34 @@ class Cube(Content):
         return np.array(to_host(self.values, self.form), dtype, copy=copy)
 
     @property
-    def entry_spectra(self):
+    def entry_spectra(self) -> np.ndarray:
+        """The identity matrix: each wavelength is an entry."""
         return np.eye(len(self.wavelengths))
 
     @property
-    def lit(self):
-        return self.values.any(axis=(1, 2))
+    def lit(self) -> np.ndarray:
+        """True for each wavelength at which a sample is not zero, bool, shape (L,)."""
+        return np.asarray(self.values.any(axis=(1, 2)))
 
-    def scaled(self, factor):
+    def scaled(self, factor: float) -> Self:
         return replace(self, values=self.values * np.float32(factor))
 
-    def divided(self, light):
+    def divided(self, light: np.ndarray) -> Self:
         return replace(self, values=self.values / np.asarray(light, np.float32)[:, None, None])
 
-    def bands_at(self, rows):
+    def bands_at(self, rows: Any) -> np.ndarray:
         return self.values[:, rows].astype(np.float64)
 
-    def points(self, rows, cols):
+    def points(
+        self, rows: np.ndarray, cols: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return (
             self.values[:, rows, cols].T.astype(np.float64),
             np.arange(len(rows)),
             np.ones(len(rows)),
         )
 
-    def brightness(self, total):
+    def brightness(self, total: np.ndarray) -> np.ndarray:
         return np.tensordot(np.asarray(total, np.float32), self.values, 1)
 
     def _check_shapes(self, name):
@@ -287,9 +421,12 @@ class Cube(Content):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Basis(Content):
-    """A linear model: pixel spectrum = sum_k coefficients[k] basis[k].
+    """A linear model of spectra: spectrum of a pixel = sum_k coefficients[k] basis[k].
 
-    coefficients (K, rows, cols) float32 or float16, as of a cube; basis (K, L) at wavelengths (L,) [nm].
+    Args:
+        wavelengths: Wavelengths [nm], shape (L,).
+        coefficients: Weights of the basis, float32 or float16 (see Cube), shape (K, rows, cols).
+        basis: Basis spectra, shape (K, L).
     """
 
     coefficients: np.ndarray
@@ -298,7 +435,7 @@ class Basis(Content):
     samples: ClassVar[tuple[str, ...]] = ("coefficients",)
     shared: ClassVar[tuple[str, ...]] = ("basis",)
 
-    def check(self, name):
+    def check(self, name: str) -> None:
         super().check(name)
         if not is_seen(self.coefficients):
             return
@@ -331,9 +468,13 @@ class Basis(Content):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Materials(Content):
-    """One material per pixel: pixel spectrum = shading * spectra[ids].
+    """One material per pixel: spectrum of a pixel = shading * spectra[ids].
 
-    ids (rows, cols) uint8 or uint16; shading (rows, cols) float32; spectra (M, L) at wavelengths (L,) [nm].
+    Args:
+        wavelengths: Wavelengths [nm], shape (L,).
+        ids: Index of the material, uint8 or uint16, shape (rows, cols).
+        shading: Factor on the spectrum, float32, shape (rows, cols).
+        spectra: Spectra of the materials, shape (M, L).
     """
 
     ids: np.ndarray
@@ -344,27 +485,32 @@ class Materials(Content):
     shared: ClassVar[tuple[str, ...]] = ("spectra",)
 
     @property
-    def labels(self):
+    def labels(self) -> np.ndarray:
+        """Index of the material of each sample, shape (rows, cols)."""
         return self.ids
 
-    def stored_type(self, name):
+    def stored_type(self, name: str) -> np.dtype:
         return np.dtype(np.uint16 if name == "ids" else np.float32)
 
-    def mixed(self, rates, rows=slice(None)):
+    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         light = np.take(rates, self.ids[rows], axis=1)
         light *= self.shading[rows]
         return light
 
-    def used(self, rows=slice(None)):
+    def used(self, rows: slice = slice(None)) -> np.ndarray:
         return np.bincount(self.ids[rows].ravel(), self.shading[rows].ravel(), len(self.spectra))
 
-    def weighted(self, weights, window=(slice(None), slice(None))):
+    def weighted(
+        self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
+    ) -> np.ndarray:
         return (weights @ self.entry_spectra.T)[:, self.ids[window]] * self.shading[window]
 
-    def brightness(self, total):
+    def brightness(self, total: np.ndarray) -> np.ndarray:
         return np.take((self.spectra @ total).astype(np.float32), self.ids) * self.shading
 
-    def points(self, rows, cols):
+    def points(
+        self, rows: np.ndarray, cols: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         used, light = np.unique(self.ids[rows, cols], return_inverse=True)
         return self.entry_spectra[used], light, self.shading[rows, cols].astype(np.float64)
 
@@ -390,12 +536,16 @@ class Materials(Content):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Content):
-    """Encoded numbers as cameras and decoders give them: pixel spectrum = sum_k curve[codes[k]] basis[k].
+    """Encoded values of a camera or decoder: spectrum of a pixel = sum_k curve[codes[k]] basis[k].
 
-    codes (rows, cols, K) uint8 or uint16, or (rows, cols) where K = 1: a device takes them as they are, and decodes
-    them. basis (K, L), not negative, at wavelengths (L,) [nm]. curve: light of every code, not negative, float32 (256,)
-    or (65536,). The host reads it as the Basis that it stands for (`on_host`), and what is made of its samples is one.
-    `np.asarray` gives the codes.
+    A device takes the codes as they are and decodes them. The host uses the equivalent Basis
+    (`on_host`); operations on the samples return a Basis. `np.asarray` returns the codes.
+
+    Args:
+        wavelengths: Wavelengths [nm], shape (L,).
+        codes: uint8 or uint16, shape (rows, cols, K), or (rows, cols) for K = 1.
+        basis: Spectra of the channels, not negative, shape (K, L).
+        curve: Light of each code, not negative, float32, shape (256,) or (65536,).
     """
 
     codes: np.ndarray
@@ -422,35 +572,36 @@ class Picture(Content):
         object.__setattr__(self, "curve", curve)
 
     @property
-    def planes(self):
+    def planes(self) -> np.ndarray:
+        """The decoded light, shape (K, rows, cols)."""
         return self.on_host().planes
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of samples."""
         rows, cols = self.codes.shape[:2]
         return rows, cols
 
     @property
-    def nbytes(self):
-        return super().nbytes + 4 * len(self.basis) * prod(
-            self.shape
-        )  # and what they are decoded to
+    def nbytes(self) -> int:
+        """Memory of the codes and the decoded planes on a device [byte]."""
+        return super().nbytes + 4 * len(self.basis) * prod(self.shape)
 
-    def stored_type(self, name):
+    def stored_type(self, name: str) -> np.dtype:
         kind = type_of(self.codes)
         return np.dtype(np.uint8 if kind is None else kind.type)  # in the host's order of bytes
 
-    def on_host(self):
+    def on_host(self) -> Basis:
         codes = to_host(self.codes, self.form).reshape(*self.shape, -1)
         return Basis(self.wavelengths, np.take(self.curve, np.moveaxis(codes, -1, 0)), self.basis)
 
-    def with_planes(self, planes):
+    def with_planes(self, planes: Any) -> Content:
         return self.on_host().with_planes(planes)
 
-    def take(self, rows, cols=None):
+    def take(self, rows: Any, cols: Any = None) -> Content:
         return self.on_host().take(rows, cols)
 
-    def behind(self, front, mask):
+    def behind(self, front: Content, mask: np.ndarray) -> Content:
         return self.on_host().behind(front.on_host(), mask)
 
     def _check_types(self, name):

@@ -1,4 +1,4 @@
-"""Digests of values: the same for equal ones, in every process."""
+"""Digests of values: equal values have the same digest in every process."""
 
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
@@ -7,7 +7,11 @@ import numpy as np
 
 
 def digest(value) -> str:
-    """Digest of a camera, or of another value of dataclasses, arrays, tuples and numbers: 16 hexadecimal letters."""
+    """Return a digest of 16 hexadecimal digits.
+
+    The value consists of dataclasses, arrays, tuples, lists, dicts, numbers and strings; a Camera,
+    for example.
+    """
     found = sha256()
     _add(found, value)
     return found.hexdigest()[:16]

@@ -1,9 +1,10 @@
-"""The display that the picture is made for."""
+"""The display that a picture is made for."""
 
 import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
 
 from gpusim.domain.errors import BadData, OutOfRange, check_range
 from gpusim.domain.short_repr import brief
@@ -12,13 +13,21 @@ from gpusim.domain.spectrum import Spectrum
 
 @dataclass(frozen=True)
 class Display:
-    """A three-colour additive display; sRGB (IEC 61966-2-1) unless told otherwise.
+    """An additive display with three primaries; by default sRGB (IEC 61966-2-1).
 
-    primaries: CIE 1931 (x, y) of red, green and blue; white: (x, y) of full red + green + blue.
-    curve: from code to light: "srgb", or the exponent of a power law ("gamma", 1 .. 4).
-    luminance: of white [cd m-2].
-    spectra: radiance of the three primaries at full drive [W m-2 sr-1 nm-1], 3 rows, where they are known.
-    Raises BadData, OutOfRange.
+    Args:
+        name: Name in messages and files.
+        primaries: CIE 1931 (x, y) of red, green and blue.
+        white: (x, y) of full red + green + blue.
+        curve: Transfer curve from code to light, "srgb" or the exponent of a power law ("gamma", 1
+            .. 4).
+        luminance: Luminance of white [cd m-2].
+        spectra: Radiance of the three primaries at full drive [W m-2 sr-1 nm-1], 3 rows, or None if
+            they are not known.
+
+    Raises:
+        BadData: Primaries, white or spectra have the wrong shape, or do not span a colour space.
+        OutOfRange: A number is outside its range.
     """
 
     name: str = "srgb"
@@ -75,7 +84,14 @@ class Display:
             )
 
     def encodes_like(self, other: "Display") -> bool:
-        """Whether codes mean the same colours on both, brightness aside."""
+        """Compare primaries, white and curve with another display.
+
+        Args:
+            other: The other display.
+
+        Returns:
+            True if codes mean the same colours on both; their luminances may differ.
+        """
         return (self.primaries, self.white, self.curve) == (
             other.primaries,
             other.white,
@@ -84,15 +100,23 @@ class Display:
 
     @property
     def xyz_from_rgb(self) -> np.ndarray:
-        """Linear RGB to CIE XYZ, (3, 3), with Y = 1 for white.
+        """Matrix from linear RGB to CIE XYZ, (3, 3), with Y = 1 for white.
 
-        Each column is a primary's XYZ, scaled so that the three add up to the white (SMPTE RP 177).
+        Each column is the XYZ of a primary, scaled until the three add up to white (SMPTE RP 177).
         """
         primaries = _xyz(self.primaries)
         return primaries * np.linalg.solve(primaries, _xyz([self.white])[:, 0])
 
-    def decode(self, values) -> np.ndarray:
-        """Linear light, white = 1, of codes as fractions of the largest, 0 .. 1 (negative ones likewise below 0)."""
+    def decode(self, values: ArrayLike) -> np.ndarray:
+        """Return linear light, white = 1, from codes.
+
+        Args:
+            values: Codes as fractions of the largest, 0 .. 1. The curve is odd: negative values
+                give negative light.
+
+        Returns:
+            Linear light, shape of `values`.
+        """
         size = np.abs(values)
         if self.curve == "srgb":
             light = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
@@ -100,12 +124,26 @@ class Display:
             light = size ** float(self.curve)
         return np.copysign(light, values)
 
-    def table(self, kind) -> np.ndarray:
-        """`decode` of every code, float32: shape (65536,) for those of the type uint16, (256,) for uint8."""
+    def table(self, kind: DTypeLike | None) -> np.ndarray:
+        """Return the linear light of every code.
+
+        Args:
+            kind: Type of the codes, uint8 or uint16.
+
+        Returns:
+            Linear light, float32, shape (256,) or (65536,).
+        """
         return _table(self.curve, 65535 if np.dtype(kind).type is np.uint16 else 255)
 
-    def encode(self, light) -> np.ndarray:
-        """The inverse of `decode`."""
+    def encode(self, light: ArrayLike) -> np.ndarray:
+        """Return codes from linear light: the inverse of `decode`.
+
+        Args:
+            light: Linear light, white = 1.
+
+        Returns:
+            Codes as fractions of the largest, shape of `light`.
+        """
         size = np.abs(light)
         if self.curve == "srgb":
             values = np.where(
@@ -115,15 +153,22 @@ class Display:
             values = size ** (1 / float(self.curve))
         return np.copysign(values, light)
 
-    def xyz(self, codes) -> np.ndarray:
-        """What the screen shows: CIE XYZ [cd m-2] of 8-bit codes, shape (..., 3) for (..., 3)."""
+    def xyz(self, codes: ArrayLike) -> np.ndarray:
+        """Return the colours that the screen shows for 8-bit codes.
+
+        Args:
+            codes: Codes 0 .. 255, shape (..., 3).
+
+        Returns:
+            CIE XYZ [cd m-2], shape (..., 3).
+        """
         return (
             self.luminance * self.decode(np.asarray(codes, np.float64) / 255) @ self.xyz_from_rgb.T
         )
 
     @property
     def rgb_from_xyz(self) -> np.ndarray:
-        """CIE XYZ to linear RGB, (3, 3)."""
+        """Matrix from CIE XYZ to linear RGB, (3, 3)."""
         return np.linalg.inv(self.xyz_from_rgb)
 
 
@@ -135,7 +180,7 @@ def _table(curve, most):
 
 
 def _xyz(chromaticities):
-    """XYZ with Y = 1 of each (x, y), as columns."""
+    """Return XYZ with Y = 1 of each (x, y), as columns."""
     x, y = np.array(chromaticities, np.float64).T
     return np.stack([x / y, np.ones_like(x), (1 - x - y) / y])
 

@@ -1,4 +1,4 @@
-"""Geometric distortion: where the lens puts a point, against where a pinhole would."""
+"""Geometric distortion: image positions of a lens relative to an ideal pinhole."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,29 @@ from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
-SAMPLES = (
-    4097  # of the field height, for the search of a turning point and the start of Newton's method
-)
-NEWTON_STEPS = 20  # quadratic convergence from a start within 1/SAMPLES takes four; more only near a turning point
+# Field heights at which turning points are searched, and from which Newton's method starts.
+SAMPLES = 4097
+# Quadratic convergence from a start within 1/SAMPLES takes four; only turning points need more.
+NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
 class RadialPolynomial:
-    """x^ = scale x (1 + k1 r + k2 r^2), y alike: the seed's polynomial in field height.
+    """Radial distortion as a polynomial in field height: x^ = scale x (1 + k1 r + k2 r^2).
 
-    k1, k2: [1]; negative is a barrel, positive a pincushion. radius: the ideal field height where r = 1 [m].
-    scale: magnification against the nominal one, each wavelength its own for lateral colour.
-    Source: Farrell and Wandell, section 4.2. Raises OutOfRange.
+    y^ follows the same formula.
+
+    Args:
+        k1, k2: Coefficients [1]. Negative ones make a barrel, positive ones a pincushion.
+        radius: Ideal field height of r = 1 [m].
+        scale: Magnification relative to the nominal one [1]; it differs between wavelengths for
+            lateral colour.
+
+    Raises:
+        OutOfRange: A coefficient is not finite, or radius or scale is not positive.
+
+    Source:
+        Farrell and Wandell, section 4.2.
     """
 
     k1: float
@@ -34,13 +44,13 @@ class RadialPolynomial:
         check_model(self, "k1", "k2")
 
     def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         r = np.hypot(x, y)
         factor = self.scale * (1 + self.k1 * r + self.k2 * r * r)
         return x * factor, y * factor
 
     def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         r = np.hypot(x, y)
         factor = 1 + self.k1 * r + self.k2 * r * r
         over_r = (
@@ -59,10 +69,18 @@ class RadialPolynomial:
 
 @dataclass(frozen=True, eq=False)
 class RadialTable:
-    """r^ = scale f(r), f the cubic spline through measured or ray-traced pairs, odd in r.
+    """Radial distortion as a table: r^ = scale f(r) with the cubic spline f through the entries.
 
-    ideal, real: field heights [m], shape (n,), both rising from (0, 0), n >= 4; real per ideal.
-    Raises BadData, OutOfRange.
+    The spline is odd in r.
+
+    Args:
+        ideal, real: Measured or ray-traced field heights [m], shape (n,), n >= 4, both increasing
+            from 0; `real` is the image height of `ideal`.
+        scale: Magnification relative to the nominal one [1].
+
+    Raises:
+        BadData: The heights have different lengths, or do not increase from 0.
+        OutOfRange: The scale is not positive.
     """
 
     ideal: np.ndarray
@@ -105,19 +123,22 @@ class RadialTable:
         return float(self.ideal[-1])
 
     def _radial(self, r):
-        """f(r)/r and f'(r); beyond the table the last slope goes on (it is refused if the frame needs it)."""
+        """Return f(r)/r and f'(r). Beyond the table f continues with its last slope.
+
+        If the frame needs heights beyond the table, `_start` refuses it.
+        """
         inside = np.minimum(r, 1.0)
         slope = self._slope(inside)
         height = self._curve(inside) + (r - inside) * slope
         return np.divide(height, r, out=np.array(self._slope(np.zeros_like(r))), where=r > 0), slope
 
     def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         factor = self.scale * self._radial(np.hypot(x, y))[0]
         return x * factor, y * factor
 
     def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         r = np.hypot(x, y)
         factor, slope = self._radial(r)
         over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
@@ -132,18 +153,38 @@ Distortion = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Calibrati
 
 
 def framed(distortion: Distortion, shape, pitch: float) -> Model:
-    """The distortion of a frame of `shape` = (rows, cols) pixels of `pitch` [m]: a calibration's at this resolution.
+    """Return the distortion for a frame; a calibration is scaled to its resolution.
 
-    Raises OutOfRange for a calibration of another shape.
+    Args:
+        distortion: Distortion of a lens.
+        shape: Rows and columns of the frame [pixel].
+        pitch: Pixel pitch [m].
+
+    Returns:
+        The distortion with positions relative to the centre of the frame.
+
+    Raises:
+        OutOfRange: A calibration is of another aspect ratio.
     """
     return distortion.framed(shape, pitch) if isinstance(distortion, Calibration) else distortion
 
 
 def ideal(distortion: Model, x, y):
-    """Ideal positions whose images are at (x, y), by Newton's method in float64, to 1e-13 of `radius`.
+    """Return the ideal positions whose images are at (x, y).
 
-    x, y: distorted positions in units of `radius`. Returns (x, y), the same shapes.
-    Raises OutOfRange with the field height where the mapping turns back, if that is before the farthest position.
+    Newton's method in float64, to 1e-13 of `radius`.
+
+    Args:
+        distortion: Distortion of the frame.
+        x: Distorted positions along columns, in units of `radius`.
+        y: Distorted positions along rows.
+
+    Returns:
+        Ideal positions (x, y), same shapes.
+
+    Raises:
+        OutOfRange: The mapping folds over before the farthest position; the message names the field
+            height.
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     if isinstance(distortion, Framed):
@@ -182,12 +223,10 @@ def ideal(distortion: Model, x, y):
 
 
 def _start(distortion, wanted):
-    """Ideal field heights of distorted ones along the diagonal, by linear interpolation; refuses a turning point."""
+    """Return approximate ideal field heights on a diagonal. Raise OutOfRange if they turn back."""
     farthest = float(wanted.max(initial=0))
     reach = farthest / distortion.scale if farthest else 1.0
-    for _ in range(
-        8
-    ):  # a barrel needs ideal heights beyond the distorted ones: look twice as far until it is enough
+    for _ in range(8):  # a barrel needs larger ideal heights: double the range until they fit
         r = np.linspace(0, reach, SAMPLES)
         height = np.hypot(*distortion.distorted(r * np.sqrt(0.5), r * np.sqrt(0.5)))
         turn = np.flatnonzero(np.diff(height) <= 0)
@@ -200,8 +239,8 @@ def _start(distortion, wanted):
         if len(turn):
             raise OutOfRange(
                 "distortion",
-                f"turns back at ideal field height {r[turn[0]]:.6g} radii, where the image "
-                f"is at {peak:.6g}",
+                f"turns back at ideal field height {r[turn[0]]:.6g} radii, with the image "
+                f"at {peak:.6g}",
                 f"monotonic up to the frame's corner, {farthest:.6g} radii",
             )
         reach *= 2

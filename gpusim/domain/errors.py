@@ -1,28 +1,28 @@
-"""What can go wrong for a user, each with the value, the place and what is allowed.
+"""Errors that a user's input can cause. Each names the value, the place and the allowed range.
 
-The command line prints `str(error)` on one line and exits with status 2; nothing here is ever a traceback.
+The command line prints `str(error)` on one line and exits with status 2, without a traceback.
 """
 
 import difflib
+from collections.abc import Iterable
 from numbers import Integral
 
-LONGEST = 480  # letters of a message, so that "gpusim: " and a program's own words still fit on a line of 500
-LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters of what a message repeats from the input
+LONGEST = 480  # letters of a message: with "gpusim: " and a program's words it fits 500
+LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters that a message repeats from the input
 
 
 def one_line(text, longest: int = LONGEST) -> str:
-    """Return `text` as one line of at most `longest` letters that any terminal can show, its middle left out.
+    """Return `text` as one line of at most `longest` letters that any terminal can show.
 
-    The beginning says what and where, the end what to do: of what is too long a third of the end is kept.
+    If the text is too long, its middle is left out and the last third stays: the beginning names
+    the place and the value, the end says what to do.
     """
     try:
         text = str(text)
-    except (
-        ValueError,
-        RecursionError,
-    ):  # a whole number of more than 4300 digits, a list that holds itself
+    # an integer of more than 4300 digits, a list that contains itself
+    except (ValueError, RecursionError):
         text = f"a {type(text).__name__} too long to show"
-    if len(text) > 8 * longest:  # not all of a long build log has to be looked at
+    if len(text) > 8 * longest:  # skip the middle of a long build log
         text = f"{text[: 4 * longest]} {text[-4 * longest :]}"
     text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
     end = longest // 3
@@ -30,14 +30,21 @@ def one_line(text, longest: int = LONGEST) -> str:
 
 
 def shown(value) -> str:
-    """`value` as it is written in Python, in at most LONGEST_VALUE letters: what a message repeats from the input."""
+    """Return a value as Python writes it, in at most LONGEST_VALUE letters, for a message."""
     return one_line(repr(value) if isinstance(value, str) else value, LONGEST_VALUE)
 
 
 class GpusimError(Exception):
-    """Base of every error that a user's input can cause: one line. `details` is the text before it was shortened."""
+    """Base class of all errors that a user's input can cause. Its text is one line.
 
-    def __init__(self, message=""):
+    Args:
+        message: The text, shortened to one line.
+
+    Attributes:
+        details: The text before it was shortened.
+    """
+
+    def __init__(self, message: object = ""):
         self.details = str(message)
         super().__init__(one_line(message))
 
@@ -48,38 +55,38 @@ class OutOfRange(GpusimError):
     Example: ``sensor.fill_factor = 1.4: allowed is 0 < fill_factor <= 1``.
     """
 
-    def __init__(self, key: str, value, allowed: str):
+    def __init__(self, key: str, value: object, allowed: str):
         super().__init__(
             f"{one_line(key, LONGEST_VALUE)} = {one_line(value, LONGEST_VALUE)}: allowed is {allowed}"
         )
 
 
 class UnknownName(GpusimError):
-    """A name that is not in the list of names, with the nearest one suggested."""
+    """A name that is not known. The message suggests the nearest known one."""
 
-    def __init__(self, what: str, name: str, known):
+    def __init__(self, what: str, name: str, known: Iterable[str]):
         super().__init__(
             f"unknown {one_line(what, LONGEST_PATH)} {shown(name)}{near(name, sorted(known))}"
         )
 
 
 class BadFile(GpusimError):
-    """A file that is missing, truncated or does not hold what it should: ``path: what is wrong``."""
+    """A file that is missing, truncated or has wrong content: ``path: problem``."""
 
-    def __init__(self, path, problem: str):
+    def __init__(self, path: object, problem: str):
         super().__init__(f"{one_line(path, LONGEST_PATH)}: {problem}")
 
 
 class BadData(GpusimError):
-    """An array or a spectrum that cannot be simulated (NaN, negative radiance, unsorted wavelengths ...)."""
+    """An array or a spectrum that cannot be simulated (NaN, negative radiance, wrong order ...)."""
 
 
 class NotMet(GpusimError):
-    """A tolerance that the best affordable plan is not predicted to keep, where that is to be an error."""
+    """The best affordable plan is not predicted to keep a tolerance that must be kept."""
 
 
 class DoesNotFit(GpusimError):
-    """The estimated memory exceeds what the device has; raised before anything is allocated."""
+    """The estimated memory exceeds the memory of the device. Raised before any allocation."""
 
     def __init__(self, what: str, needed: int, available: int, where: str):
         super().__init__(
@@ -89,22 +96,25 @@ class DoesNotFit(GpusimError):
 
 
 class Conflict(GpusimError):
-    """An option that has no meaning beside the others: ``--strict: look --what mtf does not use it; leave it out``."""
+    """An option that conflicts with others.
+
+    Example: ``--strict: look --what mtf does not use it; leave it out``.
+    """
 
     def __init__(self, option: str, reason: str, remedy: str):
         super().__init__(f"{option}: {reason}; {remedy}")
 
 
 class Missing(GpusimError):
-    """A library that is not installed, which only some of the package needs, with the way to get it."""
+    """An optional library is not installed. The message says how to install it."""
 
 
 class DeviceError(GpusimError):
-    """A device that is missing, unusable or failed, with the reason the driver gave."""
+    """A device is missing, unusable or failed. The message repeats the reason from the driver."""
 
 
 class OutOfMemory(DeviceError):
-    """Memory that a driver refuses while a device is in use, though the estimate said that it would fit."""
+    """A driver refuses memory while a device is in use, although the estimate fitted."""
 
     def __init__(self, what: str, nbytes: int, where: str, available: int, reason: str):
         size = f" ({nbytes / 2**30:.3g} GiB)" if nbytes else ""
@@ -116,7 +126,7 @@ class OutOfMemory(DeviceError):
 
 
 def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -> int:
-    """Return a whole number of things as it is. Raises OutOfRange."""
+    """Return `value` as an int. Raise OutOfRange if it is no whole number in `least` .. `most`."""
     if (
         not isinstance(value, Integral)
         or isinstance(value, bool)
@@ -131,18 +141,21 @@ def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -
 
 
 def is_known(name, known) -> bool:
-    """Whether `name` is a string among the known ones; what is no string is not."""
+    """Return True if `name` is a string among the known ones."""
     return isinstance(name, str) and name in known
 
 
 def near(name: str, known) -> str:
-    """Hint at the known name nearest to `name`, or list all: "; did you mean 'x'?" or "; known: x, y"."""
+    """Return a hint: "; did you mean 'x'?" with the nearest known name, or "; known: x, y"."""
     nearest = difflib.get_close_matches(one_line(name)[:LONGEST_VALUE], known, n=1)
     return f"; did you mean {nearest[0]!r}?" if nearest else f"; known: {', '.join(known)}"
 
 
 def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
-    """Raise OutOfRange unless `good` holds for the field `key` of `part`, or it is None and that is its default."""
+    """Raise OutOfRange unless `good` holds for the field `key` of `part`.
+
+    None is accepted if it is the default of the field.
+    """
     value = getattr(part, key)
     if value is None and getattr(type(part), key, 0) is None:
         return

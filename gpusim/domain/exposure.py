@@ -1,4 +1,4 @@
-"""How long to expose: exposure values, automatic exposure, brackets."""
+"""Exposure: exposure values, automatic exposure, brackets."""
 
 from dataclasses import dataclass
 from math import floor, prod
@@ -6,49 +6,67 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 
 METHODS = ("highlights", "full", "percentile", "mean", "centre")
 LONGEST = 1e12  # [s]
-MOST_GAIN = 1e4  # analog gain beside the sensor's
+MOST_GAIN = 1e4  # largest analog gain on top of the sensor's own
 MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
-FILLED = 0.95  # of saturation: where a bright pixel is put by default
-HIGHLIGHTS = 0.001  # share of the pixels that may be highlights: one glint in 10,000 pixels, blurred over ten
-PLAIN = 1.5  # times the rest's brightest pixel, up to which a few pixels are a part of the picture: half a stop
-LAMPS = 100.0  # times the same, beyond which they are lamps in the dark
-CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
+FILLED = 0.95  # default level of a bright pixel, relative to saturation
+HIGHLIGHTS = 0.001  # share of pixels that may clip: one glint in 10,000, blurred over ten pixels
+# Ratio of the brightest pixel to the brightest of the rest:
+PLAIN = 1.5  # up to this ratio (half a stop) it is part of the picture
+LAMPS = 100.0  # above this ratio it is a lamp in the dark
+CENTRE = 0.2  # standard deviation of the centre weight, relative to height and width of the frame
 
 
-def exposure_value(f_number, exposure_time) -> Any:
-    """Exposure value [stop], EV = log2(N^2 / T), of f-number N [1] and exposure time T [s].
+def exposure_value(f_number: ArrayLike, exposure_time: ArrayLike) -> Any:
+    """Return the exposure value EV = log2(N^2 / T). Arrays broadcast.
 
-    Arrays broadcast. Source: Farrell and Wandell, Image Systems Simulation, section 5.7.
+    Args:
+        f_number: F-number N [1].
+        exposure_time: Exposure time T [s].
+
+    Returns:
+        Exposure value [stop], a NumPy scalar or array.
+
+    Source:
+        Farrell and Wandell, Image Systems Simulation, section 5.7.
     """
-    return np.log2(np.square(f_number) / exposure_time)
+    return np.log2(np.square(f_number) / np.asarray(exposure_time))
 
 
 def exposure_time(value, f_number):
-    """Exposure time [s] of an exposure value [stop] at f-number N, T = N^2 / 2^EV: the inverse of `exposure_value`."""
+    """Return the exposure time T = N^2 / 2^EV [s], the inverse of `exposure_value`.
+
+    Args:
+        value: Exposure value [stop].
+        f_number: F-number N [1].
+
+    Returns:
+        Exposure time [s].
+    """
     return np.square(f_number) / np.exp2(value)
 
 
 def checked_time(time: float | None) -> float | None:
-    """Return an exposure time [s], or None for the camera's own, as it is. Raises OutOfRange."""
+    """Return an exposure time [s], or None. Raise OutOfRange if it is not allowed."""
     if time is not None and not (isinstance(time, Real) and 0 < time <= LONGEST):
         raise OutOfRange("exposure_time", f"{time} s", f"0 < exposure_time <= {LONGEST:g} s")
     return time
 
 
 def checked_gain(gain: float) -> float:
-    """Return an analog gain beside the sensor's [1] as it is. Raises OutOfRange."""
+    """Return an analog gain [1]. Raise OutOfRange if it is not allowed."""
     if not (isinstance(gain, Real) and 0 < gain <= MOST_GAIN):
         raise OutOfRange("gain", gain, f"0 < gain <= {MOST_GAIN:g}")
     return gain
 
 
 def bracket_times(time: float, stops) -> np.ndarray:
-    """Exposure times [s] that are `stops` brighter than `time` [s], time 2^stops. Raises BadData, OutOfRange."""
+    """Return the exposure times `time` 2^stops [s]. Raise BadData or OutOfRange."""
     try:
         stops = np.atleast_1d(np.asarray(stops, np.float64))
     except (TypeError, ValueError):
@@ -65,43 +83,57 @@ def bracket_times(time: float, stops) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LightStatistics:
-    """Statistics of a frame's light, as `gpusim.kernels.sensor.meter` gives them.
+    """Statistics of the light in a frame, computed by `gpusim.kernels.sensor.meter`.
 
-    values: its result, for the weights and fractions of the AutoExposure that is to choose by it, shape (6 + 2 Q,).
-    pixels: how many it is of.
+    Attributes:
+        values: Result of the kernel for the weights and fractions of an AutoExposure, shape (6 + 2
+            Q,).
+        pixels: Number of pixels that were counted.
     """
 
     values: np.ndarray
     pixels: int
 
     def over(self, seconds: float) -> "LightStatistics":
-        """Those of electrons a second, from those of `seconds` [s]."""
+        """Return the statistics per second, if these are for an exposure of `seconds` [s]."""
         values = self.values.copy()
         scaled = np.arange(len(values)) != 4  # all but the count
         values[scaled] /= np.float32(seconds)
         return LightStatistics(values, self.pixels)
 
     def plus(self, rate: float) -> "LightStatistics":
-        """The same with `rate` [e- s-1] more in every pixel; of weights whose products add up to 1."""
+        """Return the statistics with `rate` [e- s-1] added to every pixel.
+
+        The products of the weights must add up to 1.
+        """
         values, more = self.values.copy(), np.float32(rate)
         mean, root, added = (float(value) for value in (values[1], values[2], more))
         values[2] = max(root**2 + 2 * mean * added + added**2, 0.0) ** 0.5
         values[[0, 1, 3, 5]] += more
-        values[6:] += more  # adding to what is sorted leaves it sorted
+        values[6:] += more  # order statistics stay sorted
         return LightStatistics(values, self.pixels)
 
 
 @dataclass(frozen=True)
 class AutoExposure:
-    """How an exposure time and an analog gain are chosen from the light.
+    """Rule that sets exposure time and analog gain from the light in the frame.
 
-    method: what is brought to `level` of saturation [1]: "highlights" the brightest pixel but for a thousandth of them,
-        see `without_highlights`; "full" the brightest pixel, so that nothing clips; "percentile" the `percentile`-th of
-        the pixels [%], so that a few lamps may clip; "mean" the average; "centre" the average weighted by a Gaussian
-        about the frame's middle.
-    level: by default 0.95 for a bright pixel, and for an average 0.95 x 18 %, so that white is at 0.95.
-    longest: exposure time at most [s], None: any. Where it is too short the analog gain is raised, up to most_gain [1].
-    Raises BadData, OutOfRange, UnknownName.
+    Args:
+        method: Signal that is brought to `level`. "highlights": the brightest pixel, except for a
+            thousandth of the pixels, see `without_highlights`. "full": the brightest pixel; nothing
+            clips. "percentile": the given percentile of the pixels; a few lamps may clip. "mean":
+            the average. "centre": the average weighted by a Gaussian about the centre of the frame.
+        level: Target, relative to saturation [1]. The default is 0.95 for a bright pixel, and 0.95
+            x 18 % for an average, which puts white at 0.95.
+        percentile: Percentile for method "percentile" [%].
+        longest: Longest exposure time [s], or None for no limit. If it is too short, the analog
+            gain rises up to most_gain.
+        most_gain: Largest analog gain [1].
+
+    Raises:
+        BadData: most_gain without longest.
+        OutOfRange: A number is outside its range.
+        UnknownName: The method is not known.
     """
 
     method: str = "highlights"
@@ -141,30 +173,38 @@ class AutoExposure:
         )
         if self.most_gain > 1 and self.longest is None:
             raise BadData(
-                f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
+                f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises if the "
                 "longest exposure time is too short; wanted both"
             )
 
     @property
     def averages(self) -> bool:
-        """Whether an average is brought to the level, and not a bright pixel."""
+        """True if the method brings an average to the level, False if a bright pixel."""
         return self.method in ("mean", "centre")
 
     @property
     def white(self) -> float:
-        """Where this metering puts a perfect white diffuser, or the brightest surface, over saturation [1], at most 1.
+        """Signal of a perfect white diffuser, or the brightest surface, over saturation [1].
 
-        A camera's picture has display white there, so that what it meters looks as it should at its own exposure and
-        too dark or too bright at another. "highlights", "full" and "percentile" bring a bright pixel to the level and
-        take it for white: level. "mean" and "centre" bring an average to it and take that for MIDDLE_GREY, the mean
-        reflectance of scenes: white, of reflectance 1, is then at level / MIDDLE_GREY, or beyond saturation. An average
-        is over all colours of the mosaic, so that the strongest, whose value counts, makes grey a little brighter than
-        that.
+        At most 1. Pictures of a camera have display white at this signal. The metered scene then
+        has its normal brightness at the metered exposure, and is darker or brighter at others.
+        "highlights", "full" and "percentile" bring a bright pixel to the level and take it as
+        white: the result is `level`. "mean" and "centre" bring an average to the level and take it
+        as MIDDLE_GREY, the mean reflectance of scenes: white, with reflectance 1, is at level /
+        MIDDLE_GREY, or saturated. The average includes all colours of the mosaic, while the
+        strongest channel defines white; grey therefore comes out slightly brighter.
         """
         return min(self.level / MIDDLE_GREY, 1.0) if self.averages else self.level
 
-    def signal(self, electron_rate) -> float:
-        """What is brought to the level [e- s-1], of electrons per second and pixel, shape (..., rows, cols)."""
+    def signal(self, electron_rate: ArrayLike) -> float:
+        """Return the signal that the method brings to the level.
+
+        Args:
+            electron_rate: Electrons per second of each pixel [e- s-1], shape (..., rows, cols).
+
+        Returns:
+            The signal [e- s-1].
+        """
         rate = np.asarray(electron_rate)
         if self.method == "full":
             return float(rate.max())
@@ -176,34 +216,49 @@ class AutoExposure:
             return without_highlights(
                 float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max())
             )
-        down, right = self._centred(rate.shape)
+        down, right = self._gaussians(rate.shape)
         return float(np.mean(down @ rate.astype(np.float64) @ right))
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Of the pixels, from the darkest on: the quantiles that are asked of `LightStatistics`."""
+        """Quantiles that `LightStatistics` must contain, as fractions of the pixels."""
         return {"percentile": (self.percentile / 100,), "highlights": (1 - HIGHLIGHTS,)}.get(
             self.method, ()
         )
 
-    def weights(self, shape) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the "centre" along both axes of a frame of shape (..., rows, cols); their products add up to 1.
+    def weights(self, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the weights of method "centre" along both axes; their products add up to 1.
 
-        Shapes (layers rows,) and (cols,): the frame's layers lie one below the other.
+        Args:
+            shape: Shape of the frame, (..., rows, cols). Layers are stacked along the rows.
+
+        Returns:
+            Weights of rows, shape (layers rows,), and of columns, shape (cols,).
         """
-        down, right = self._centred(shape)
+        down, right = self._gaussians(shape)
         layers = prod(shape[:-2])
         return np.tile(down / layers, layers), right
 
     @staticmethod
-    def _centred(shape):
+    def _gaussians(shape):
+        """Return Gaussian weights of sum 1 along rows and columns."""
         weights = [
             np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]
         ]
         return [weight / weight.sum() for weight in weights]
 
     def signal_of(self, statistics: LightStatistics) -> float:
-        """The same as `signal` of the statistics of the pixels. Raises BadData for light that is not finite."""
+        """Return the same as `signal`, from the statistics of the pixels.
+
+        Args:
+            statistics: Statistics of electrons per second, with the quantiles `fractions`.
+
+        Returns:
+            The signal [e- s-1].
+
+        Raises:
+            BadData: The light is not finite.
+        """
         highest, mean, _, centre, missing, _, *pair = statistics.values
         if missing:
             raise BadData(
@@ -221,18 +276,30 @@ class AutoExposure:
             )
         return float({"full": highest, "mean": mean, "centre": centre}[self.method])
 
-    def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
-        """Exposure time [s] and analog gain [1].
+    def choose(
+        self, electron_rate: ArrayLike | LightStatistics, saturation: float
+    ) -> tuple[float, float]:
+        """Choose exposure time and analog gain.
 
-        electron_rate: mean electrons per second of every pixel, of light and dark current [e- s-1], shape (..., rows,
-            cols); or their LightStatistics.
-        saturation: electrons at which a pixel stops counting at an analog gain of 1 [e-] (`Sensor.saturation`).
-        Raises BadData when there is no light to expose for or some that is not finite, OutOfRange.
+        Args:
+            electron_rate: Mean electrons per second of each pixel, from light and dark current [e-
+                s-1], shape (..., rows, cols), or their LightStatistics.
+            saturation: Electrons at which a pixel saturates with an analog gain of 1 [e-]
+                (`Sensor.saturation`).
+
+        Returns:
+            Exposure time [s] and analog gain [1].
+
+        Raises:
+            BadData: The scene is dark, or its light is not finite.
+            OutOfRange: The saturation is not positive and finite.
         """
         if not 0 < saturation < np.inf:
             raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
-        metered = isinstance(electron_rate, LightStatistics)
-        rate = self.signal_of(electron_rate) if metered else self.signal(electron_rate)
+        if isinstance(electron_rate, LightStatistics):
+            rate = self.signal_of(electron_rate)
+        else:
+            rate = self.signal(electron_rate)
         if not 0 < rate < np.inf:
             raise BadData(
                 f"automatic exposure: the {self.method} signal is {rate:.4g} e-/s; a dark scene needs "
@@ -245,12 +312,19 @@ class AutoExposure:
 
 
 def without_highlights(rest: float, brightest: float) -> float:
-    """Return the light that "highlights" brings to the level, from the brightest pixel and the brightest of the rest.
+    """Return the signal that "highlights" brings to the level.
 
-    rest: the quantile below which all but HIGHLIGHTS of the pixels lie. Up to PLAIN times as much, the brightest pixel
-    counts, and nothing clips. Brighter ones are glints or lamps in a picture: the rest counts, and they clip. From
-    LAMPS times on they are the picture, as stars are, and from LAMPS^2 times on the brightest counts again. The result
-    is continuous in the ratio of the two.
+    The brightest pixel counts up to PLAIN times the rest: nothing clips. Above that it is a glint
+    or a lamp in a picture: the rest counts and the glint clips. From LAMPS times on, bright pixels
+    are the picture (stars, for example), and from LAMPS^2 times on the brightest pixel counts
+    again. The result is continuous in the ratio of the two.
+
+    Args:
+        rest: Quantile that exceeds all but HIGHLIGHTS of the pixels.
+        brightest: The brightest pixel.
+
+    Returns:
+        The signal, in the unit of the arguments.
     """
     if not PLAIN * rest < brightest < LAMPS**2 * rest:
         return brightest
@@ -261,9 +335,21 @@ def without_highlights(rest: float, brightest: float) -> float:
 def auto_exposure(
     electron_rate, saturation: float, level: float | None = None, method: str = "full"
 ) -> float:
-    """Exposure time [s] at which the signal that `method` of `AutoExposure` names reaches `level` of saturation.
+    """Return the exposure time at which the signal of a method reaches `level` of saturation.
 
-    Arguments, returns and raises as there.
+    Args:
+        electron_rate: See `AutoExposure.choose`.
+        saturation: See `AutoExposure.choose`.
+        level: See `AutoExposure`; None: its default.
+        method: See `AutoExposure`.
+
+    Returns:
+        Exposure time [s].
+
+    Raises:
+        BadData: See `AutoExposure.choose`.
+        OutOfRange: See `AutoExposure` and `AutoExposure.choose`.
+        UnknownName: The method is not known.
     """
     automatic = AutoExposure(method) if level is None else AutoExposure(method, level)
     return automatic.choose(np.atleast_2d(electron_rate), saturation)[0]

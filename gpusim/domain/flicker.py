@@ -1,10 +1,11 @@
-"""Light that flickers: lamps on the mains, and dimmed ones that are switched."""
+"""Flickering light: lamps on mains power, and dimmed lamps that are switched."""
 
 from dataclasses import dataclass, replace
 from math import inf, pi
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import OutOfRange, shown
 
@@ -13,12 +14,20 @@ FASTEST = 1e7  # [Hz]
 
 @dataclass(frozen=True)
 class Flicker:
-    """Brightness of all light over time, 1 in the mean.
+    """Relative brightness of all light over time, with mean 1.
 
-    frequency: of the light [Hz]: twice that of the mains. depth: of a sinusoid, (most - least) / (most + least).
-    duty: part of the time in which switched light is on, in place of a sinusoid; None: a sinusoid. phase: part of a
-    period that has gone by at time 0: a sinusoid is brightest, switched light goes on, at phase 0.
-    Source: IEEE Std 1789-2015 for the words. Raises OutOfRange.
+    Args:
+        frequency: Frequency of the light [Hz], twice the mains frequency.
+        depth: Modulation of a sinusoid, (max - min) / (max + min) [1].
+        duty: Fraction of the period in which switched light is on, or None for a sinusoid.
+        phase: Fraction of a period that has passed at time 0. At phase 0 a sinusoid is brightest,
+            and switched light turns on.
+
+    Raises:
+        OutOfRange: A number is outside its range.
+
+    Source:
+        IEEE Std 1789-2015 for the terms.
     """
 
     frequency: float
@@ -45,11 +54,25 @@ class Flicker:
             raise OutOfRange("flicker.duty", self.duty, "0 < duty <= 1")
 
     def since(self, start: float) -> "Flicker":
-        """The same on a clock that is at 0 at a time [s] of this one."""
+        """Return the flicker on a clock that starts later.
+
+        Args:
+            start: Time at which the new clock is at 0 [s].
+
+        Returns:
+            The same light with another phase.
+        """
         return replace(self, phase=(self.phase + self.frequency * start) % 1)
 
-    def integrals(self, times) -> tuple[np.ndarray, np.ndarray]:
-        """Of the brightness, and of the brightness times the time, from 0 to the times [s]: shape of the times each."""
+    def integrals(self, times: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Integrate the brightness, and the brightness times the time, from 0 on.
+
+        Args:
+            times: Upper ends of the integrals [s].
+
+        Returns:
+            Both integrals [s] and [s^2], each in the shape of `times`.
+        """
         times = np.asarray(times, np.float64)
         if self.duty is None:
             turn = 2 * pi * self.frequency
@@ -60,16 +83,19 @@ class Flicker:
         begun = self.phase / self.frequency  # the phase moves the time
         whole, moment = (
             now - then
-            for now, then in zip(self._switched(times + begun), self._switched(begun), strict=True)
+            for now, then in zip(
+                self._integrate_pulses(times + begun),
+                self._integrate_pulses(begun),
+                strict=True,
+            )
         )
         return whole, moment - whole * begun
 
-    def _switched(self, times):
-        """The same of light that goes on at time 0."""
+    def _integrate_pulses(self, times):
+        """Return both integrals for switched light that turns on at time 0."""
         periods = np.floor(times * self.frequency)
-        part = np.clip(
-            times * self.frequency - periods, 0, self.duty
-        )  # of this period in which it was on
+        # part of this period in which it was on
+        part = np.clip(times * self.frequency - periods, 0, self.duty)
         whole = (periods + part / self.duty) / self.frequency
         moment = (
             periods * (periods - 1) / 2

@@ -1,35 +1,46 @@
-"""Arrays of other libraries: what they say of themselves, and how the host reads them.
+"""Arrays of other libraries: their shape and type, and how the host reads them.
 
-Protocols: DLPack (https://dmlc.github.io/dlpack, the Python specification), the CUDA array interface (Numba's manual,
-version 3), and NumPy's own `__array__` and `__array_interface__`.
+Protocols: DLPack (https://dmlc.github.io/dlpack, the Python specification), the CUDA array
+interface (Numba manual, version 3), and NumPy's `__array__` and `__array_interface__`.
 """
 
 import numpy as np
 
 from gpusim.domain.errors import BadData
 
-READ_BY_HOST = (
-    1,
-    3,
-    11,
-    13,
-)  # DLPack's kinds of memory: the host's own, pinned for CUDA or ROCm, managed by CUDA
-CPU, CUDA = (1, 0), (2, 13)  # the host's own as a DLPack device; kinds that CUDA reads
+# Kinds of memory by DLPack: host memory, pinned for CUDA or ROCm, managed by CUDA.
+READ_BY_HOST = (1, 3, 11, 13)
+CPU, CUDA = (1, 0), (2, 13)  # host memory as a DLPack device; kinds that CUDA reads
 NUMPYS = ("__array__", "__array_interface__", "__array_struct__")
 
 
 class Described:
-    """An array in CUDA memory that says its shape and type by the CUDA array interface alone."""
+    """An array in CUDA memory that has only the CUDA array interface, with `shape` and `dtype`.
+
+    Args:
+        source: The array. It is kept alive because it owns the memory.
+    """
 
     def __init__(self, source):
-        self.source = source  # its memory must live as long
+        self.source = source  # owns the memory
         self.__cuda_array_interface__ = source.__cuda_array_interface__
         self.shape = tuple(self.__cuda_array_interface__["shape"])
         self.dtype = np.dtype(self.__cuda_array_interface__["typestr"])
 
 
 def described(values, what: str):
-    """The array itself where it has `shape` and `dtype`; else what has them, of the same memory. Raises BadData."""
+    """Return an array with `shape` and `dtype`: the value itself, or a view of its memory.
+
+    Args:
+        values: An array of any library.
+        what: Name of the array in messages.
+
+    Returns:
+        An array with `shape` and `dtype`.
+
+    Raises:
+        BadData: The value is no array.
+    """
     if hasattr(values, "shape") and hasattr(values, "dtype"):
         return values
     if hasattr(values, "__cuda_array_interface__"):
@@ -43,14 +54,14 @@ def described(values, what: str):
 
 
 def is_array(values) -> bool:
-    """Whether a value is an array of NumPy or of another library."""
+    """Return True for an array of NumPy or of another library."""
     return hasattr(values, "dtype") or any(
         hasattr(values, name) for name in ("__cuda_array_interface__", "__dlpack_device__", *NUMPYS)
     )
 
 
 def type_of(values) -> np.dtype | None:
-    """Type of an array's values; None where NumPy has none of that name."""
+    """Return the NumPy type of an array's values, or None if NumPy has no type of that name."""
     kind = values.dtype
     if isinstance(kind, np.dtype):
         return kind
@@ -63,24 +74,34 @@ def type_of(values) -> np.dtype | None:
 
 
 def name_of(values) -> str:
-    """What an array is called in messages."""
+    """Return the library and class of an array, for messages."""
     return f"{type(values).__module__.partition('.')[0]}.{type(values).__name__}"
 
 
 def dlpack_kind(values) -> int | None:
-    """DLPack's kind of the memory that an array is in; None where it says nothing, or not by DLPack."""
+    """Return DLPack's kind of memory of an array, or None without a usable DLPack protocol."""
     if not hasattr(values, "__dlpack__"):
         return None
     try:
         return int(values.__dlpack_device__()[0])
-    except Exception:  # by any library for any cause; the array may have another protocol
+    except Exception:  # any library, any cause; the array may have another protocol
         return None
 
 
 def to_host(values, reader: str) -> np.ndarray:
-    """Values in host memory: a view where they are there, else a copy. What is no array NumPy makes one of.
+    """Return values in host memory, a view if they are there, otherwise a copy.
 
-    reader: who asks, for messages. Raises BadData for memory that cannot be read.
+    Values that are no array go through `np.asarray`.
+
+    Args:
+        values: Array of any library, or numbers.
+        reader: Name of the caller for messages.
+
+    Returns:
+        A NumPy array.
+
+    Raises:
+        BadData: The memory cannot be read.
     """
     if isinstance(values, np.ndarray):
         return values
@@ -92,9 +113,8 @@ def to_host(values, reader: str) -> np.ndarray:
                 if kind in READ_BY_HOST
                 else np.from_dlpack(values, device="cpu")
             )
-        except (
-            Exception
-        ) as error:  # of any class by library: a tensor with a gradient, no copies by DLPack
+        # the class depends on the library: a tensor with a gradient, no copies by DLPack
+        except Exception as error:
             cause = error
     protocols = kind is not None or hasattr(values, "__cuda_array_interface__")
     if not protocols or any(hasattr(values, name) for name in NUMPYS):

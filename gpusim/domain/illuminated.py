@@ -1,8 +1,8 @@
-"""Surfaces in light that varies over the scene, the two kept apart: Farrell & Wandell, Figure 4."""
+"""Surfaces in light that varies over the scene, stored separately: Farrell & Wandell, Figure 4."""
 
 from dataclasses import dataclass
 from math import prod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,11 +12,17 @@ from gpusim.domain.errors import BadData
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Illuminated(Content):
-    """Surfaces in several lights: pixel spectrum = sum_k maps[k] lights[k] sum_j coefficients[j] basis[j].
+    """Surfaces in several lights, each with a map of its strength.
 
-    maps (K, rows, cols) float32: how strong each light is at each sample. coefficients (J, rows, cols) float32 or
-    float16 and basis (J, L): the surfaces, as of a Basis. lights (K, L): spectra relative to the scene's illuminant.
-    Its entries are all pairs of a light and a surface, light by light: a device makes and keeps K J planes.
+    Spectrum of a pixel = sum_k maps[k] lights[k] sum_j coefficients[j] basis[j]. The entries are
+    all pairs of a light and a surface, light by light. A device computes and stores K J planes.
+
+    Args:
+        wavelengths: Wavelengths [nm], shape (L,).
+        maps: Strength of each light at each sample, float32, shape (K, rows, cols).
+        coefficients: Weights of the surface basis, float32 or float16, shape (J, rows, cols).
+        basis: Reflectance basis, shape (J, L).
+        lights: Spectra relative to the illuminant of the scene, shape (K, L).
     """
 
     maps: np.ndarray
@@ -28,63 +34,72 @@ class Illuminated(Content):
     shared: ClassVar[tuple[str, ...]] = ("basis", "lights")
 
     @property
-    def surfaces(self):
+    def surfaces(self) -> Basis:
+        """The surfaces without the light."""
         return Basis(self.wavelengths, self.coefficients, self.basis)
 
     @property
-    def planes(self):
+    def planes(self) -> np.ndarray:
+        """Products of maps and coefficients, shape (K J, rows, cols)."""
         products = np.asarray(self.maps, np.float32)[:, None] * self.coefficients
         return products.reshape(len(self.maps) * len(self.coefficients), *products.shape[2:])
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of samples."""
         rows, cols = self.coefficients.shape[-2:]
         return rows, cols
 
     @property
-    def entry_spectra(self):
+    def entry_spectra(self) -> np.ndarray:
+        """Products of light and basis spectra, float64, shape (K J, L)."""
         products = np.asarray(self.lights, np.float64)[:, None] * np.asarray(self.basis, np.float64)
         return products.reshape(-1, len(self.wavelengths))
 
     @property
-    def nbytes(self):
-        return super().nbytes + 4 * len(self.lights) * prod(
-            self.coefficients.shape
-        )  # and the products
+    def nbytes(self) -> int:
+        """Memory of the samples and their products on a device [byte]."""
+        return super().nbytes + 4 * len(self.lights) * prod(self.coefficients.shape)
 
-    def stored_type(self, name):
+    def stored_type(self, name: str) -> np.dtype:
         return super().stored_type(name) if name == "coefficients" else np.dtype(np.float32)
 
-    def with_planes(self, planes):
+    def with_planes(self, planes: Any) -> Basis:
         return Basis(self.wavelengths, planes, self.entry_spectra)
 
-    def mixed(self, rates, rows=slice(None)):
+    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         return self._sum(rates, (rows,))
 
-    def weighted(self, weights, window=(slice(None), slice(None))):
+    def weighted(
+        self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
+    ) -> np.ndarray:
         return self._sum(weights @ self.entry_spectra.T, window)
 
-    def brightness(self, total):
+    def brightness(self, total: np.ndarray) -> np.ndarray:
         return self._sum((self.entry_spectra @ total).astype(np.float32)[None], ())[0]
 
-    def points(self, rows, cols):
+    def points(
+        self, rows: np.ndarray, cols: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         spectra = self.take(rows, cols).planes.T.astype(np.float64) @ self.entry_spectra
         return spectra, np.arange(len(rows)), np.ones(len(rows))
 
     def _sum(self, rates, window):
-        """What samples give where one unit of each entry gives `rates` (C, entries), light by light."""
+        """Return channel values of the samples, summed over lights.
+
+        rates: response to one unit of each entry, shape (C, entries).
+        """
         coefficients = self.coefficients[:, *window].astype(rates.dtype, copy=False)
         return sum(
             light[window] * np.tensordot(rate, coefficients, 1)
             for light, rate in zip(self.maps, np.split(rates, len(self.maps), axis=1), strict=True)
         )
 
-    def check(self, name):
+    def check(self, name: str) -> None:
         self._check_arrays(name)
         self.surfaces.check(name)
-        if not np.isfinite(
-            self.lights
-        ).all():  # splines of lines undershoot a little: they may be negative
+        # splines of spectral lines undershoot slightly: negative values are accepted
+        if not np.isfinite(self.lights).all():
             raise BadData(f"{name}: NaN or infinite lights")
         if is_seen(self.maps) and not (np.isfinite(self.maps).all() and self.maps.min() >= 0):
             raise BadData(
@@ -106,9 +121,18 @@ class Illuminated(Content):
 
 
 def surfaces_of(content: Content) -> Basis:
-    """The same surfaces as a Basis: of a cube its wavelengths, of materials as few spectra as span theirs.
+    """Return the surfaces of any content as a Basis.
 
-    Raises BadData where samples that are elsewhere cannot be read.
+    For a cube the basis is its wavelengths; for materials it is the smallest basis that spans them.
+
+    Args:
+        content: Content of any form.
+
+    Returns:
+        The surfaces.
+
+    Raises:
+        BadData: Samples in other memory cannot be read.
     """
     content = content.on_host()
     if isinstance(content, Illuminated):
@@ -124,7 +148,16 @@ def surfaces_of(content: Content) -> Basis:
 
 
 def spline(wavelengths, values, others) -> np.ndarray:
-    """Values (N, L) at wavelengths [nm], at others, by the spline that spectra of surfaces are integrated with."""
+    """Interpolate with the spline that also integrates spectra of surfaces.
+
+    Args:
+        wavelengths: Nodes [nm], shape (L,).
+        values: Values at the nodes, shape (N, L).
+        others: Wavelengths to interpolate at [nm], shape (M,).
+
+    Returns:
+        Interpolated values, shape (N, M).
+    """
     from scipy.interpolate import CubicSpline
 
     ends = "not-a-knot" if len(wavelengths) > 3 else "natural"

@@ -1,41 +1,49 @@
-"""What a window and a notebook show of an object: its plot and its picture or table, which `gpusim.plot` makes.
+"""Display of objects in windows and notebooks, through `gpusim.plot`.
 
-That package is above all that it plots, and needs matplotlib, so `gpusim` hands in how to load it.
+`gpusim.plot` imports the domain and needs matplotlib. `gpusim` therefore sets `load`, which imports
+it when needed.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-load: Callable[[], Any] | None = None  # gives `gpusim.plot.notebook`
+load: Callable[[], Any] | None = None  # returns the module `gpusim.plot.notebook`
 
 
 class Shown:
-    """An object that can be plotted in one call."""
+    """An object that can be plotted with one call."""
 
     def show(self) -> Any:
-        """Its plot in a window or below a notebook's cell; returns the figure of matplotlib.
+        """Plot the object in a window, or below the cell of a notebook.
 
-        Of a frame the picture, of a scene its radiance and the spectra of pixels that are clicked, of a camera quantum
-        efficiency, point spread, MTF and SNR, of a report the bars of times and errors: see `gpusim.plot`. Raises
-        GpusimError: without matplotlib, or where there is no window to open.
+        A frame shows its picture; a scene its radiance and the spectra of clicked pixels; a camera
+        its quantum efficiency, point spread, MTF and SNR; a report bars of times and errors. See
+        `gpusim.plot`.
+
+        Returns:
+            The matplotlib figure.
+
+        Raises:
+            GpusimError: Matplotlib is missing, or no window can be opened.
         """
-        return _above().show(self)
+        return _notebook().show(self)
 
 
 class Pictured(Shown):
     """An object that notebooks show as a picture."""
 
     def _repr_png_(self) -> bytes | None:
-        return _above().png(self)
+        return _notebook().png(self)
 
 
 class Tabled(Shown):
     """An object that notebooks show as a table."""
 
     def _repr_html_(self) -> str:
-        return _above().html(self)
+        return _notebook().html(self)
 
 
-def _above() -> Any:
+def _notebook() -> Any:
+    """Return the module `gpusim.plot.notebook`."""
     assert load is not None  # `gpusim` has set it
     return load()

@@ -1,8 +1,12 @@
-"""Learned linear filters: a table that turns the mosaic of one kind of sensor into wanted planes.
+"""Learned linear filters: a table that turns the mosaic of one kind of sensor into colour planes.
 
-Words used here and where tables are made and used. Code: what the filters work on, the signal above black or (domain
-"root") its square root. Position: place of a pixel in the period of its mosaic. Contrast: how much codes change along
-rows and columns. Class: contrast along rows against that along columns, and their sum. Level: local mean of the codes.
+Terms used here and in the modules that make and use tables:
+
+- Code: input of the filters, the signal above black or (domain "root") its square root.
+- Position: place of a pixel in the period of its mosaic.
+- Contrast: amount by which codes change along rows and along columns.
+- Class: ratio of the contrasts along rows and columns, and their sum.
+- Level: local mean of the codes.
 """
 
 from dataclasses import dataclass, field
@@ -15,25 +19,35 @@ from gpusim.domain.short_repr import brief
 DOMAINS = ("root", "linear")
 XYZ = ("X", "Y", "Z")
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
-GRAIN = 4096  # of roots: sums of a few are exact in float32, in whatever order
-LARGEST_WEIGHT = 8  # sum of a contrast's absolute weights: contrasts of codes below 512 are exact in float32 then
-LARGEST_SUM = (
-    256  # of the contrast's weights times the box's pixels: sums of 18-bit codes stay below 2^26
-)
+GRAIN = 4096  # roots are multiples of 1 / GRAIN: float32 sums of a few are exact in any order
+# Largest sum of absolute contrast weights: contrasts of codes below 512 are exact in float32.
+LARGEST_WEIGHT = 8
+# Largest product of contrast weights and box pixels: sums of 18-bit codes stay below 2^26.
+LARGEST_SUM = 256
 
 
 @dataclass(frozen=True)
 class Code:
-    """How digital numbers of one frame become codes, and back.
+    """Conversion of the digital numbers of one frame to codes, and back.
 
-    domain: "linear": code = DN - black_level; "root": sgn(y) sqrt|y| - sqrt(o), y = DN - black_level + o, where
-        o = 3/8 gain + read^2 / gain makes the noise equally strong everywhere, sqrt(gain) / 2 (Anscombe 1948,
-        Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995, Astron. Astrophys. Suppl. 112, 179).
-    black_level [DN]. scale: 1 / (white - black_level) [1/DN].
-    noise: (gain [DN/e-], read [DN]): variance gain (DN - black_level) + read^2 [DN^2]; (0, 0) is no noise.
-    balance: (red, blue): what red and blue signals are multiplied by so that white is as strong in them as in green.
-        "root" alone: their codes, noise included, are larger by its root (see `factors`).
-    Raises OutOfRange, UnknownName.
+    Args:
+        domain: "linear": code = DN - black_level. "root": sgn(y) sqrt|y| - sqrt(o) with y = DN -
+            black_level + o and o = 3/8 gain + read^2 / gain, which makes the noise equal
+            everywhere, sqrt(gain) / 2.
+        black_level: Digital number of a dark pixel [DN].
+        scale: 1 / (white - black_level) [1/DN].
+        noise: Gain [DN/e-] and read noise [DN] of the variance gain (DN - black_level) + read^2
+            [DN^2]; (0, 0) for no noise.
+        balance: Factors on red and blue signals that make white as strong in them as in green. For
+            "root" only: codes, noise included, grow by the square root (see `factors`).
+
+    Raises:
+        OutOfRange: A number is outside its range.
+        UnknownName: The domain is not known.
+
+    Source:
+        Anscombe 1948, Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995,
+        Astron. Astrophys. Suppl. 112, 179.
     """
 
     domain: str
@@ -65,13 +79,13 @@ class Code:
 
     @property
     def offset(self) -> float:
-        """o, what is added before the root is taken [DN]."""
+        """Offset o that is added before the root is taken [DN]."""
         gain, read = self.noise
         return 0.375 * gain + read**2 / gain if self.domain == "root" and gain else 0.0
 
     @property
     def factors(self) -> dict[str, float]:
-        """What codes of red, green and blue are multiplied by; the largest is 1, so that sums of codes stay exact."""
+        """Factors on codes of red, green and blue; the largest is 1: sums of codes stay exact."""
         red, blue = np.sqrt(self.balance)
         most = max(red, blue, 1.0)
         return {
@@ -86,9 +100,9 @@ class Code:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the code relative to white; "linear": where the signal is a quarter of white.
+        """Standard deviation of the code relative to white; for "linear" at a quarter of white.
 
-        Of unlike channels, in the square mean over the pixels of a Bayer mosaic.
+        If channels differ, it is the root mean square over the pixels of a Bayer mosaic.
         """
         gain, read = self.noise
         gain = gain * (2 + sum(self.balance)) / 4 * self.factors["G"] ** 2
@@ -100,7 +114,7 @@ class Code:
         return float(deviation / self.white)
 
     def encode(self, signal):
-        """Code of a signal above black [DN]."""
+        """Return the code of a signal above black [DN]."""
         signal = np.asarray(signal, np.float64)
         if self.domain == "linear":
             return signal
@@ -109,9 +123,10 @@ class Code:
         )
 
     def measured(self, raw, factors=1.0):
-        """Codes of digital numbers as all devices compute them: roots by float32, to a multiple of 1 / GRAIN.
+        """Return codes of digital numbers exactly as devices compute them.
 
-        factors: of their pixels, see `factors`.
+        Roots are computed in float32 and rounded to multiples of 1 / GRAIN. factors: factor of each
+        pixel, see `factors`.
         """
         if self.domain == "linear":
             return np.asarray(raw, np.float64) - self.black_level
@@ -120,7 +135,7 @@ class Code:
         return np.floor(np.float64(code * np.float32(factors)) * GRAIN + 0.5) / GRAIN
 
     def decode(self, code):
-        """Signal above black [DN] of a code."""
+        """Return the signal above black [DN] of a code."""
         if self.domain == "linear":
             return code
         root = code + np.sqrt(self.offset)
@@ -129,28 +144,42 @@ class Code:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything that decides which pixels a filter sees and which filter a pixel takes; lengths in pixels.
+    """Everything that selects the pixels of a filter and the filter of a pixel; lengths in pixels.
 
-    mosaic: one period of the colour filter array, a text per row, a letter per channel, at most 8 x 8.
-    outputs: names of the planes that come out, such as ("R", "G", "B") or ("X", "Y", "Z").
-    domain: "root" or "linear", what the table was made for.
-    taps: rows and columns from the pixel to each sample that a filter sees, shape (T, 2).
-    groups: which weight each tap takes, shape (T,), all of 0 .. G - 1: taps of one group are summed first.
-    contrast: whole weights of 2 r + 1 pixels along columns (dy = -r .. r) and the same along rows, each of them zero
-        in sum over the pixels of one colour, so that flat fields have no contrast.
-    detail: the same of a second kind, with the same sum of absolute weights; the ratio of contrast to detail tells, if
-        contrast is that of colour differences and detail that of samples, whether the colours change together.
-    box: contrast, detail and level are means over (2 box + 1)^2 pixels.
-    ratios: eighths; a pixel is in direction d > 0 if its contrast along rows exceeds d of ratios / 8 times that along
-        columns, -d the other way round, shape (D,), above 8, increasing.
-    shares: eighths, bounds of contrast / detail, each the smaller of that along rows and columns, shape (E,),
-        increasing.
-    noise: standard deviations of the code, relative to white, that the table has filters for, shape (N,), increasing.
-    floor: mean contrast that is added to both sides of such comparisons, relative to white, shape (N,).
-    strengths: bounds of the mean of both contrasts, relative to white, shape (N, S), increasing.
-    levels: codes, relative to white, that the table has filters for, shape (L,), increasing.
-    There are K = (2 D + 1)(S + 1)(E + 1) classes: number ((direction + D)(S + 1) + strength)(E + 1) + share.
-    Raises BadData, OutOfRange, UnknownName.
+    There are K = (2 D + 1)(S + 1)(E + 1) classes: number ((direction + D)(S + 1) + strength)(E + 1)
+    + share.
+
+    Args:
+        mosaic: One period of the colour filter array, a string per row, a letter per channel, at
+            most 8 x 8.
+        outputs: Names of the output planes, for example ("R", "G", "B") or ("X", "Y", "Z").
+        domain: "root" or "linear", the domain that the table was made for.
+        taps: Rows and columns from the pixel to each sample that a filter uses, shape (T, 2).
+        groups: Index of the weight of each tap, shape (T,), using all of 0 .. G - 1. Taps of one
+            group are summed first.
+        contrast: Integer weights of 2 r + 1 pixels along columns (dy = -r .. r), and the same along
+            rows. Each set sums to zero over the pixels of one colour: flat fields have no contrast.
+        box: Contrast, detail and level are means over (2 box + 1)^2 pixels.
+        ratios: Bounds of direction [1/8], shape (D,), above 8, increasing. A pixel has direction d
+            > 0 if its contrast along rows exceeds d of the bounds ratios / 8 times the contrast
+            along columns, and -d in the opposite case.
+        noise: Standard deviations of the code, relative to white, for which the table has filters,
+            shape (N,), increasing.
+        floor: Mean contrast that is added to both sides of these comparisons, relative to white,
+            shape (N,).
+        strengths: Bounds of the mean of both contrasts, relative to white, shape (N, S),
+            increasing.
+        levels: Codes, relative to white, for which the table has filters, shape (L,), increasing.
+        detail: Weights of a second kind, with the same sum of absolute weights. If contrast
+            measures colour differences and detail measures samples, their ratio shows whether the
+            colours change together.
+        shares: Bounds of contrast / detail [1/8], shape (E,), increasing. Each of the two is the
+            smaller one of rows and columns.
+
+    Raises:
+        BadData: Shapes or weights do not fit.
+        OutOfRange: Ratios or shares are outside their range.
+        UnknownName: The domain is not known.
     """
 
     mosaic: tuple[str, ...]
@@ -217,7 +246,7 @@ class Layout:
         if not 0 < len(self.outputs) <= 8 or len(set(self.outputs)) != len(self.outputs):
             raise BadData(f"outputs {self.outputs}: wanted 1 to 8 different names")
         if self.detail is None and len(self.shares):
-            raise BadData("shares: contrast is compared with detail, and there is none")
+            raise BadData("shares: they compare contrast with detail, which is None")
         for name, axes in (("contrast", self.contrast), ("detail", self.detail or ())):
             for axis, period in zip(axes, self.period, strict=bool(axes)):
                 if (
@@ -261,12 +290,12 @@ class Layout:
 
     @property
     def period(self) -> tuple[int, int]:
-        """Rows and columns of the mosaic's period."""
+        """Rows and columns of the period of the mosaic."""
         return len(self.mosaic), len(self.mosaic[0]) if self.mosaic else 0
 
     @property
     def positions(self) -> int:
-        """P, pixels of a period, numbered row by row."""
+        """Number P of pixels in a period, numbered row by row."""
         return self.period[0] * self.period[1]
 
     @property
@@ -276,12 +305,12 @@ class Layout:
 
     @property
     def gives_xyz(self) -> bool:
-        """Whether filters give CIE XYZ of surfaces in the target light, and not channels of the camera."""
+        """True if filters return CIE XYZ of surfaces in the target light, not camera channels."""
         return self.outputs == XYZ
 
     @property
     def alike(self) -> bool:
-        """Whether rows and columns are treated alike."""
+        """True if rows and columns are treated equally."""
         return (
             self.period[0] == self.period[1]
             and np.array_equal(*self.contrast)
@@ -290,17 +319,17 @@ class Layout:
 
     @property
     def weight(self) -> int:
-        """Sum of the absolute weights of a contrast; half of it for a contrast of 1."""
+        """Sum of the absolute weights of a contrast; half of it corresponds to a contrast of 1."""
         return int(abs(self.contrast[0]).sum())
 
     @property
     def classes(self) -> int:
-        """K, directions times strengths times shares."""
+        """Number K of classes: directions times strengths times shares."""
         return (2 * len(self.ratios) + 1) * self.kinds
 
     @property
     def kinds(self) -> int:
-        """Classes of one direction."""
+        """Number of classes of one direction."""
         return (self.strengths.shape[1] + 1) * (len(self.shares) + 1)
 
     @property
@@ -316,9 +345,16 @@ class Layout:
         )
 
     def shift(self, mosaic) -> tuple[int, int]:
-        """Row and column of the table's period at which a sensor's mosaic begins; a Bayer one may be named "RGGB".
+        """Find the row and column of the table's period at which the mosaic of a sensor begins.
 
-        Raises UnknownName if the table is for another mosaic.
+        Args:
+            mosaic: Rows of letters, or four letters of a Bayer mosaic like "RGGB".
+
+        Returns:
+            Row and column.
+
+        Raises:
+            UnknownName: The table is for another mosaic.
         """
         texts = (
             (mosaic[:2], mosaic[2:])
@@ -345,10 +381,15 @@ class Layout:
 class FilterTable:
     """Linear filters of every noise level, level, position, class and output.
 
-    filters: weights of the groups' sums, shape `layout.shape` (N, L, P, K, outputs, G), kept as float32.
-    offsets: what is added, relative to white, shape (N, L, P, K, outputs), or None for nothing.
-    provenance: what the table was made from and how.
-    Raises BadData.
+    Args:
+        layout: The layout.
+        filters: Weights of the sums of groups, float32, shape `layout.shape` (N, L, P, K, outputs,
+            G).
+        offsets: Values to add, relative to white, shape (N, L, P, K, outputs), or None for zero.
+        provenance: Source of the table.
+
+    Raises:
+        BadData: A shape is wrong, or a value is not finite.
     """
 
     layout: Layout
@@ -371,10 +412,16 @@ class FilterTable:
             object.__setattr__(self, name, values)
 
     def at_noise(self, sigma):
-        """Filters, offsets (or None), floor and strengths of codes with this noise relative to white.
+        """Interpolate the table to the noise of a code.
 
-        Linear between the nearest two of `layout.noise`; beyond the ends, those of the ends. Float64; filters
-        (L, P, K, outputs, G), offsets (L, P, K, outputs), floor a number, strengths (S,).
+        Linear between the nearest two of `layout.noise`, constant beyond the ends.
+
+        Args:
+            sigma: Standard deviation of the code relative to white.
+
+        Returns:
+            Filters, shape (L, P, K, outputs, G); offsets, shape (L, P, K, outputs), or None; floor;
+            strengths, shape (S,). All float64.
         """
         noise = self.layout.noise
         at = float(np.interp(sigma, noise, np.arange(len(noise))))

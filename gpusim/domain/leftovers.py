@@ -1,6 +1,8 @@
-"""Temporary files whose names say which process writes them, so that those of killed processes can be removed.
+"""Temporary files whose names identify the process that writes them.
 
-A name is .gpusim-HOST-BOOT-PID-START-RANDOM. A process is known by its number and its start: numbers are used again.
+Files of killed processes can therefore be removed. A name is
+.gpusim-HOST-BOOT-PID-START-RANDOM. Number and start time identify a process, because numbers are
+reused.
 """
 
 import functools
@@ -28,9 +30,10 @@ def temporary_name(suffix: str = "") -> str:
 
 
 def remove_leftovers(folder):
-    """Remove temporary files and folders in `folder` whose processes have ended, as far as that is allowed.
+    """Remove temporary files and folders whose processes have ended, if permissions allow it.
 
-    Those of other hosts and containers stay, as nobody here can tell. On Windows all stay.
+    Files of other hosts and containers stay, because the state of their processes is unknown here.
+    On Windows all files stay.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -43,25 +46,26 @@ def remove_leftovers(folder):
 
 @functools.cache
 def remove_leftovers_once(folder):
-    """Do `remove_leftovers` if this process has not done so: a folder can have many files."""
+    """Call `remove_leftovers` once per process: a folder can have many files."""
     remove_leftovers(folder)
 
 
 def _has_ended(entry, host, boot, pid, start):
-    """Whether the process that writes a temporary file has ended for certain."""
+    """Return True if the process that writes a temporary file has certainly ended."""
     here, now = _place()
     if os.name != "posix" or host != here:
         return False
     if boot == now:
         return not _is_alive(int(pid), start)
-    # of an earlier boot; what a copy of this host, or another container of its name, writes now is newer than the boot
+    # Another boot id: a copy of this host, or a container with its name, may write now. Files older
+    # than this boot are certainly leftovers.
     return sys.platform == "linux" and entry.stat(
         follow_symlinks=False
     ).st_mtime < time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def _is_alive(pid, start):
-    """Whether a process of this system is there, and is the one that started then; True if that is not known."""
+    """Return True if the process exists and has this start time; also if that is not known."""
     try:
         os.kill(pid, 0)  # sends nothing
     except ProcessLookupError:
@@ -72,9 +76,10 @@ def _is_alive(pid, start):
 
 
 def _start(pid):
-    """Start of a process since the boot in ticks, "" if the system does not say, None if it has ended.
+    """Return the start time of a process since the boot in ticks.
 
-    Source: proc_pid_stat(5), fields 3 (state) and 22; the second is a name in brackets.
+    "" if the system does not report it, None if the process has ended. Source: proc_pid_stat(5),
+    fields 3 (state) and 22; the second field is a name in brackets.
     """
     fields = _read(f"/proc/{pid}/stat").rpartition(")")[2].split()
     return "" if len(fields) < 20 else None if fields[0] in "ZX" else fields[19]
@@ -82,7 +87,7 @@ def _start(pid):
 
 @functools.cache
 def _place():
-    """Digests of this host, and of its boot with the container whose process numbers count."""
+    """Return digests of the host, and of its boot with the container that numbers its processes."""
     import platform
 
     boot = _read("/proc/sys/kernel/random/boot_id")
@@ -98,7 +103,7 @@ def _digest(text):
 
 
 def _read(path):
-    """Text of a system's file, "" if it has none."""
+    """Return the text of a system file, "" if it does not exist."""
     with suppress(OSError):
         return Path(path).read_text(errors="replace")
     return ""

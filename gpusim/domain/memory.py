@@ -1,4 +1,4 @@
-"""How much memory this computer has left, and the refusal of what would not fit."""
+"""Free memory of this computer, and the check that a request fits."""
 
 import os
 from pathlib import Path
@@ -9,15 +9,15 @@ from gpusim.domain.errors import DoesNotFit
 
 
 class Pinned(np.ndarray):
-    """An array in host memory that a device copies from at the full rate of its bus: see `Device.pinned`.
+    """An array in host memory that a device reads at the full rate of its bus: see `Device.pinned`.
 
-    Scenes do not look at its values, which are written as a video goes on. What is wrong with them is found on the
-    device, by the frame that is made of them or the next.
+    Scenes do not check its values, because a video changes them later. The device finds wrong
+    values when it computes the frame, or the next one.
     """
 
 
 def host_memory() -> int:
-    """Memory that can be had [byte]: what Linux calls available, elsewhere all there is."""
+    """Return the available memory [byte]: MemAvailable on Linux, elsewhere all physical memory."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -26,12 +26,12 @@ def host_memory() -> int:
         pass
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError):  # no sysconf on Windows: the allocation itself has to fail
+    except (AttributeError, ValueError):  # no sysconf on Windows: the allocation itself will fail
         return 2**63
 
 
 def require_memory(what: str, needed: int):
-    """Raise DoesNotFit, with figures, when `needed` [byte] exceeds what this computer has."""
+    """Raise DoesNotFit if `needed` [byte] exceeds the available memory."""
     available = host_memory()
     if needed > available:
         raise DoesNotFit(what, min(needed, 2**63), available, "this computer")

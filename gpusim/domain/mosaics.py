@@ -1,14 +1,15 @@
-"""Well-known colour filter arrays by name, as one period in rows of letters.
+"""Well-known colour filter arrays by name, each as one period in rows of letters.
 
-R, G, B: red, green, blue; C, M, Y: cyan, magenta, yellow; W: no filter (panchromatic); N: near infrared; E: emerald.
-In "rccc" and "rccb" the makers' C is a clear pixel, so W here. A camera needs a curve for each letter.
+R, G, B: red, green, blue; C, M, Y: cyan, magenta, yellow; W: no filter (panchromatic); N: near
+infrared; E: emerald. In "rccc" and "rccb" the makers' C is a clear pixel, W here. A camera needs a
+curve for each letter.
 """
 
 from gpusim.domain.errors import UnknownName
 
 
-def _enlarged(rows, times):
-    """Each pixel as a block of times x times pixels of its colour."""
+def _repeat_pixels(rows, times):
+    """Return the mosaic with each pixel repeated as a block of times x times pixels."""
     return tuple("".join(letter * times for letter in row) for row in rows for _ in range(times))
 
 
@@ -20,21 +21,23 @@ MOSAICS: dict[str, tuple[str, ...]] = {
     "bayer-grbg": ("GR", "BG"),
     "bayer-gbrg": ("GB", "RG"),
     "bayer-bggr": ("BG", "GR"),
-    # Bayer's filters over 2 x 2, 3 x 3 and 4 x 4 pixels, which are read singly or together (Quad Bayer, Tetracell;
-    # Nonacell; Tetra2pixel)
-    "quad-bayer": _enlarged(_BAYER, 2),
-    "nona-bayer": _enlarged(_BAYER, 3),
-    "hexadeca-bayer": _enlarged(_BAYER, 4),
+    # Bayer filters over 2 x 2, 3 x 3 and 4 x 4 pixels, read singly or together (Quad Bayer,
+    # Tetracell; Nonacell; Tetra2pixel)
+    "quad-bayer": _repeat_pixels(_BAYER, 2),
+    "nona-bayer": _repeat_pixels(_BAYER, 3),
+    "hexadeca-bayer": _repeat_pixels(_BAYER, 4),
     # Fujifilm's X-Trans: every row and column has all three colours (US patent 8531563, 2013)
     "x-trans": ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG"),
     # one green of Bayer's left clear: Gindele & Gallagher, US patent 6476865 (2002)
     "rgbw": ("RG", "WB"),
-    # half of the pixels clear, colours in pairs on diagonals: Compton & Hamilton, US patent 8139130 (2012), TrueSense
+    # half of the pixels clear, colours in pairs on diagonals: Compton & Hamilton, US patent 8139130
+    # (2012), TrueSense
     "rgbw-kodak": ("WBWG", "BWGW", "WGWR", "GWRW"),
-    # one green of Bayer's sees the near infrared; and, with Bayer's density of green, every fourth pixel
+    # one green pixel of Bayer's sees the near infrared; in the second, green stays as dense as in
+    # Bayer's and every fourth pixel sees the near infrared
     "rgbn": ("RG", "NB"),
     "rgbn-4x4": ("BGRG", "GNGN", "RGBG", "GNGN"),
-    # driver assistance: clear pixels with a red one of four, with red and blue, with yellow
+    # driver assistance: clear pixels with one red of four, with red and blue, with yellow
     "rccc": ("RW", "WW"),
     "rccb": ("RW", "WB"),
     "ryyb": ("RY", "YB"),
@@ -47,12 +50,12 @@ MOSAICS: dict[str, tuple[str, ...]] = {
 
 
 def mosaic_names() -> list[str]:
-    """Names that `mosaic` knows, sorted."""
+    """Return the names that `mosaic` knows, sorted."""
     return sorted(MOSAICS)
 
 
 def mosaic(name: str) -> tuple[str, ...]:
-    """Return one period of the colour filter array `name`, a text per row. Raises UnknownName."""
+    """Return one period of the colour filter array `name`, a string per row. Raise UnknownName."""
     if name not in MOSAICS:
         raise UnknownName("mosaic", name, MOSAICS)
     return MOSAICS[name]

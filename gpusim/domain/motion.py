@@ -1,4 +1,4 @@
-"""How a camera moves before a scene: along a path, and as a hand shakes it."""
+"""Motion of a camera in front of a scene: along a path, and by hand shake."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,20 +9,28 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.view import View
 
-WAVES = 24  # of a shake along each axis
-SLOWEST, FASTEST = 0.5, 12.0  # [Hz] of a hand: from sway to tremor
-ROLL = 1e-3  # [rad] that a hand turns a camera for a pixel that it moves it, of a frame a thousand pixels wide
+WAVES = 24  # number of waves of a shake along each axis
+SLOWEST, FASTEST = 0.5, 12.0  # [Hz] frequencies of a hand: from sway to tremor
+ROLL = 1e-3  # [rad/pixel] rotation by a hand per displacement, for a frame 1000 pixels wide
 
 
 @dataclass(frozen=True)
 class Motion:
-    """View of a camera at every time.
+    """View of a camera as a function of time.
 
-    pan: rows and columns a second by which what is in the middle of the frame moves [pixel/s]. roll: of the camera
-    [rad/s]. zoom: magnification at time 0. zooming: factor by which it grows in a second. shake: root mean square of a
-    hand's displacement along each axis [pixel]: waves of SLOWEST to FASTEST, as strong as they are slow, and turns of
-    ROLL with them. seed: of the shake.
-    Raises BadData, OutOfRange.
+    Args:
+        pan: Speed of the scene point at the centre of the frame, along rows and columns
+            [pixel/s].
+        roll: Rotation speed of the camera [rad/s].
+        zoom: Magnification at time 0 [1].
+        zooming: Factor on the magnification per second [1].
+        shake: RMS displacement by a hand along each axis [pixel]: a sum of waves of SLOWEST to
+            FASTEST with amplitudes inverse to frequency, and rotations of ROLL.
+        seed: Seed of the shake.
+
+    Raises:
+        BadData: A value is no finite number.
+        OutOfRange: A value is outside its range.
     """
 
     pan: tuple[float, float] = (0.0, 0.0)
@@ -48,15 +56,26 @@ class Motion:
         self.at(0.0)
 
     def at(self, time: float) -> View:
-        """What the camera sees at a time [s]. Raises OutOfRange where that is too wide a view."""
-        down, right, turn = self._shaken(time)
+        """Return the view at one time.
+
+        Args:
+            time: Time [s].
+
+        Returns:
+            The view.
+
+        Raises:
+            OutOfRange: Shift or zoom of the view is outside its range, see `View`.
+        """
+        down, right, turn = self._shake_at(time)
         return View(
             (self.pan[0] * time + down, self.pan[1] * time + right),
             self.roll * time + turn,
             self.zoom * self.zooming**time,
         )
 
-    def _shaken(self, time):
+    def _shake_at(self, time):
+        """Return the displacement by hand shake: rows, columns [pixel] and rotation [rad]."""
         if not self.shake:
             return 0.0, 0.0, 0.0
         frequency, amplitude, phase = self._waves
@@ -65,7 +84,7 @@ class Motion:
 
     @cached_property
     def _waves(self):
-        """Frequencies [Hz], amplitudes and phases of the waves of three axes, each of a root mean square of 1."""
+        """Frequencies [Hz], amplitudes and phases of the waves along three axes, RMS 1 each."""
         random = np.random.Generator(np.random.Philox(self.seed))
         place = (np.arange(WAVES) + random.random((3, WAVES))) / WAVES
         frequency = SLOWEST * np.exp(place * log(FASTEST / SLOWEST))

@@ -1,4 +1,4 @@
-"""What makes the electrons of a sensor vary: from frame to frame, and from pixel to pixel of one chip."""
+"""Noise of a sensor: variation from frame to frame, and from pixel to pixel of one chip."""
 
 import math
 from dataclasses import dataclass
@@ -12,32 +12,49 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)
 BOLTZMANN = 1.380649e-23  # [J K-1], exact
 ZERO_CELSIUS = 273.15  # [K]
 MOST_DOUBLINGS = 60
-MOST = 1e12  # more than any electrons; squares of it are far from float32's limit
-SLOWEST_SWITCHING = 1 / 1024  # [1/frame]; a state is traced back through about the inverse of it
+MOST = 1e12  # more electrons than any pixel holds; its square is far from float32's limit
+SLOWEST_SWITCHING = 1 / 1024  # [1/frame]; a state is traced back through about 1024 frames
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Temporal noise and fixed patterns; what is 0 is not computed.
+    """Temporal noise and fixed patterns. Terms that are 0 are not computed.
 
-    Anew in every frame:
-    photon: how electrons are counted: "fast" (Poisson within 1e-4 in total variation), "exact" (within 1e-6),
-        "none" (the mean itself).
-    dark_current: at the reference temperature [e- s-1]; its electrons are counted like the others. It doubles with
-        every `doubling` [K] by which temperature [deg C] is above reference_temperature [deg C].
-    read: of the readout, before the analog gain [e- rms]. reset: of the pixel's reset, kTC [e- rms], shared by all
-        reads of an exposure. adc: of the converter, behind the analog gain [DN rms].
-    row, column: common to a row or a column of one frame [e- rms].
-    telegraph_pixels: part of the pixels with a trap [1] whose signal jumps between two values, a distance apart that
-        is exponentially distributed with the mean `telegraph` [e-]; half the time each. telegraph_switching: chance
-        that a trap is drawn anew from one frame to the next [1], 1: frames are independent.
+    Temporal noise differs in every frame; the patterns are the same in every frame and depend on
+    `seed`. For pixels that are binned as charge, or stacked, see `Sensor`.
 
-    The same in every frame, as named by `seed`:
-    prnu, row_prnu, column_prnu: relative standard deviation of the response of pixels, rows, columns [1].
-    dsnu, row_dsnu, column_dsnu: standard deviation of the offset [e- rms].
-    hot_pixels: part of the pixels [1] with a dark current more, exponentially distributed with the mean
-        `hot_current` at the reference temperature [e- s-1]. dead_pixels: part of the pixels without response [1].
-    Of pixels that are binned as charge, or stacked, see `Sensor`. Raises BadData, OutOfRange, UnknownName.
+    Args:
+        photon: Statistics of electrons: "fast" (Poisson within 1e-4 in total variation), "exact"
+            (within 1e-6), or "none" (the mean itself).
+        dark_current: Dark current at the reference temperature [e- s-1]; its electrons have the
+            statistics of `photon`. It doubles with every `doubling` [K] above the reference
+            temperature.
+        temperature: Temperature of the sensor [deg C].
+        reference_temperature: Temperature that dark_current and hot_current refer to [deg C].
+        doubling: Temperature difference that doubles the dark current [K].
+        read: Read noise before the analog gain [e- rms].
+        reset: kTC noise of the pixel reset [e- rms], the same for all reads of an exposure.
+        adc: Noise of the converter, after the analog gain [DN rms].
+        row, column: Temporal noise common to a row or a column [e- rms].
+        prnu, row_prnu, column_prnu: Photo-response non-uniformity of pixels, rows and columns:
+            relative standard deviation [1].
+        dsnu, row_dsnu, column_dsnu: Offset non-uniformity (DSNU) of pixels, rows and columns:
+            standard deviation [e- rms].
+        hot_pixels: Fraction of pixels with additional dark current [1].
+        hot_current: Mean of that dark current at the reference temperature [e- s-1]; it is
+            exponentially distributed.
+        dead_pixels: Fraction of pixels without response [1].
+        telegraph_pixels: Fraction of pixels with a trap [1]. Their signal jumps between two values,
+            half the time each.
+        telegraph: Mean distance between the two values [e-]; it is exponentially distributed.
+        telegraph_switching: Probability that the state of a trap is drawn again from one frame to
+            the next [1]; 1: frames are independent.
+        seed: Seed of the fixed patterns.
+
+    Raises:
+        BadData: hot_pixels or telegraph_pixels without their size.
+        OutOfRange: A number is outside its range.
+        UnknownName: `photon` is not known.
     """
 
     photon: str = "fast"
@@ -104,7 +121,7 @@ class Noise:
             )
         check(
             "doubling",
-            "0.1 <= doubling <= 1000, and so that the dark current doubles or halves at most 60 times",
+            "0.1 <= doubling <= 1000, with at most 60 doublings or halvings of the dark current",
             lambda value: (
                 0.1 <= value <= 1000
                 and abs(self.temperature - self.reference_temperature) <= MOST_DOUBLINGS * value
@@ -130,15 +147,25 @@ class Noise:
 
     @property
     def warmth(self) -> float:
-        """How many times its value at the reference temperature the dark current is [1]."""
+        """Dark current relative to its value at the reference temperature [1]."""
         return 2.0 ** ((self.temperature - self.reference_temperature) / self.doubling)
 
 
 def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
-    """Standard deviation of the charge that a reset leaves on a pixel [e-], sqrt(k T C) / q.
+    """Return the standard deviation of the charge that a reset leaves on a pixel, sqrt(k T C) / q.
 
-    conversion_gain: [V/e-], by which the capacitance is q / conversion_gain. temperature: [deg C].
-    Raises OutOfRange. Source: Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
+    Args:
+        conversion_gain: Conversion gain [V/e-]; the capacitance is q / conversion_gain.
+        temperature: Temperature [deg C].
+
+    Returns:
+        Standard deviation [e-].
+
+    Raises:
+        OutOfRange: The conversion gain is outside its range.
+
+    Source:
+        Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
     """
     if not 1e-12 <= conversion_gain <= 1:
         raise OutOfRange(

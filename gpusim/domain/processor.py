@@ -29,36 +29,47 @@ COLORS = (
     "fixed-diagonal",
     "none",
 )
-BRIGHTEST = 1e3  # of a tone curve's nodes, encoded
+BRIGHTEST = 1e3  # largest input of a tone curve, encoded
 
 
 @dataclass(frozen=True)
 class Processor:
-    """What is done to the raw image, in this order.
+    """Processing of the raw image, in the order of these fields.
 
-    defects: dead and hot pixels are replaced: "known" (those of this chip, as a factory would list them), "detect"
-        (those that stand out of their neighbours) or "none".
-    shading: whether the lens's and the pixels' fall-off towards the corners is divided out.
-    denoise: strength of denoising before demosaicking; 1 as the noise model says, 0 not at all.
-    demosaic: of a Bayer mosaic, from fast to good: "bilinear", "malvar" (gradient-corrected), "adaptive" (along the
-        edges), "best" (regressed gains, knows noise and blur); and "learned" (local linear filters from a table), the
-        only one beside interpolation for other mosaics.
-    table: filters of "learned"; None: the built-in ones of Bayer mosaics.
-    white_balance: "illuminant" (the scene's light is known; a perfect diffuser comes out neutral), an estimate from the
-        picture ("gray-world", "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white reads
-        `white`), or "none" (as if the light were `target`).
-    color: how the 3 x C transform to CIE XYZ is chosen (see `gpusim.color.color.color_matrix`), or "none" (channels
-        go to the display as they are).
-    training: name of the reflectance set that the transform is trained on.
-    target: the light in which the picture shows the scene's surfaces.
-    scaling: what is display white: "exposure" (where the camera's automatic exposure puts white, `AutoExposure.white`:
-        longer is brighter and clips) or "normalised" (a perfect white diffuser, whatever the exposure; saturation,
-        where the scene's light is not known).
-    tone: the tone curve, (x, y) of two or more nodes, both increasing: x a linear value (white = 1) encoded as sRGB,
-        y what is shown, encoded likewise, from 0 to 1; between the nodes a monotone cubic. () for none.
-    white: camera values of white for a "preset" white balance, one for each channel, any scale.
-    Both are before the tone curve. Where the scene's light is known and used, or estimated, white surfaces are neutral.
-    Raises UnknownName, OutOfRange, BadData.
+    Scaling and white balance come before the tone curve. If the light of the scene is known and
+    used, or estimated, white surfaces are neutral.
+
+    Args:
+        defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
+            factory), "detect" (pixels that differ from their neighbours) or "none".
+        shading: Divide out the fall-off of lens and pixels towards the corners.
+        denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off.
+        demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
+            (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
+            blur), "learned" (local linear filters from a table). Other mosaics take "bilinear" or
+            "learned".
+        table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
+        white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
+            neutral), an estimate from the picture ("gray-world", "max-rgb", "shades-of-gray",
+            "red-blue"), "preset" (the light in which white has the values `white`), or "none" (as
+            if the light were `target`).
+        color: Method that finds the 3 x C transform to CIE XYZ (see
+            `gpusim.color.color.color_matrix`), or "none" (channels are displayed as they are).
+        training: Name of the reflectance set that the transform is trained on.
+        target: Light in which the picture shows the surfaces of the scene.
+        scaling: Definition of display white: "exposure" (the signal at which automatic exposure
+            puts white, `AutoExposure.white`; longer exposures are brighter and clip) or
+            "normalised" (a perfect white diffuser at any exposure; saturation if the light of the
+            scene is not known).
+        tone: Tone curve, (x, y) of two or more nodes, both increasing, or () for none. x is a
+            linear value (white = 1) encoded as sRGB; y is the displayed value, encoded the same
+            way, from 0 to 1. Between nodes it is a monotone cubic.
+        white: Camera values of white for white balance "preset", one per channel, any scale.
+
+    Raises:
+        BadData: The tone curve or `white` has the wrong form.
+        OutOfRange: A number is outside its range, or two settings exclude each other.
+        UnknownName: The name of a method is not known.
     """
 
     defects: str = "none"
@@ -149,5 +160,5 @@ class Processor:
 
     @property
     def estimates_white(self) -> bool:
-        """Whether the white comes from the picture."""
+        """True if white balance is estimated from the picture."""
         return self.white_balance not in ("illuminant", "preset", "none")

@@ -1,4 +1,4 @@
-"""Numbers with units, as people write them."""
+"""Numbers with units as people write them."""
 
 import re
 
@@ -9,7 +9,7 @@ PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
 
 
 def parse_seconds(text: str) -> float:
-    """Return the seconds of a time such as 1/60, 0.01, 10ms or 500us. Raises ValueError."""
+    """Return the seconds of a time like 1/60, 0.01, 10ms or 500us. Raise ValueError."""
     match = TIME.fullmatch(text)
     time = (
         float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]]

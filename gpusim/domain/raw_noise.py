@@ -1,4 +1,4 @@
-"""The variance of a raw value, as a sum of named parts."""
+"""The variance of a raw value as a sum of named parts."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,16 +10,20 @@ ROUNDING = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
 
 @dataclass(frozen=True)
 class RawNoise:
-    """Parts of the variance of one pixel's raw value, in electrons squared; see `Noise` for what they come from.
+    """Parts of the variance of the raw value of one pixel, in electrons squared. See `Noise`.
 
-    photons: 1, or 0 where electrons are not counted: the variance of a mean electron, of light or dark current [e-].
-    read: of a read: reset, readout and converter [e-^2]. lines: row and column noise of one frame [e-^2].
-    offsets, line_offsets: fixed patterns of the pixels, and of rows and columns [e-^2]: the same in every frame.
-    response, line_response: the same of the relative response [1], times the square of the light's electrons.
-    rounding: to a whole digital number, 0 without a converter [e-^2].
-    averaged: pixels whose digital numbers' mean a raw value is (digital binning) [1].
-    Rows and columns count as if their noise were each pixel's own: what binned pixels share of it averages out less.
-    Telegraph noise, hot and dead pixels are no part of it.
+    Row and column noise counts as independent noise of each pixel, although the part that binned
+    pixels share averages out less. Telegraph noise, hot and dead pixels are not included.
+
+    Args:
+        photons: Variance per mean electron of light or dark current: 1, or 0 without photon noise.
+        read: Read, reset and converter noise of one read [e-^2].
+        lines: Row and column noise of one frame [e-^2].
+        offsets, line_offsets: Fixed offset patterns of pixels, and of rows and columns [e-^2].
+        response, line_response: Relative variance of the response of pixels, and of rows and
+            columns [1]; multiplies the squared electrons of light.
+        rounding: Rounding to whole digital numbers [e-^2], 0 without a converter.
+        averaged: Number of digital numbers that are averaged into a raw value (digital binning).
     """
 
     photons: float
@@ -34,7 +38,15 @@ class RawNoise:
 
     @classmethod
     def of(cls, sensor: Sensor, averaged: int = 1) -> "RawNoise":
-        """The noise of a sensor as operated; averaged: see the class."""
+        """Return the noise of a sensor with its settings.
+
+        Args:
+            sensor: The sensor.
+            averaged: See the class.
+
+        Returns:
+            The parts of the variance.
+        """
         noise, gain = sensor.noise, sensor.gain_dn_per_electron
         return cls(
             photons=float(noise.photon != "none"),
@@ -50,42 +62,62 @@ class RawNoise:
 
     @property
     def rounding_of_mean(self) -> float:
-        """Variance of rounding the mean of `averaged` digital numbers to a whole one, 0 for a single one [e-^2].
+        """Variance of rounding the mean of `averaged` digital numbers, 0 for a single one [e-^2].
 
-        The mean of n whole numbers lies k / n from the nearest one. With noise of a digital number or so every k is
-        equally likely, -(n - 1) / 2 .. (n - 1) / 2 for odd n: the mean of (k / n)^2 is (1 - 1 / n^2) / 12. For even n
-        k goes from -n / 2 to n / 2, of which the two ends, halves, share one place: (1 + 2 / n^2) / 12.
+        The mean of n whole numbers lies k / n from the nearest whole number. If the noise is about
+        one digital number or more, all k are equally likely. For odd n, k runs from -(n - 1) / 2 to
+        (n - 1) / 2, and the mean of (k / n)^2 is (1 - 1 / n^2) / 12. For even n, k runs from -n / 2
+        to n / 2, the two ends with half the weight: (1 + 2 / n^2) / 12.
         """
         return self.rounding * (
             1 - self.averaged**-2 if self.averaged % 2 else 1 + 2 * self.averaged**-2
         )
 
     def variance(self, electrons: Any = 0.0, *, temporal: bool = False) -> Any:
-        """Variance of a raw value around `electrons`, a number or an array [e-^2], without PRNU.
+        """Return the variance of a raw value around its mean, without PRNU.
 
-        electrons: mean, of light and dark current [e-]. temporal: only what differs from frame to frame.
+        Args:
+            electrons: Mean electrons of light and dark current [e-], a number or an array.
+            temporal: Include only noise that differs from frame to frame.
+
+        Returns:
+            Variance [e-^2], in the form of `electrons`.
         """
         fixed = 0.0 if temporal else self.offsets + self.line_offsets
-        return self._averaged(self.photons * electrons + self.read + self.lines + fixed)
+        return self._of_mean(self.photons * electrons + self.read + self.lines + fixed)
 
     def profile(self, full: float) -> tuple[float, float]:
-        """(S, O) of the variance S x + O of x = electrons / full, as a DNG's NoiseProfile has it.
+        """Return (S, O) of the variance S x + O of x = electrons / full, the NoiseProfile of DNG.
 
-        full: electrons, of light and dark current, at x = 1 [e-]. It tells what differs from frame to frame alone. The
-        variance a + b electrons [e-^2], over full^2, is a / full^2 + (b / full) x: O and S.
+        Only temporal noise counts. The variance a + b electrons [e-^2] divided by full^2 is a /
+        full^2 + (b / full) x.
+
+        Args:
+            full: Electrons of light and dark current at x = 1 [e-].
+
+        Returns:
+            S and O [1].
         """
         dark, one = self.variance(temporal=True), self.variance(1.0, temporal=True)
         return (one - dark) / full, dark / full**2
 
     def difference(self, electrons: float, light: float) -> float:
-        """Mean square of the difference of two neighbours in even light, as many in a row as in a column [e-^2].
+        """Return the mean square difference of two neighbours in uniform light [e-^2].
 
-        electrons: mean, of light and dark current [e-]. light: its part that PRNU multiplies [e-].
+        Half of the pairs are in a row, half in a column.
+
+        Args:
+            electrons: Mean electrons of light and dark current [e-].
+            light: The part of them that PRNU multiplies [e-].
+
+        Returns:
+            Mean square [e-^2].
         """
         own = self.photons * electrons + self.read + self.offsets + self.response * light**2
-        # The rows' noise cancels in a row and comes twice in a column, the columns' the other way round.
+        # Row noise cancels within a row and counts twice within a column; column noise vice versa.
         lines = (self.lines + self.line_offsets + self.line_response * light**2) / 2
-        return 2 * self._averaged(own + lines)
+        return 2 * self._of_mean(own + lines)
 
-    def _averaged(self, variance):
+    def _of_mean(self, variance):
+        """Return the variance of the mean of `averaged` values, with rounding."""
         return (variance + self.rounding) / self.averaged + self.rounding_of_mean

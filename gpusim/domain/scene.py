@@ -1,7 +1,8 @@
-"""What stands in front of the camera: spectral reflectance (or radiance) apart from the light."""
+"""The scene: spectral reflectance (or radiance) of surfaces, and the light on them."""
 
 from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,12 @@ BORDERS = ("zero", "edge", "reflect", "scene")
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """A thing in front of a scene's content, which goes on behind it.
+    """An object in front of the content of a scene, which continues behind it.
 
-    content: of the scene's kind, wavelengths, basis or materials, and shape. alpha: share of every sample that it
-    covers, 0 .. 1, shape (rows, cols). depth: its distance [m], one number or shape (rows, cols).
+    Args:
+        content: Samples of the same form, wavelengths, basis or materials and shape as the scene's.
+        alpha: Coverage of each sample, 0 .. 1, shape (rows, cols).
+        depth: Distance [m], a number or shape (rows, cols).
     """
 
     content: Content
@@ -33,24 +36,34 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Scene(Pictured):
-    """Radiance of every scene point, L(x, lambda) = content(x, lambda) * illuminant(lambda).
+    """Spectral radiance of a scene, L(x, lambda) = content(x, lambda) * illuminant(lambda).
 
-    content: Cube, Basis, Materials, Picture or Illuminated, the scene as samples on a square grid. It is the
-        reflectance [1] when the light is known; when only the radiance was measured it is that radiance and the
-        illuminant is 1.
-    illuminant: radiance of a perfect white diffuser in the scene's light [photon s-1 m-2 sr-1 nm-1].
-    border: what lies outside the frame: "zero" (dark), "edge" (the outermost samples go on), "reflect" (mirrored),
-        "scene" (the outermost `margin` samples of `content` are the surroundings and are not in the frame).
-    margin: width of the surroundings [sample], with border = "scene" only.
-    fov: horizontal field of view [rad], or None: follows from the camera's pixels and focal length.
-    depth: distance of every sample [m], shape (rows, cols), or None.
-    samples_per_pixel: scene samples along a pixel's pitch, any number from 1 on. The frame is the middle of the
-        samples, as many whole pixels as fit; what is left over around it takes part in the blur.
-    layers: things in front of `content`, the nearest first, for a scene that knows what they hide; it needs `depth`.
-    view: where the camera looks; what it shows takes the place of the scene, and goes on outside the frame as `border`
-        says. Not with `depth`.
-    notes: what a file could not give as it is; reports repeat it.
-    Raises BadData, OutOfRange, UnknownName.
+    Args:
+        content: Cube, Basis, Materials, Picture or Illuminated: samples on a square grid. It is the
+            reflectance [1] if the light is known. If only the radiance was measured, it is that
+            radiance, and the illuminant is 1.
+        illuminant: Radiance of a perfect white diffuser in the light of the scene [photon s-1 m-2
+            sr-1 nm-1].
+        border: Surroundings of the frame: "zero" (dark), "edge" (the outermost samples continue),
+            "reflect" (mirrored), "scene" (the outermost `margin` samples of `content`, which are
+            outside the frame).
+        margin: Width of the surroundings [sample], only for border "scene".
+        fov: Horizontal field of view [rad]; None: from the camera's pixels and focal length.
+        depth: Distance of every sample [m], shape (rows, cols), or None.
+        name: Name in messages and reports.
+        samples_per_pixel: Scene samples along the pitch of a pixel, any number from 1 on. The frame
+            is the centre of the samples, with as many whole pixels as fit. Samples outside it
+            contribute to the blur.
+        layers: Objects in front of `content`, nearest first, for a scene that knows hidden
+            surfaces. They need `depth`.
+        view: Part of the scene that the frame shows. It replaces the scene, and continues outside
+            the frame according to `border`. Not with `depth`.
+        notes: Deviations from the file it was read from; reports repeat them.
+
+    Raises:
+        BadData: Content, depth, layers or view do not fit together.
+        OutOfRange: A number is outside its range.
+        UnknownName: The border is not known.
     """
 
     content: Content
@@ -110,13 +123,13 @@ class Scene(Pictured):
             raise BadData(f"{self.name}: view {type(self.view).__name__}, wanted a View")
         if self.depth is not None and not self.view.is_plain:
             raise BadData(
-                f"{self.name}: a view of a scene with depth, which is not moved with it; wanted either"
+                f"{self.name}: a view does not move the depth of a scene; leave out view or depth"
             )
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))
         if self.layers and self.depth is None:
-            raise BadData(f"{self.name}: layers need the depth of what is behind them")
+            raise BadData(f"{self.name}: layers need the depth of the scene behind them")
         farther = -np.inf
         for number, layer in enumerate(self.layers):
             name, content, shape = f"{self.name}: layer {number}", layer.content, self.content.shape
@@ -159,8 +172,17 @@ class Scene(Pictured):
             f"Scene({', '.join([repr(self.name), repr(self.content), *more, f'border {self.border!r}'])})"
         )
 
-    def stored(self, **arrays) -> "Scene":
-        """The same with its samples, by their names in `content`, kept elsewhere: on a device; nothing is looked at."""
+    def stored(self, **arrays: Any) -> "Scene":
+        """Return the scene with its samples in other memory, for example on a device.
+
+        The samples are not checked.
+
+        Args:
+            arrays: New arrays, with their names in `content`.
+
+        Returns:
+            The scene with these arrays.
+        """
         content, scene = copy(self.content), copy(self)
         for name, array in arrays.items():
             object.__setattr__(content, name, array)
@@ -168,14 +190,31 @@ class Scene(Pictured):
         return scene
 
     def viewed(self, view: View) -> "Scene":
-        """The same by another view; its samples are not looked at again. Raises BadData."""
+        """Return the scene from another view. Its samples are not checked again.
+
+        Args:
+            view: The view.
+
+        Returns:
+            The scene with this view.
+
+        Raises:
+            BadData: The scene has depth, or `view` is no View.
+        """
         scene = copy(self)
         object.__setattr__(scene, "view", view)
         scene._check_view()
         return scene
 
     def brightened(self, factor: float) -> "Scene":
-        """The same in so many times the light; its samples are not looked at again."""
+        """Return the scene in brighter light. Its samples are not checked again.
+
+        Args:
+            factor: Factor on the light [1].
+
+        Returns:
+            The scene with this light.
+        """
         scene = copy(self)
         object.__setattr__(
             scene, "illuminant", replace(self.illuminant, values=factor * self.illuminant.values)
@@ -185,7 +224,7 @@ class Scene(Pictured):
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the frame [pixel]."""
-        # a ratio such as 1.1 is no binary fraction: 11 samples are 10 pixels of it, not 9.999...
+        # 1.1 is no binary fraction: 11 samples are 10 pixels of that size, not 9.999...
         rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
         return rows, cols
 
@@ -197,25 +236,28 @@ class Scene(Pictured):
 
     @property
     def wavelengths(self) -> np.ndarray:
-        """The nodes [nm] at which the content is tabulated, shape (L,)."""
+        """Wavelengths at which the content is tabulated [nm], shape (L,)."""
         return self.content.wavelengths
 
     @property
     def light_is_known(self) -> bool:
-        """Whether the content is reflectance; else it is radiance [photon s-1 m-2 sr-1 nm-1], the illuminant 1."""
+        """True if the content is reflectance.
+
+        Otherwise it is radiance [photon s-1 m-2 sr-1 nm-1], and the illuminant is 1.
+        """
         return bool((self.illuminant.values != 1).any())
 
 
 def checked_scene(scene) -> Scene:
-    """Return a scene as it is. Raises BadData for anything else."""
+    """Return `scene`. Raise BadData if it is not a Scene."""
     if not isinstance(scene, Scene):
         raise BadData(
-            f"scene: {type(scene).__name__}, wanted a Scene, such as of "
+            f"scene: {type(scene).__name__}, wanted a Scene, for example from "
             + ("gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart")
         )
     return scene
 
 
 def unit_light(wavelengths) -> Spectrum:
-    """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
+    """Return the illuminant 1 of a scene whose radiance was measured at `wavelengths` [nm]."""
     return Spectrum(np.array(seen_band(wavelengths)), np.ones(2), "unknown light")

@@ -1,4 +1,4 @@
-"""The generalised sensor: filters, photodetector, pixel, noise and conversion to digital numbers."""
+"""The image sensor: filters, photodetector, pixel, noise and conversion to digital numbers."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,18 +11,24 @@ from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import brief
 from gpusim.domain.spectrum import Spectrum
 
-HUGE = 1e12  # more than any electrons, seconds or gain; squares of it are far from float32's limit
-FLOAT_BITS = 32  # stands for raw values without a converter
+HUGE = 1e12  # limit of electrons, seconds and gains; its square is far from float32's limit
+FLOAT_BITS = 32  # value of `bits` for raw values without a converter
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
 
 
 @dataclass(frozen=True, eq=False)
 class Microlens:
-    """How a pixel answers light that comes slantwise.
+    """Response of a pixel to oblique light.
 
-    angles: of the chief ray [rad], rising from 0, shape (n,). response: over that of a pixel on the axis [1], 1 at
-    angle 0, shape (n,). shift: how far the microlenses are moved toward the axis, 0 not at all, 1 so that every pixel
-    takes its chief ray as one on the axis does. Raises BadData, OutOfRange.
+    Args:
+        angles: Chief-ray angles [rad], increasing from 0, shape (n,).
+        response: Response relative to a pixel on the axis [1], 1 at angle 0, shape (n,).
+        shift: Displacement of the microlenses toward the axis: 0 is none; with 1 every pixel
+            receives its chief ray as a pixel on the axis does.
+
+    Raises:
+        BadData: Angles and responses do not fit.
+        OutOfRange: The shift is outside its range.
     """
 
     angles: np.ndarray
@@ -60,39 +66,54 @@ class Microlens:
 class Sensor:
     """An image sensor with square pixels and one repeating colour mosaic.
 
-    Pixels:
-    pixel_pitch: [m].
-    qe: shape (C, L), C = len(channels): electrons per photon [e-/photon] that falls inside the pixel's aperture, as the
-        product of colour filter, photodetector and infrared cut. It must cover the light of the scene. A data sheet's
-        quantum efficiency counts all photons on the pixel: it goes with fill_factor = 1.
-    full_well: electrons at which a pixel saturates [e-].
-    bits: of the converter, 1 to 16; digital numbers go from 0 to 2**bits - 1. 32: no converter, raw values are float32,
-        neither rounded nor clipped behind the well.
-    channels: one letter per curve, such as ("R", "G", "B") or ("Y",).
-    cfa: the mosaic's period as rows of these letters, such as ("RG", "GB") or, monochrome, ("Y",); at most 8 x 8.
-    stacked: every pixel has all channels, one above the other, whatever the mosaic. They are read one after the other
-        through the same columns: what columns have in common is that of all channels, what rows have is their own.
-    fill_factor: aperture area over pixel area [1]; the aperture is a square unless `photodetector` gives its height and
-        width over the pitch (their product is the fill factor then). centre: of the aperture from the pixel's middle
-        over the pitch, (rows, cols).
-    offset: of the whole grid of pixels from the middle of the picture, (rows, cols) [pixel]. Several captures make a
-        displaced grid; each wants a noise.seed of its own, and its own seed or frame number of the temporal noise.
-    microlens: what pixels lose toward the corner, None: nothing. vignetting: the same as a map of relative responses
-        over the frame, shape (ny, nx), nodes evenly from edge to edge, interpolated bilinearly.
+    Args:
+        pixel_pitch: Pixel pitch [m].
+        qe: Quantum efficiency [e-/photon] of photons inside the pixel's aperture, shape (C, L), C =
+            len(channels): the product of colour filter, photodetector and infrared cut. It must
+            cover the light of the scene. The quantum efficiency of a data sheet counts all photons
+            on the pixel: Use it with fill_factor = 1.
+        full_well: Full-well capacity of a pixel [e-].
+        bits: Resolution of the converter, 1 to 16; digital numbers go from 0 to 2**bits - 1. 32: no
+            converter, raw values are float32, neither rounded nor clipped after the well.
+        channels: One letter per curve, for example ("R", "G", "B") or ("Y",).
+        cfa: Period of the colour filter array as rows of these letters, for example ("RG", "GB"),
+            or ("Y",) for monochrome; at most 8 x 8.
+        stacked: Every pixel has all channels, one above the other, instead of the mosaic. They are
+            read one after the other through the same columns: Column noise is common to all
+            channels, row noise is separate.
+        fill_factor: Aperture area over pixel area [1]. The aperture is a square unless
+            `photodetector` is given.
+        photodetector: Height and width of the aperture over the pitch [1]; their product is then
+            the fill factor.
+        centre: Position of the aperture relative to the pixel's centre, over the pitch, (rows,
+            cols) [1].
+        offset: Displacement of the whole pixel grid from the centre of the picture, (rows, cols)
+            [pixel]. Several captures sample a finer grid; give each its own noise.seed, and its own
+            seed or frame number for temporal noise.
+        microlens: Loss of oblique light toward the corner, or None.
+        vignetting: Map of relative responses over the frame, shape (ny, nx), nodes evenly spaced
+            from edge to edge, interpolated bilinearly; or None.
+        exposure_time: Exposure time [s]; None: `auto_exposure` sets it.
+        auto_exposure: Rule for exposure time and gain.
+        row_time: Delay of each row relative to the row above [s]; 0: global shutter.
+        binning: Rows and columns of neighbours of one colour that are read as one pixel.
+        binning_mode: "digital": digital numbers are averaged. "charge": electrons are added on one
+            node with as many full wells; response, dark current, hot and dead pixels belong to
+            each pixel, while reset, offset, traps and all read noise occur once per node. Overflow
+            of single wells is not simulated.
+        gain: System gain at analog gain 1 [DN/e-]; None: a full well just reaches the white level,
+            or the gain follows from conversion_gain and adc_range.
+        conversion_gain: Conversion gain of the pixel [V/e-], with adc_range.
+        adc_range: Voltage of all 2**bits - 1 steps (without a converter, of 65535) [V].
+        analog_gain: Factor on the gain [1].
+        analog_offset: Electrons added before the converter [e-].
+        black_level: Digital number of a dark pixel [DN].
+        noise: Noise of the sensor.
 
-    Exposure and readout:
-    exposure_time: [s], or None: chosen by `auto_exposure`.
-    row_time: [s] by which each row is exposed later than the one above; 0: all at once.
-    binning: neighbours of one colour that are read as one pixel, (rows, cols). binning_mode: "digital": their digital
-        numbers are averaged. "charge": their electrons are added on one node with as many full wells; response, dark
-        current, hot and dead pixels are those of each, while reset, offset, traps and all noise of reading are one
-        node's. Single wells that overflow are not followed.
-    gain: [DN/e-] at analog gain 1, or None: such that a full well just reaches the white level; or by conversion_gain
-        [V/e-] of the pixel and adc_range [V], the voltage of all 2**bits - 1 steps (without a converter, of 65535).
-        analog_gain: [1] multiplies it.
-    analog_offset: [e-] added before the converter. black_level: digital number of a dark pixel [DN].
-    noise: see `Noise`.
-    Raises BadData, OutOfRange, UnknownName.
+    Raises:
+        BadData: Settings have the wrong type or shape, or exclude each other.
+        OutOfRange: A number is outside its range.
+        UnknownName: The binning mode is not known.
     """
 
     pixel_pitch: float
@@ -164,10 +185,8 @@ class Sensor:
             check(key, allowed, lambda pair, good=good: len(pair) == 2 and all(map(good, pair)))
         if self.photodetector is not None:
             height, width = self.photodetector
-            if self.fill_factor not in (
-                1.0,
-                height * width,
-            ):  # the latter in copies made by dataclasses.replace
+            # copies made by dataclasses.replace have both
+            if self.fill_factor not in (1.0, height * width):
                 raise BadData(
                     "sensor.photodetector and sensor.fill_factor: wanted one of them; the former's product "
                     "is the latter"
@@ -177,7 +196,7 @@ class Sensor:
         for side, middle in ((height, self.centre[0]), (width, self.centre[1])):
             if side / 2 + abs(middle) * self.pixel_pitch > self.pixel_pitch / 2 * (1 + 1e-9):
                 raise OutOfRange(
-                    "sensor.centre", self.centre, "so that the photodetector stays inside its pixel"
+                    "sensor.centre", self.centre, "a position with the photodetector in its pixel"
                 )
         if self.vignetting is not None:
             try:
@@ -193,9 +212,8 @@ class Sensor:
                     "sensor.vignetting: wanted two or more rows and columns of responses within 0 .. 1, not "
                     "all 0"
                 )
-            object.__setattr__(
-                self, "vignetting", tuple(map(tuple, map_.tolist()))
-            )  # comparable, and stays as it is
+            # a tuple can be compared and cannot change
+            object.__setattr__(self, "vignetting", tuple(map(tuple, map_.tolist())))
 
     def _check_numbers(self):
         def check(key, allowed, good, unit=""):
@@ -226,7 +244,7 @@ class Sensor:
             self.adc_range,
         ):
             raise BadData(
-                "sensor.gain, conversion_gain and adc_range: wanted gain alone, or the other two, or none"
+                "sensor.gain, conversion_gain and adc_range: wanted only gain, or the other two, or none"
             )
         check("analog_gain", "0 < analog_gain <= 1e4", lambda value: 0 < value <= 1e4)
         check(
@@ -261,7 +279,7 @@ class Sensor:
             raise OutOfRange(
                 "sensor.analog_offset",
                 f"{self.analog_offset:.6g} e-",
-                "so little that a dark pixel is below the white level",
+                "an offset that keeps a dark pixel below the white level",
             )
 
     def _check_mosaic(self):
@@ -290,13 +308,13 @@ class Sensor:
         letters = set("".join(self.cfa))
         if letters != set(self.channels):
             raise BadData(
-                f"sensor.cfa = {self.cfa}: its letters must be those of the curves, "
+                f"sensor.cfa = {self.cfa}: its letters must be the channels' letters, "
                 f"{', '.join(self.channels)}"
             )
 
     @property
     def white_level(self) -> int:
-        """Highest digital number [DN]; without a converter, that of a full well."""
+        """Highest digital number [DN]; without a converter, the value of a full well."""
         if self.bits == FLOAT_BITS:
             return math.ceil(
                 self.black_level + self.gain_dn_per_electron * (self.full_well + self.analog_offset)
@@ -305,7 +323,7 @@ class Sensor:
 
     @property
     def gain_dn_per_electron(self) -> float:
-        """System gain [DN/e-] at the sensor's analog gain."""
+        """System gain at the sensor's analog gain [DN/e-]."""
         if self.gain is not None:
             gain = self.gain
         elif self.conversion_gain is not None and self.adc_range is not None:
@@ -324,18 +342,18 @@ class Sensor:
 
     @property
     def dark_level(self) -> float:
-        """Mean digital number without light or dark current [DN]: the black level and the analog offset's."""
+        """Mean digital number without light and dark current [DN]: black level and offset."""
         return self.black_level + self.gain_dn_per_electron * self.analog_offset
 
     @property
     def saturation(self) -> float:
-        """Electrons at which the digital number stops rising [e-]: the full well or the converter, whichever first."""
+        """Electrons at which the digital number stops rising [e-]: full well or converter limit."""
         if self.bits == FLOAT_BITS:
             return self.full_well
         at_white = (
             self.white_level - self.black_level
         ) / self.gain_dn_per_electron - self.analog_offset
-        # the automatic gain is the quotient of the two: no rounding error may decide which saturates first
+        # The automatic gain is the quotient of the two: rounding must not decide between them.
         return self.full_well if at_white >= self.full_well * (1 - 1e-12) else at_white
 
     @property
@@ -346,7 +364,10 @@ class Sensor:
 
     @property
     def cfa_indices(self) -> np.ndarray:
-        """One period of the mosaic as indices into `channels`, int32 (rows, cols); of stacked pixels each once."""
+        """One period of the mosaic as indices into `channels`, int32, shape (rows, cols).
+
+        For stacked pixels, each channel once.
+        """
         if self.stacked:
             return np.arange(len(self.channels), dtype=np.int32)[None]
         return np.array(
@@ -355,12 +376,12 @@ class Sensor:
 
     @property
     def is_monochrome(self) -> bool:
-        """Whether there is only one channel."""
+        """True if there is only one channel."""
         return len(self.channels) == 1
 
     @property
     def bayer_phase(self) -> tuple[int, int] | None:
-        """Row and column of the red pixel in a Bayer period (0 or 1 each); None for any other mosaic."""
+        """Row and column of the red pixel in a Bayer period (0 or 1 each); None if not Bayer."""
         if len(self.cfa) != 2 or sorted("".join(self.cfa)) != ["B", "G", "G", "R"]:
             return None
         row, col = divmod("".join(self.cfa).index("R"), 2)
@@ -374,5 +395,5 @@ class Sensor:
 
     @property
     def displacement(self) -> tuple[float, float]:
-        """Where the apertures' middles lie from those of a centred grid, (rows, cols) [pixel]."""
+        """Displacement of the aperture centres from a centred grid, (rows, cols) [pixel]."""
         return self.offset[0] + self.centre[0], self.offset[1] + self.centre[1]

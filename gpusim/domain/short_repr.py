@@ -1,14 +1,17 @@
-"""Short reprs: what a prompt, a debugger or a failed test shows of an object in a line or two."""
+"""Short reprs of objects for prompts, debuggers and failed tests."""
 
 import dataclasses
 
 import numpy as np
 
-LONGEST, NESTED = 200, 60  # letters of a repr, and of a part of it
+LONGEST, NESTED = 200, 60  # largest number of letters of a repr, and of a part of it
 
 
 def brief(made) -> str:
-    """The repr of a dataclass: its name, and fields that are not as by default; of arrays the type and the shape."""
+    """Return the repr of a dataclass: its name, and the fields that differ from their defaults.
+
+    Arrays show their type and shape.
+    """
     parts = [
         f"{field.name}={_part(getattr(made, field.name))}"
         for field in dataclasses.fields(made)
@@ -19,12 +22,12 @@ def brief(made) -> str:
 
 
 def shortened(text: str) -> str:
-    """A repr of LONGEST letters at most."""
+    """Return a repr shortened to at most LONGEST letters."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 4]}...{text[-1]}"
 
 
 def span(wavelengths) -> str:
-    """How many wavelengths [nm] there are, and from where to where."""
+    """Return the number of wavelengths, the first and the last [nm], as text."""
     return f"{len(wavelengths)} wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm"
 
 

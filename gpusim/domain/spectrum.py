@@ -1,9 +1,10 @@
-"""A function of wavelength, tabulated."""
+"""Tabulated functions of wavelength."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.short_repr import shortened, span
@@ -11,17 +12,24 @@ from gpusim.domain.short_repr import shortened, span
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
 LIGHT_SPEED = 299792458.0  # [m s-1], exact
 BOLTZMANN = 1.380649e-23  # [J K-1], exact (SI 2019)
-LINE = 1.0  # [nm] width that a scene's only wavelength stands for
-SHORTEST, LONGEST = 10.0, 1e5  # [nm] what is light here: extreme ultraviolet to far infrared
+LINE = 1.0  # [nm] bandwidth of a scene with a single wavelength
+SHORTEST, LONGEST = 10.0, 1e5  # [nm] range of light: extreme ultraviolet to far infrared
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One or more functions of wavelength on one table, linear between its entries.
+    """One or more functions of wavelength in one table, linear between its entries.
 
-    wavelengths: [nm], strictly increasing, shape (L,), L >= 2.
-    values: shape (L,) for one function, (N, L) for N of them; the unit is the user's. `np.asarray` gives them.
-    Raises BadData for unsorted wavelengths or such as are not light, wrong shapes, NaN or infinities.
+    `np.asarray` returns the values.
+
+    Args:
+        wavelengths: Wavelengths [nm], strictly increasing, shape (L,), L >= 2.
+        values: One function, shape (L,), or N functions, shape (N, L), in any unit.
+        name: Name in messages and reports.
+
+    Raises:
+        BadData: Wavelengths are not sorted or outside the range of light, shapes do not match, or
+            values are not finite.
     """
 
     wavelengths: np.ndarray
@@ -52,25 +60,37 @@ class Spectrum:
             f"values {self.values.min():.4g} .. {self.values.max():.4g})"
         )
 
-    def at(self, wavelengths, outside: float | None = 0.0) -> np.ndarray:
-        """Values at `wavelengths` [nm], shape (..., len(wavelengths)).
+    def at(self, wavelengths: ArrayLike, outside: float | None = 0.0) -> np.ndarray:
+        """Interpolate the values.
 
-        outside: the value beyond the table's ends, or None to hold the end values.
+        Args:
+            wavelengths: Wavelengths [nm], shape (M,).
+            outside: Value beyond the ends of the table; None: the end values continue.
+
+        Returns:
+            Values, shape (..., M).
         """
         edge = {} if outside is None else {"left": outside, "right": outside}
+        nodes = np.asarray(wavelengths, np.float64)
         rows = [
-            np.interp(wavelengths, self.wavelengths, row, **edge)
-            for row in np.atleast_2d(self.values)
+            np.interp(nodes, self.wavelengths, row, **edge) for row in np.atleast_2d(self.values)
         ]
         return rows[0] if self.values.ndim == 1 else np.stack(rows)
 
     def scaled(self, factor: float) -> "Spectrum":
-        """The same spectrum times `factor`."""
+        """Return the spectrum times a factor.
+
+        Args:
+            factor: Factor on the values [1].
+
+        Returns:
+            The new spectrum.
+        """
         return Spectrum(self.wavelengths, self.values * factor, self.name)
 
 
 def check_wavelengths(wavelengths, label: str, least: int = 1):
-    """Raise BadData for wavelengths, shape (L,), that are fewer than `least`, not light, or do not increase."""
+    """Raise BadData unless wavelengths (L,) are light, increase, and number at least `least`."""
     if wavelengths.ndim != 1 or len(wavelengths) < least:
         raise BadData(
             f"{label}: needs at least {least} wavelength{'s' if least > 1 else ''}, got shape "
@@ -90,23 +110,23 @@ def check_wavelengths(wavelengths, label: str, least: int = 1):
 
 
 def seen_band(wavelengths) -> tuple[float, float]:
-    """First and last wavelength [nm] that a scene of these shows; one stands for LINE around it."""
+    """Return the first and last wavelength of a scene [nm]; a single one has the width LINE."""
     first, last = float(wavelengths[0]), float(wavelengths[-1])
     return (first, last) if first < last else (first - LINE / 2, last + LINE / 2)
 
 
 def energy_per_photon(wavelengths):
-    """Of light of these wavelengths [nm]: [J]."""
+    """Return the energy of a photon [J] at these wavelengths [nm]."""
     return PLANCK * LIGHT_SPEED / (wavelengths * 1e-9)
 
 
 def photons_from_energy(spectrum: Spectrum) -> Spectrum:
-    """From energy [W ... nm-1] to photons [photon s-1 ... nm-1]: divides by h c / lambda."""
+    """Convert energy [W ... nm-1] to photons [photon s-1 ... nm-1]: divide by h c / lambda."""
     per_photon = energy_per_photon(spectrum.wavelengths)
     return Spectrum(spectrum.wavelengths, spectrum.values / per_photon, spectrum.name)
 
 
 def energy_from_photons(spectrum: Spectrum) -> Spectrum:
-    """From photons [photon s-1 ... nm-1] to energy [W ... nm-1]: multiplies by h c / lambda."""
+    """Convert photons [photon s-1 ... nm-1] to energy [W ... nm-1]: multiply by h c / lambda."""
     per_photon = energy_per_photon(spectrum.wavelengths)
     return Spectrum(spectrum.wavelengths, spectrum.values * per_photon, spectrum.name)

@@ -1,4 +1,4 @@
-"""How much error a frame may carry."""
+"""The error that a frame may have."""
 
 from dataclasses import dataclass
 from numbers import Real
@@ -8,12 +8,15 @@ from gpusim.domain.errors import OutOfRange, UnknownName, shown
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Bounds on the error of the mean electrons; those that are None do not bind.
+    """Limits on the error of the mean electrons. None means no limit.
 
-    rms: relative root mean square error over the frame [1].
-    p999_sigma: 99.9 % quantile over the pixels of |error| / that pixel's own noise sigma [1].
-    max_sigma: the same at the worst pixel [1].
-    Raises OutOfRange.
+    Args:
+        rms: Root mean square error, relative to the root mean square of the frame [1].
+        p999_sigma: 99.9 % quantile over the pixels of |error| / noise sigma of the pixel [1].
+        max_sigma: Maximum over the pixels of |error| / noise sigma of the pixel [1].
+
+    Raises:
+        OutOfRange: A limit is not positive and finite, or there is none.
     """
 
     rms: float | None = None
@@ -30,9 +33,18 @@ class Tolerance:
 
     @classmethod
     def parse(cls, text: "str | float | Tolerance") -> "Tolerance":
-        """Read a preset's name ("preview", "video", "metrology") or a relative RMS error such as "1e-4".
+        """Read a tolerance from text.
 
-        Raises UnknownName, OutOfRange.
+        Args:
+            text: Name of a preset ("preview", "video", "metrology"), a relative RMS error like
+                "1e-4", or a Tolerance.
+
+        Returns:
+            The tolerance.
+
+        Raises:
+            OutOfRange: The number is not positive and finite.
+            UnknownName: The text is neither a preset nor a number.
         """
         if isinstance(text, Tolerance):
             return text

@@ -1,4 +1,4 @@
-"""Where a camera looks: which place of a scene its frame shows."""
+"""The part of a scene that a frame shows."""
 
 from dataclasses import dataclass
 from math import cos, isfinite, pi, sin
@@ -12,12 +12,20 @@ MOST_ZOOM = 100.0
 
 @dataclass(frozen=True)
 class View:
-    """The place p of the frame, from its middle [pixel], shows that of the scene at shift + R(rotation) p / zoom.
+    """Mapping from the frame to the scene: frame position p shows shift + R(rotation) p / zoom.
 
-    shift: rows and columns [pixel]: what is in the middle of the frame. rotation: of the camera about its axis, in the
-    frame's plane from the columns to the rows [rad]. zoom: magnification, from 1 on: a smaller one would show the scene
-    finer than its samples are told to be.
-    Raises BadData, OutOfRange.
+    Both positions are relative to the centre [pixel].
+
+    Args:
+        shift: Rows and columns of the scene point at the centre of the frame [pixel].
+        rotation: Rotation of the camera about its axis, in the plane of the frame, from the columns
+            to the rows [rad].
+        zoom: Magnification, 1 or more. A smaller one would make samples finer than the scene's
+            `samples_per_pixel` says.
+
+    Raises:
+        BadData: A value is no number.
+        OutOfRange: A number is outside its range.
     """
 
     shift: tuple[float, float] = (0.0, 0.0)
@@ -36,7 +44,7 @@ class View:
             raise OutOfRange("view", self, f"finite numbers, the shift up to {FARTHEST:g} pixels")
         if not 1 <= zoom <= MOST_ZOOM:
             raise OutOfRange(
-                "view.zoom", zoom, f"1 .. {MOST_ZOOM:g}; a wider view is that of a larger scene"
+                "view.zoom", zoom, f"1 .. {MOST_ZOOM:g}; a wider view needs a larger scene"
             )
         object.__setattr__(self, "shift", (down, right))
         object.__setattr__(self, "rotation", rotation % (2 * pi))
@@ -44,21 +52,34 @@ class View:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the frame shows the middle of the scene, as it is."""
+        """True if the frame shows the centre of the scene, unrotated and at magnification 1."""
         return self.zoom == 1 and not (self.rotation or any(self.shift))
 
     def is_whole(self, ratio: float = 1.0) -> bool:
-        """Whether it shows samples where they are: displaced by whole ones. ratio: samples per pixel."""
+        """Return True if pixels fall on samples: the shift is a whole number of samples.
+
+        Args:
+            ratio: Scene samples per pixel.
+
+        Returns:
+            True if no interpolation is needed.
+        """
         return (
             not self.rotation
             and self.zoom == 1
             and all((ratio * move).is_integer() for move in self.shift)
         )
 
-    def place(self, y, x, ratio: float = 1.0) -> tuple[Any, Any]:
-        """Rows and columns of the scene that places of the frame show, both from the middle [sample].
+    def place(self, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
+        """Return the scene positions that frame positions show, both relative to the centre.
 
-        ratio: samples per pixel.
+        Args:
+            y: Rows of the frame [sample], a number or an array.
+            x: Columns of the frame [sample].
+            ratio: Scene samples per pixel.
+
+        Returns:
+            Rows and columns of the scene [sample].
         """
         c, s = cos(self.rotation) / self.zoom, sin(self.rotation) / self.zoom
         return c * y + s * x + ratio * self.shift[0], c * x - s * y + ratio * self.shift[1]

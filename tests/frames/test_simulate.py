@@ -839,7 +839,7 @@ def test_several_scenes_give_a_frame_each():
         asked == [] and next(frames).raw.shape == (32, 48) and asked == [0]
     )  # made when asked for
     for wrong in ("colorchecker", 3, None):
-        with pytest.raises(BadData, match="wanted a Scene, such as of open_scene or chart"):
+        with pytest.raises(BadData, match="wanted a Scene, for example from open_scene or chart"):
             simulate(wrong)
     with pytest.raises(BadData, match="scene: str, wanted a Scene"):
         list(simulate(["colorchecker"]))

@@ -315,7 +315,7 @@ def test_noise_names():
         ),
         ({"conversion_gain": 50e-6}, BadData, "adc_range"),
         ({"adc_range": 1.0}, BadData, "conversion_gain"),
-        ({"gain": 1.0, "conversion_gain": 50e-6, "adc_range": 1.0}, BadData, "gain alone"),
+        ({"gain": 1.0, "conversion_gain": 50e-6, "adc_range": 1.0}, BadData, "wanted only gain"),
         ({"photodetector": (0.5, 0.5), "fill_factor": 0.5}, BadData, "wanted one of them"),
         (
             {"binning_mode": "analog"},
@@ -350,10 +350,10 @@ def test_bits_are_those_of_converters_or_float():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"cfa": ("RG", "GW")}, "letters must be those of the curves"),
+        ({"cfa": ("RG", "GW")}, "letters must be the channels' letters"),
         (
             {"cfa": ("RG", "GR")},
-            "letters must be those of the curves",
+            "letters must be the channels' letters",
         ),  # no blue pixel: nothing to make blue of
         ({"cfa": ("RG", "B")}, "equally many"),
         ({"cfa": ()}, "1 to 8 rows"),
