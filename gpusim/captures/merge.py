@@ -1,6 +1,7 @@
-"""Several frames of one scene made into one picture: exposure brackets, bursts, pairs with and without flash."""
+"""Merge several frames of one scene: exposure brackets, bursts, pairs with and without flash."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -19,43 +20,54 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
 
-PEDESTAL, TOP = (
-    1024,
-    65535,
-)  # digital numbers of black and of the largest value in merged raw values
-FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
-COARSE = 0.1  # of the dark noise's variance: more from rounding asks for the finer scale
-REACH = 16  # [pixel] over which demosaicking may mix values
+PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
+FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
+COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
+REACH = 16  # [pixel] reach of demosaicking
 
 
-def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None) -> Frame:
-    """One picture of high dynamic range from frames exposed differently long, such as `bracket` takes.
+def merge_bracket(
+    simulator: Simulator, frames: Iterable[Frame], *, full_scale: float | None = None
+) -> Frame:
+    """Merge frames with different exposure times into one high dynamic range picture.
 
-    Each pixel becomes the mean of its rates, electrons per second, weighted by the inverse of their variances; frames
-    in which it is full are left out, and where all are, it is that of the frame which holds the largest rate: the
-    shortest, of equal gains. See `processor.merge`. Values below digital number 0 were cut by the converter: a camera
-    with a black level stays unbiased in the dark. Where the camera replaces defective pixels, that is done in every
-    frame before the merge; those known are detected instead if the map is not the simulator's, or pixels are binned.
+    Each pixel becomes the mean of its rates, electrons per second, weighted by inverse variance.
+    Frames in which it is full are left out; if all are, it takes the value of the frame that holds
+    the largest rate: the shortest, if gains are equal. See `processor.merge`. The converter clips
+    values below digital number 0: a camera with a black level stays unbiased in the dark. If the
+    camera replaces defective pixels, this is done in every frame before the merge; known ones are
+    detected instead if the map is not the simulator's or pixels are binned.
 
-    Frames are not aligned: they have to show the same from the same place. Shaken by 5 and 7 pixels, what had 39 dB has
-    25 dB.
+    Frames are not aligned: they must show the same scene from the same place. A shake of 5 and 7
+    pixels lowers 39 dB to 25 dB.
 
-    frames: 2 to 16 of one camera and size, from digital numbers, not binned as such; order and analog gains are free.
-    full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
-    Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
-    or (C, rows, cols) [e-], divided by `exposure_time` a rate, negative where noise made it so; `raw` the same in 16
-    bits up to full_scale; `linear` developed from them, as bright as the frame of the middle exposure: its display
-    white stays 1, what is brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are
-    too coarse.
-    Raises BadData, OutOfRange.
+    Args:
+        simulator: simulator of the camera.
+        frames: 2 to 16 frames of one camera and size, as digital numbers without digital binning,
+            in any order and with any analog gains.
+        full_scale: largest rate that the merged raw values hold [e- s-1]; None is the largest that
+            any frame holds.
+
+    Returns:
+        A frame as of the longest exposure with an unlimited well. `mean` is the merged electrons,
+        float32 (rows, cols) or (C, rows, cols) [e-]; divided by `exposure_time` it is a rate,
+        negative if noise makes it so. `raw` is the same in 16 bits up to full_scale. `linear` is
+        developed from it, as bright as the frame of the middle exposure: its display white stays 1,
+        brighter values exceed it. Dark parts are developed at a scale 256 times finer if 16 bits
+        are too coarse for them.
+
+    Raises:
+        BadData: if the frames do not fit together, are digitally binned, or every pixel is full in
+            all.
+        OutOfRange: if an exposure time or full_scale is out of range.
     """
-    frames = _checked("merge_bracket", frames, MOST_FRAMES)
+    frames = _check_frames("merge_bracket", frames, MOST_FRAMES)
     if simulator.readout.averaged > 1:
         raise BadData(
-            "merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
-            '"charge", or no binning'
+            "merge_bracket: digital binning hides full pixels; use sensor.binning_mode = "
+            '"charge" or no binning'
         )
-    tables = _tables(frames)
+    tables = _merge_tables(frames)
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
     )
@@ -71,11 +83,11 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     if (frames[0].raw >= tables["ceiling"][0]).all():
         raise BadData(
             "merge_bracket: every pixel is full in the frame that holds the largest rate, of "
-            f"{times[0]:.4g} s; take a shorter one"
+            f"{times[0]:.4g} s; take a shorter exposure"
         )
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     with simulator.device.timed() as ms:
-        raw = _without_defects(simulator, frames)
+        raw = _replace_defects(simulator, frames)
         layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
         rate = np.stack(
             [
@@ -95,7 +107,7 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
         (np.square(times / longest) / tables["floor"]).sum() ** -0.5
     )  # [e- in the longest exposure]
     shown = frames[len(frames) // 2]
-    return _developed(
+    return _develop(
         simulator,
         shown,
         rate * np.float32(longest),
@@ -104,7 +116,7 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
         saturated=limit / full_scale,
         ratio=shown.exposure_time / longest,
         dark_noise=dark_noise,
-        defects=_defects(simulator, frames),
+        defects=_defect_method(simulator, frames),
         ms=ms,
         made={
             "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
@@ -113,23 +125,33 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     )
 
 
-def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
-    """One picture with less noise from frames exposed equally long while the camera shook or things moved.
+def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int = 0) -> Frame:
+    """Merge frames with equal exposure into one picture with less noise, aligned to a reference.
 
-    Tiles of 16 x 16 periods of the mosaic are found again in every frame (`processor.align`), moved onto the reference
-    and averaged, each block of a period with weights that are 0 where the difference is more than the noise explains
-    (`processor.average`): what moves by itself is shown as the reference has it, without ghosts and with its noise.
-    A tile moves only if noise does not explain it: at rest the variance is 1 / n of one frame's, within 2 %, on flat
-    fields and sharp edges, for 2 to 16 frames, 20 to 2000 electrons and periods of 1 to 6 pixels.
-    Defective pixels: as for `merge_bracket`.
+    Tiles of 16 x 16 periods of the mosaic are searched in every frame (`processor.align`), moved
+    onto the reference and averaged. Blocks of one period get weight 0 if they differ by more than
+    noise explains (`processor.average`): moving objects appear as in the reference, without ghosts
+    and with its noise. A tile moves only if noise does not explain the difference: at rest the
+    variance is 1 / n of one frame's, within 2 %, on flat fields and sharp edges, for 2 to 16
+    frames, 20 to 2000 electrons and periods of 1 to 6 pixels. Defective pixels are handled as by
+    `merge_bracket`.
 
-    frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the
-    mosaic high and wide. reference: the frame that stays where it is.
-    Returns a Frame as of n times the exposure time, the sum of n frames without noise correlated among them: `mean`
-    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits; `linear` as bright as the reference.
-    Raises BadData, OutOfRange.
+    Args:
+        simulator: simulator of the camera.
+        frames: two or more frames of one camera, size, exposure time and gain, as digital numbers,
+            at least 16 periods of the mosaic high and wide.
+        reference: index of the frame that the others are aligned to.
+
+    Returns:
+        A frame as of n times the exposure time, the sum of n frames without noise correlated among
+        them. `mean` is the collected electrons, float32 (rows, cols) [e-]; `raw` is in 16 bits;
+        `linear` is as bright as the reference.
+
+    Raises:
+        BadData: if the frames do not fit together, or pixels are stacked.
+        OutOfRange: if an exposure time or the reference is out of range.
     """
-    frames = _checked("merge_burst", frames, None)
+    frames = _check_frames("merge_burst", frames, None)
     times = np.array([frame.exposure_time for frame in frames])
     sensors = [frame.camera.sensor for frame in frames]
     if (
@@ -137,8 +159,8 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
         or len({sensor.gain_dn_per_electron for sensor in sensors}) > 1
     ):
         raise BadData(
-            "merge_burst: the frames differ in exposure time or gain; wanted equal ones (merge_bracket takes "
-            "others)"
+            "merge_burst: the frames differ in exposure time or gain; wanted equal ones; use merge_bracket "
+            "for different ones"
         )
     sensor, count = sensors[0], len(frames)
     if sensor.stacked:
@@ -147,9 +169,9 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
     noise = Developer(
         frames[0].camera, device, simulator.readout.averaged
-    ).noise  # moved, offsets differ as noise does
+    ).noise  # fixed offsets count as noise, because frames move
     with device.timed() as ms:
-        raw = device.array(_without_defects(simulator, frames), np.uint16)
+        raw = device.array(_replace_defects(simulator, frames), np.uint16)
         displacement = align(raw, reference=reference, period=period, device=device)
         numbers = device.numpy(
             average(
@@ -170,7 +192,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     dark_noise = float(
         np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark))
     )
-    return _developed(
+    return _develop(
         simulator,
         frames[int(reference)],
         electrons,
@@ -179,7 +201,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
         saturated=sensor.saturation / full,
         ratio=1 / count,
         dark_noise=dark_noise,
-        defects=_defects(simulator, frames),
+        defects=_defect_method(simulator, frames),
         ms=ms,
         made={
             "processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
@@ -191,15 +213,27 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
 def merge_flash(
     simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0
 ) -> Frame:
-    """The ambient picture, in its own light, with the noise averaged among pixels that a flash picture shows as alike.
+    """Denoise an ambient picture by averaging pixels that look equal in a flash picture.
 
-    ambient, flash: frames of one camera and view, without and with a flash beside the scene's light; exposure times
-    and gains are free. radius: of the window [pixel], 1 to 12. reach: squared difference, over that of noise alone,
-    from which on pixels are not alike. The noise that counts is that of the sensor through the camera's colour matrix.
-    See `processor.flash`.
-    Returns the ambient frame with new `linear` and `rgb`. Raises BadData, OutOfRange.
+    The picture keeps its own light. The noise taken into account is the sensor's, through the
+    camera's colour matrix. See `processor.flash`.
+
+    Args:
+        simulator: simulator of the camera.
+        ambient: frame without flash.
+        flash: frame of the same camera and view with flash in addition to the scene's light;
+            exposure times and gains are free.
+        radius: radius of the window, 1 to 12 [pixel].
+        reach: squared difference relative to noise from which pixels count as different.
+
+    Returns:
+        The ambient frame with new `linear` and `rgb`.
+
+    Raises:
+        BadData: if the frames do not fit together or have NaN or infinite values.
+        OutOfRange: if an exposure time, the radius or the reach is out of range.
     """
-    ambient, flash = _checked("merge_flash", [ambient, flash], None)
+    ambient, flash = _check_frames("merge_flash", [ambient, flash], None)
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
@@ -221,7 +255,7 @@ def merge_flash(
         ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
     )
     developer = Developer(ambient.camera, simulator.device)
-    linear, rgb = _shown(
+    linear, rgb = _host_pictures(
         simulator.device, developer, developer.colored(simulator.device.array(planes), as_is)
     )
     *stages, encoding = ambient.report.stages
@@ -232,8 +266,8 @@ def merge_flash(
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
 
-def _checked(function, frames, most):
-    """Frames of one camera. Raises BadData, OutOfRange."""
+def _check_frames(function, frames, most):
+    """Return frames as a list; raise BadData or OutOfRange unless they are of one camera."""
     try:
         frames = list(frames)
     except TypeError:
@@ -241,8 +275,8 @@ def _checked(function, frames, most):
     for number, frame in enumerate(frames):
         if not isinstance(frame, Frame):
             raise BadData(
-                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
-                "as Simulator.frames and gpusim.bracket give"
+                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, "
+                "from Simulator.frames or gpusim.bracket"
             )
     if len(frames) < 2 or (most and len(frames) > most):
         raise BadData(
@@ -253,7 +287,7 @@ def _checked(function, frames, most):
         sensor = frame.camera.sensor
         if sensor.bits == FLOAT_BITS:
             raise BadData(
-                f"{function}: frame {number} has raw values without a converter; wanted sensor.bits 1 .. 16"
+                f"{function}: frame {number} has float raw values; wanted sensor.bits 1 .. 16"
             )
         if not 0 < frame.exposure_time < np.inf:
             raise OutOfRange(
@@ -264,7 +298,7 @@ def _checked(function, frames, most):
         if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
             raise BadData(
                 f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
-                f"wanted uint16, all like frame 0, {np.shape(first.raw)}"
+                f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
             )
         for key in (
             "channels",
@@ -283,8 +317,8 @@ def _checked(function, frames, most):
     return frames
 
 
-def _tables(frames):
-    """What `processor.merge` wants to know of each frame."""
+def _merge_tables(frames):
+    """Return the parameters of each frame that `processor.merge` takes."""
     rows = []
     for frame in frames:
         sensor, time, noise = (
@@ -309,20 +343,24 @@ def _tables(frames):
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
-def _defects(simulator, frames):
-    """How the frames' defective pixels are found: by the chip's map only if it is the simulator's and not binned."""
+def _defect_method(simulator, frames):
+    """Return how defective pixels are found.
+
+    The chip's map is used only if it is the simulator's and pixels are not binned.
+    """
     asked, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
     mapped = sensor.binning == (1, 1) and sensor.noise == frames[0].camera.sensor.noise
     return "detect" if asked == "known" and not mapped else asked
 
 
-def _without_defects(simulator, frames):
-    """Raw values of all frames, their defects replaced if the camera asks for it.
+def _replace_defects(simulator, frames):
+    """Return the raw values of all frames, defects replaced if the camera does so.
 
-    In merged ones the noise of bright parts is not that of their electrons, and what moved fits no map of the chip.
+    This happens before the merge: merged values have other noise than their electrons, and moved
+    ones fit no map of the chip.
     """
     raw = np.stack([frame.raw for frame in frames])
-    how, device, shape = _defects(simulator, frames), simulator.device, raw.shape[1:]
+    how, device, shape = _defect_method(simulator, frames), simulator.device, raw.shape[1:]
     if how == "none":
         return raw
     for frame, layers in zip(frames, raw.reshape(len(frames), -1, *shape[-2:]), strict=True):
@@ -345,7 +383,7 @@ def _without_defects(simulator, frames):
     return raw
 
 
-def _developed(
+def _develop(
     simulator,
     frame,
     electrons,
@@ -359,12 +397,13 @@ def _developed(
     ms,
     made,
 ):
-    """A Frame of merged electrons.
+    """Return a frame of merged electrons.
 
-    frame: whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the largest raw value.
-    saturated: where the frames saturate, in parts of it. ratio: the frame's exposure time over the merged one's.
-    dark_noise: standard deviation without light [e-]. defects: how they were found. ms: milliseconds per stage of the
-    merge. made: its stages -> what they did.
+    frame: frame whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the
+    largest raw value. saturated: saturation of the frames relative to it. ratio: the frame's
+    exposure time over the merged one's. dark_noise: standard deviation without light [e-]. defects:
+    how they were found. ms: milliseconds per stage of the merge. made: stages of the merge -> their
+    report lines.
     """
     device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
@@ -383,7 +422,7 @@ def _developed(
     processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
 
     def scaled(full):
-        """Camera, digital numbers, and the developer that demosaicked them to planes, 1 being `full` electrons."""
+        """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
         gain = (TOP - PEDESTAL) / full
         sensor = dataclasses.replace(
             old,
@@ -415,15 +454,13 @@ def _developed(
         step = full / (TOP - PEDESTAL)
         if step**2 * ROUNDING > COARSE * dark_noise**2:
             fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-            most = (
-                1.0 if shading is None else max(1.0, float(shading.max()))
-            )  # the shading's gains clip earlier
+            # gains of the shading correction clip earlier
+            most = 1.0 if shading is None else max(1.0, float(shading.max()))
             planes = device.array(
-                np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine)
+                np.where(_bright_mask(electrons, full / FINER / most), device.numpy(planes), fine)
             )
-        k = (
-            full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
-        )  # old camera value over new
+        # camera value of the frame over the merged one
+        k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
         once = frame.rendering
         shown_by = dataclasses.replace(
             once,
@@ -432,7 +469,7 @@ def _developed(
             white=once.white / k,
             saturation=saturated,
         )
-        linear, rgb = _shown(device, developer, developer.colored(planes, shown_by))
+        linear, rgb = _host_pictures(device, developer, developer.colored(planes, shown_by))
     first = {}
     if defects != "none":
         before = dataclasses.replace(
@@ -441,7 +478,7 @@ def _developed(
         first["processor.defects"] = (
             Developer(before, device).models()["processor.defects"] + ", frame by frame"
         )
-    report = _reported(
+    report = _replace_stages(
         frame.report,
         first | made | developer.models(),
         {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}},
@@ -461,8 +498,8 @@ def _developed(
     )
 
 
-def _shown(device, developer, shown):
-    """A frame's `linear` and `rgb` of linear display RGB on the device."""
+def _host_pictures(device, developer, shown):
+    """Return `linear` and `rgb` of a frame from linear display RGB on the device."""
     planes, codes = (
         np.array(device.numpy(shown), np.float32),
         np.array(device.numpy(developer.encoded(shown))),
@@ -470,8 +507,8 @@ def _shown(device, developer, shown):
     return np.moveaxis(planes, 0, -1), codes
 
 
-def _reported(report, processing, ms):
-    """A frame's report with other stages between its sensor and its colours."""
+def _replace_stages(report, processing, ms):
+    """Return a frame's report with other stages between its sensor and its colours."""
     last = ("processor.color", "display.encode")
     before = [
         stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
@@ -485,8 +522,8 @@ def _reported(report, processing, ms):
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 
 
-def _bright(electrons, limit):
-    """Where demosaicking may have mixed in a value beyond `limit` [e-], bool (rows, cols)."""
+def _bright_mask(electrons, limit):
+    """Return where demosaicking may have mixed in a value above `limit` [e-], bool (rows, cols)."""
     from scipy.ndimage import maximum_filter
 
     return (
@@ -496,9 +533,10 @@ def _bright(electrons, limit):
 
 
 def _display_noise(frame, averaged=1):
-    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`.
+    """Return the noise of linear display values as `processor.flash` takes it, (3, 4).
 
-    Both pictures have the chip's fixed offsets, which make no pixels unlike: the noise is that from frame to frame.
+    Only noise from frame to frame counts, because both pictures have the same fixed offsets.
+    averaged: as for `Developer`.
     """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
     noise, scale = (

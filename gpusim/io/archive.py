@@ -18,15 +18,10 @@ from gpusim.io.files import file_size, open_file, reading
 NUMBERS, WHOLE, TEXT = "uif", "ui", "U"  # NumPy's letters for kinds of types
 KINDS = {NUMBERS: "real numbers", WHOLE: "whole numbers", TEXT: "text"}
 WHAT = "an .npz archive of plain arrays"
-VERSIONS = (
-    (1, 0),
-    (2, 0),
-    (3, 0),
-)  # of an array's header; the last two differ in letters of names alone
-METHODS = (
-    zipfile.ZIP_STORED,
-    zipfile.ZIP_DEFLATED,
-)  # those of NumPy; zipfile inflates the others without a bound
+# of an array's header; the last two differ in letters of names alone
+VERSIONS = ((1, 0), (2, 0), (3, 0))
+# those of NumPy; zipfile inflates the others without a bound
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ENCRYPTED = 1  # bit of a zip member's flags
 LARGEST_RATIO = 1032  # of deflate: 258 bytes of 2 bits (RFC 1951)
 LONGEST_DIRECTORY = 2**20  # [byte]; some ten thousand arrays

@@ -11,9 +11,8 @@ from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
 from gpusim.domain.memory import require_memory
 
 LONGEST_TEXT = 2**20  # [byte] of what people write; TOML takes up to 3 s for as much
-TEXT_COST = (
-    64  # [byte] that a parser takes per byte of text: one Python object for every two letters
-)
+# [byte] that a parser takes per byte of text: one Python object for every two letters
+TEXT_COST = 64
 KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),

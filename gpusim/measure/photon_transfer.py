@@ -11,9 +11,8 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
 QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
-LEAST_DARK_VARIANCE = (
-    0.24  # [DN^2]; below, rounding hides the dark noise and the standard puts this instead
-)
+# [DN^2]; below, rounding hides the dark noise and the standard puts this instead
+LEAST_DARK_VARIANCE = 0.24
 FIT = 0.7  # part of saturation up to which lines are fitted
 LINEAR = 0.05, 0.95  # parts of saturation between which linearity is judged
 MIDDLE = 0.3, FIT  # part of saturation at which PRNU may be measured; the standard aims at 0.5

@@ -16,21 +16,10 @@ CHANNELS = {
     "M": (0.80, 0.20, 0.65),
     "E": (0.05, 0.55, 0.45),
 }
-OTHERS = (
-    (0.90, 0.55, 0.10),
-    (0.50, 0.30, 0.65),
-    (0.55, 0.34, 0.29),
-    (0.50, 0.50, 0.13),
-)  # of letters not in it
-WITHOUT_WINDOW = (
-    "agg",
-    "cairo",
-    "pdf",
-    "pgf",
-    "ps",
-    "svg",
-    "template",
-)  # ways of matplotlib to draw
+# of letters not in it
+OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))
+# ways of matplotlib to draw
+WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 STYLES = ("-", "--", "-.", ":")
 LIGHTEST = 0.5  # of a line's codes on white
 BAR = 1.3  # inches of a colour bar

@@ -28,10 +28,8 @@ from gpusim.plot.canvas import (
 )
 
 RAW_GAMMA = 2.2  # of the mosaic's picture
-SPREAD, CUT = (
-    5.0,
-    4.0,
-)  # sigmas of a histogram, and from black or saturation within which noise is cut off
+# sigmas of a histogram, and from black or saturation within which noise is cut off
+SPREAD, CUT = 5.0, 4.0
 FLAT = (96, 96)  # pixels of the frames of which a photon transfer curve is measured
 LOWEST = -10.0  # SNR that is drawn [dB]
 

@@ -6,9 +6,8 @@ from gpusim.domain.calibration import Calibration
 from gpusim.domain.errors import BadData, BadFile, UnknownName, shown
 from gpusim.io.files import named, read_text, reading
 
-LONGEST = (
-    2**16
-)  # [byte]; what is sensible has two thousand, and a parser in Python takes a second for these
+# [byte]; what is sensible has two thousand, and a parser in Python takes a second for these
+LONGEST = 2**16
 WHAT = "YAML, JSON or XML of a calibration"
 # what files call the models, and whether that is the fisheye's
 MODELS = {

@@ -12,9 +12,8 @@ HEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 MARGIN = 0.95  # of the coarsest spacing that tells all of the irradiance, lambda N / 2
 SAMPLES = 65
 FIELDS = 41  # chief rays from which the field of an image height is interpolated
-FIELD_STEPS = (
-    4  # of the secant's search, which converges with the third power of the distance of the fields
-)
+# of the secant's search, which converges with the third power of the distance of the fields
+FIELD_STEPS = 4
 
 
 def optiland_psf(

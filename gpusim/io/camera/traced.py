@@ -97,10 +97,8 @@ def _outward(traced, ideal, corner):
             f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y"
         )
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
-        values, (row, col) = (
-            np.rot90(values),
-            (values.shape[1] - 1 - col, row),
-        )  # what is below comes to the right
+        # what is below comes to the right
+        values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)
     return values, traced.spacing, (row, col)
 
 

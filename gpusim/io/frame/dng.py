@@ -17,9 +17,8 @@ LIGHTS = {
     "D75": 22,
     "D50": 23,
 }  # EXIF codes, LightSource
-FILTERS = (
-    "RGBCMYW"  # by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
-)
+# by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+FILTERS = "RGBCMYW"
 PLANES = (1, 3, 4)  # that colour matrices, and the programs that read them, know
 LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array

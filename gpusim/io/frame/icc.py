@@ -11,9 +11,8 @@ from gpusim.data.colorimetry import adaptation
 from gpusim.domain.display import Display
 
 VERSION = 0x04300000
-D50 = (
-    np.array([0xF6D6, 0x10000, 0xD32D]) / 65536
-)  # XYZ of the profile connection space's white, 7.2.16
+# XYZ of the profile connection space's white, 7.2.16
+D50 = np.array([0xF6D6, 0x10000, 0xD32D]) / 65536
 DATE = (2026, 1, 1, 0, 0, 0)  # the same profile for the same display
 
 

@@ -19,17 +19,8 @@ TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i
 COMPLEX = (6, 9)
 # axes of a file that are its bands, rows and columns
 AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
-DATA = (
-    "",
-    ".raw",
-    ".img",
-    ".dat",
-    ".bil",
-    ".bip",
-    ".bsq",
-    ".bin",
-    ".sli",
-)  # endings of data files beside a header
+# endings of data files beside a header
+DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")
 LIBRARY = "envi spectral library"
 NANOMETRES = {
     "nanometers": 1,

@@ -19,11 +19,8 @@ CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
 LARGEST_HEAP = 2**20  # [byte] of a group's names
 MOST_AXES = 4  # of numbers
-FILTERS = (
-    1,
-    2,
-    3,
-)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
+# deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
+FILTERS = (1, 2, 3)
 
 
 @contextmanager

@@ -31,13 +31,8 @@ from gpusim.io.atomic import atomic_path
 from gpusim.io.files import named
 
 COPIES = 1.0  # of the numbers: as float32, and divided by the light
-FORMS = (
-    "cube",
-    "coefficients",
-    "ids",
-    "photons",
-    "coef",
-)  # the key that says what an archive holds
+# the key that says what an archive holds
+FORMS = ("cube", "coefficients", "ids", "photons", "coef")
 
 
 def write_npz(path, scene: Scene):
