@@ -287,7 +287,7 @@ def _check_frames(function, frames, most):
         sensor = frame.camera.sensor
         if sensor.bits == FLOAT_BITS:
             raise BadData(
-                f"{function}: frame {number} has float raw values; wanted sensor.bits 1 .. 16"
+                f"{function}: frame {number} has no converter (float raw values); wanted sensor.bits 1 .. 16"
             )
         if not 0 < frame.exposure_time < np.inf:
             raise OutOfRange(

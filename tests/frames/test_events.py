@@ -326,7 +326,7 @@ def test_bad_times_and_rates():
     for times, rates, words in (
         ([0.0], [flat], "two or more"),
         ([0.0, 0.0], [flat] * 2, "rising"),
-        ([0.0, 1.0, 2.0], [flat, flat], "2, wanted one for each of 3"),
+        ([0.0, 1.0, 2.0], [flat, flat], "2 for 3 instants"),
         ([0.0, 1.0], [flat, -flat], "finite light"),
         ([0.0, 1.0], [flat, flat.T], "as before"),
     ):

@@ -503,7 +503,7 @@ def test_picture_and_efficiency_are_the_camera_s(checker):
         (
             lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))),
             BadData,
-            "no lens that blurs",
+            "no point spread to draw",
         ),
         (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
         (
