@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.short_repr import brief
 
-QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
 # [DN^2]; rounding hides smaller dark noise, and the standard uses this value
 LEAST_DARK_VARIANCE = 0.24
 FIT = 0.7  # part of saturation up to which lines are fitted
@@ -221,7 +221,7 @@ def photon_transfer(
         gain=gain,
         responsivity=responsivity,
         quantum_efficiency=efficiency,
-        dark_noise=math.sqrt(noise_dn**2 - QUANTISATION) / gain,
+        dark_noise=math.sqrt(noise_dn**2 - ROUNDING) / gain,
         dark_noise_dn=noise_dn,
         quantisation_limited=limited,
         sensitivity_threshold=threshold,

@@ -1,4 +1,4 @@
-"""Raw files: Adobe's DNG."""
+"""Raw files in Adobe's DNG format."""
 
 import math
 from fractions import Fraction
@@ -17,27 +17,30 @@ LIGHTS = {
     "D75": 22,
     "D50": 23,
 }  # EXIF codes, LightSource
-# by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+# index is the code in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
 FILTERS = "RGBCMYW"
-PLANES = (1, 3, 4)  # that colour matrices, and the programs that read them, know
+PLANES = (1, 3, 4)  # channels that colour matrices and other programs support
 LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
 
 def check_dng(cfa, channels):
-    """Raise OutOfRange unless a DNG can tell these filters. cfa: one period, () without a mosaic. channels: letters."""
+    """Raise OutOfRange unless a DNG can store these filters.
+
+    cfa: one period of the mosaic, () without. channels: letters of the channels.
+    """
     if len(channels) not in PLANES:
         raise OutOfRange(
             "channels of a DNG",
             f"{len(channels)} ({', '.join(channels)})",
-            "1, 3 or 4: colour matrices have no other; .npz holds any",
+            "1, 3 or 4, because of the colour matrices; .npz holds any",
         )
     strange = [letter for letter in channels if letter not in FILTERS] if cfa else []
     if strange:
         raise OutOfRange(
             "filters of a DNG",
             ", ".join(strange),
-            f"{', '.join(FILTERS)}: DNG has no other names; .npz holds any",
+            f"{', '.join(FILTERS)}; .npz holds any",
         )
 
 
@@ -54,18 +57,21 @@ def write_dng(
     noise=None,
     camera_name="gpusim",
 ):
-    """Write sensor values as a DNG (version 1.4, one uncompressed strip), exactly as they are.
+    """Write raw values as a DNG (version 1.4, one uncompressed strip) without changing them.
 
-    raw: uint16 or float32 [DN], shape (rows, cols); of stacked pixels (C, rows, cols).
-    cfa: one period of the mosaic as rows of letters of R, G, B, C, M, Y and W, such as ("RG", "GB"); () without.
-    black_level, white_level: [DN]; black_level may be one for each place of the mosaic's period.
-    channels: the letters in the order in which the following have them; all four are not used of one channel.
-    matrices: {light: (color, forward)} of one or two lights, names in LIGHTS: XYZ to camera, shape (C, 3), and camera
-    values over those of white to XYZ in D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape
-    (C,), largest about 1.
-    noise: (S, O), the variance of x = (raw - black) / (white - black) is S x + O; None: is not told.
-    LibRaw, and so many programs, opens no picture smaller than 22 x 22, and no mosaics but of 2 x 2, and X-Trans.
-    Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0.
+    raw: uint16 or float32 [DN], shape (rows, cols), or (C, rows, cols) of stacked pixels. cfa: one
+    period of the mosaic as rows of letters of R, G, B, C, M, Y and W, for example ("RG", "GB"); ()
+    without. black_level, white_level: [DN]; black_level may have one value per position in the
+    mosaic's period. channels: letters in the order of the following arguments, which are not used
+    for one channel. matrices: {light: (color, forward)} of one or two lights, names in LIGHTS:
+    color from XYZ to camera, shape (C, 3); forward from camera values relative to white to XYZ in
+    D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape (C,), largest about
+    1. noise: (S, O) if x = (raw - black) / (white - black) has the variance S x + O; None is
+    unknown.
+
+    LibRaw, which many programs use, opens only pictures of 22 x 22 or more, and only mosaics of 2 x
+    2 and X-Trans. Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG)
+    Specification", 1.4.0.0.
     """
     import tifffile
 
@@ -87,7 +93,7 @@ def write_dng(
         raise BadData(f"{path}: {samples} layers of raw values for {planes} channels")
     oldest = (1, 4, 0, 0) if raw.dtype == np.float32 else (1, 1, 0, 0)
     tags = [
-        (274, "H", 1, 1, False),  # Orientation: as it is
+        (274, "H", 1, 1, False),  # Orientation: not turned
         (50706, "B", 4, (1, 4, 0, 0), False),  # DNGVersion
         (50707, "B", 4, oldest, False),  # DNGBackwardVersion
         (50708, "s", 0, camera_name, False),  # UniqueCameraModel
@@ -117,12 +123,12 @@ def write_dng(
         if not cfa:
             with tifffile.TiffFile(
                 temporary, mode="r+b"
-            ) as file:  # tifffile itself writes it for three samples only
+            ) as file:  # tifffile writes it for three samples only
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
 
 
 def _levels(cfa, samples, black_level, white_level):
-    """Tags of the black and white levels; black as a rational number where it is not whole."""
+    """Return tags of the black and white levels; black is rational if it is not whole."""
     black = np.asarray(black_level, np.float64)
     period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
     if black.shape not in ((), period):
@@ -148,9 +154,10 @@ def _levels(cfa, samples, black_level, white_level):
 
 
 def _mosaic(path, cfa, channels):
+    """Return tags of the colour filter array."""
     if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
         raise BadData(
-            f"{path}: cfa {cfa} wanted equally long rows of the letters {', '.join(channels)}"
+            f"{path}: cfa {cfa}: wanted rows of equal length with the letters {', '.join(channels)}"
         )
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
@@ -173,7 +180,7 @@ def _mosaic(path, cfa, channels):
 
 
 def _colors(path, planes, matrices, as_shot_neutral):
-    """Tags by which a raw converter balances white and finds colours."""
+    """Return tags of white balance and colours for raw converters."""
     if not 1 <= len(matrices) <= 2 or not set(matrices) <= set(LIGHTS):
         raise OutOfRange(
             "matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}"
@@ -210,7 +217,7 @@ def _finite(path, key, values, shape):
 
 
 def _fractions(values):
-    """Numerators and denominators in turn, as TIFF stores rational numbers: whole ones of 31 bits; to 1e-9 of 1."""
+    """Return numerators and denominators for TIFF: whole numbers of 31 bits, accurate to 1e-9."""
     fractions = [
         Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1))
         for value in values
