@@ -5,8 +5,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from gpusim.captures.merged_frame import develop_merged, host_pictures
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.raw_noise import ROUNDING, RawNoise
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
@@ -19,11 +20,6 @@ from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
-
-PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
-FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
-COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
-REACH = 16  # [pixel] reach of demosaicking
 
 
 def merge_bracket(
@@ -107,7 +103,7 @@ def merge_bracket(
         (np.square(times / longest) / tables["floor"]).sum() ** -0.5
     )  # [e- in the longest exposure]
     shown = frames[len(frames) // 2]
-    return _develop(
+    return develop_merged(
         simulator,
         shown,
         rate * np.float32(longest),
@@ -120,7 +116,7 @@ def merge_bracket(
         ms=ms,
         made={
             "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
-            "rates, by the inverse of their variances"
+            "rates, weighted by inverse variance"
         },
     )
 
@@ -192,7 +188,7 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
     dark_noise = float(
         np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark))
     )
-    return _develop(
+    return develop_merged(
         simulator,
         frames[int(reference)],
         electrons,
@@ -255,7 +251,7 @@ def merge_flash(
         ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
     )
     developer = Developer(ambient.camera, simulator.device)
-    linear, rgb = _host_pictures(
+    linear, rgb = host_pictures(
         simulator.device, developer, developer.colored(simulator.device.array(planes), as_is)
     )
     *stages, encoding = ambient.report.stages
@@ -381,155 +377,6 @@ def _replace_defects(simulator, frames):
                 )
             )
     return raw
-
-
-def _develop(
-    simulator,
-    frame,
-    electrons,
-    *,
-    exposure_time,
-    full,
-    saturated,
-    ratio,
-    dark_noise,
-    defects,
-    ms,
-    made,
-):
-    """Return a frame of merged electrons.
-
-    frame: frame whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the
-    largest raw value. saturated: saturation of the frames relative to it. ratio: the frame's
-    exposure time over the merged one's. dark_noise: standard deviation without light [e-]. defects:
-    how they were found. ms: milliseconds per stage of the merge. made: stages of the merge -> their
-    report lines.
-    """
-    device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
-    averaged, shading = simulator.readout.averaged, frame.shading
-    chip = dataclasses.replace(
-        old.noise,
-        dark_current=0.0,
-        read=dark_noise * averaged**0.5,
-        reset=0.0,
-        adc=0.0,
-        row=0.0,
-        column=0.0,
-        dsnu=0.0,
-        row_dsnu=0.0,
-        column_dsnu=0.0,
-    )
-    processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
-
-    def scaled(full):
-        """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
-        gain = (TOP - PEDESTAL) / full
-        sensor = dataclasses.replace(
-            old,
-            bits=16,
-            black_level=PEDESTAL,
-            analog_offset=0.0,
-            gain=gain,
-            analog_gain=1.0,
-            conversion_gain=None,
-            adc_range=None,
-            full_well=full,
-            noise=chip,
-        )
-        camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
-        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(
-            np.uint16
-        )
-        developer = Developer(camera, device, averaged)
-        planes = developer.demosaicked(
-            device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
-            shading=shading,
-            white=frame.rendering.neutral,
-            blur=frame.blur,
-        )
-        return camera, raw, developer, planes
-
-    with device.timed() as more:
-        camera, raw, developer, planes = scaled(full)
-        step = full / (TOP - PEDESTAL)
-        if step**2 * ROUNDING > COARSE * dark_noise**2:
-            fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-            # gains of the shading correction clip earlier
-            most = 1.0 if shading is None else max(1.0, float(shading.max()))
-            planes = device.array(
-                np.where(_bright_mask(electrons, full / FINER / most), device.numpy(planes), fine)
-            )
-        # camera value of the frame over the merged one
-        k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
-        once = frame.rendering
-        shown_by = dataclasses.replace(
-            once,
-            display_from_camera=once.display_from_camera * k,
-            ceiling=once.neutral * saturated,
-            white=once.white / k,
-            saturation=saturated,
-        )
-        linear, rgb = _host_pictures(device, developer, developer.colored(planes, shown_by))
-    first = {}
-    if defects != "none":
-        before = dataclasses.replace(
-            camera, processor=dataclasses.replace(processor, defects=defects)
-        )
-        first["processor.defects"] = (
-            Developer(before, device).models()["processor.defects"] + ", frame by frame"
-        )
-    report = _replace_stages(
-        frame.report,
-        first | made | developer.models(),
-        {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}},
-    )
-    return Frame(
-        camera,
-        float(exposure_time),
-        shown_by,
-        electrons,
-        raw,
-        linear,
-        rgb,
-        report,
-        frame.blur,
-        shading,
-        averaged=None,
-    )
-
-
-def _host_pictures(device, developer, shown):
-    """Return `linear` and `rgb` of a frame from linear display RGB on the device."""
-    planes, codes = (
-        np.array(device.numpy(shown), np.float32),
-        np.array(device.numpy(developer.encoded(shown))),
-    )
-    return np.moveaxis(planes, 0, -1), codes
-
-
-def _replace_stages(report, processing, ms):
-    """Return a frame's report with other stages between its sensor and its colours."""
-    last = ("processor.color", "display.encode")
-    before = [
-        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
-    ]
-    stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
-    after = [
-        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
-        for stage in report.stages
-        if stage.stage in last
-    ]
-    return dataclasses.replace(report, stages=[*before, *stages, *after])
-
-
-def _bright_mask(electrons, limit):
-    """Return where demosaicking may have mixed in a value above `limit` [e-], bool (rows, cols)."""
-    from scipy.ndimage import maximum_filter
-
-    return (
-        maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1)
-        >= 0.99 * limit
-    )
 
 
 def _display_noise(frame, averaged=1):

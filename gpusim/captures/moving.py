@@ -110,18 +110,18 @@ def expose_moving(
 def _plans(simulator, scenes, plan, exposure_time):
     """Return a plan for every scene: one per content, or the given one."""
 
-    def planned(scene):
+    def plan_scene(scene):
         return (
             simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
         )
 
-    first = planned(scenes[0])
+    first = plan_scene(scenes[0])
     return [
         first,
         *(
             dataclasses.replace(first, scene=scene)
             if first.serves(scene) and (scene.content is scenes[0].content)
-            else planned(scene)
+            else plan_scene(scene)
             for scene in scenes[1:]
         ),
     ]

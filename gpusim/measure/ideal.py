@@ -39,8 +39,8 @@ def ideal(
         light: light to show the surfaces in instead of the scene's, as a camera's colour matrix
             assumes: photon radiance at any scale, or the name of an illuminant.
         luminance: luminance shown as display white [cd m-2]. Required if the scene's light is
-            unknown (its white is then D65), not allowed with `light`. None is that of a perfect
-            diffuser.
+            unknown (its white is then D65), not allowed with `light`. None is the luminance of a
+            perfect diffuser.
 
     Returns:
         XYZ with white Y = 1, float64, shape (rows, cols, 3).

@@ -95,7 +95,7 @@ def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:
     each = (-1, *[1] * len(shape))
     counts = np.where(valid.any(axis=0), valid, True) * times.reshape(
         each
-    )  # where none is valid, all are as good
+    )  # all count if none is valid
     light = np.maximum((rates * counts).sum(axis=0) / counts.sum(axis=0), 0.0)
     variances = np.stack(
         [

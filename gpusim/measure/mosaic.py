@@ -35,6 +35,10 @@ def colored(sensor: Sensor, codes) -> np.ndarray:
         GREY if sensor.is_monochrome else LIGHTS.get(letter, GREY) for letter in sensor.channels
     ]
     period = np.array(lights, np.float32)[sensor.cfa_indices]
-    (rows, cols), (high, wide) = codes.shape, period.shape[:2]
-    tiled = np.tile(period, (-(-rows // high), -(-cols // wide), 1))[:rows, :cols]
-    return (codes[..., None] * tiled + np.float32(0.5)).astype(np.uint8)
+    return (codes[..., None] * tile(period, codes.shape) + np.float32(0.5)).astype(np.uint8)
+
+
+def tile(period: np.ndarray, shape) -> np.ndarray:
+    """Return a period of a mosaic, (high, wide) or (high, wide, C), repeated over (rows, cols)."""
+    rows, cols = (np.arange(count) % step for count, step in zip(shape, period.shape, strict=False))
+    return period[np.ix_(rows, cols)]

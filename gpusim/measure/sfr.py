@@ -73,7 +73,7 @@ def sfr(
             side.
         pitch: pixel pitch [m], for frequencies in cycle/mm.
         limits: lowest and highest possible value; a picture that reaches one is refused as clipped.
-            None: those of an integer type, no limits for floats.
+            None: the range of an integer type, no limits for floats.
         order: order of the polynomial fitted to the edge: 1, or 2 if the lens distorts.
 
     Returns:

@@ -125,7 +125,7 @@ def snr(patch: ArrayLike, second: ArrayLike | None = None) -> Any:
     Args:
         patch: values of even light, proportional to it (black level subtracted), shape (rows,
             cols), or (rows, cols, C) for one ratio per channel.
-        second: another frame of the same patch. The noise is then that of their difference over
+        second: another frame of the same patch. The noise is then taken from their difference over
             sqrt(2): temporal noise only, without the pattern that both share.
 
     Returns:

@@ -50,7 +50,7 @@ def window(what: str, other: str):
 
 
 def axes_of(ax, size=(6.4, 4.4)):
-    """Return the given axes, or those of a new figure of `size` inches if `ax` is None.
+    """Return the given axes, or axes of a new figure of `size` inches if `ax` is None.
 
     Raises BadData, Missing.
     """
@@ -83,13 +83,18 @@ def require_frame(frame, name: str):
         raise BadData(f"{name}: {type(frame).__name__}, wanted a frame")
 
 
-def image(ax, codes, title=""):
-    """Draw a picture (rows, cols, 3) without ticks; small ones with sharp pixels."""
-    ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
+def _remove_ticks(ax, title):
+    """Remove the ticks of axes with a picture, and set its title."""
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_title(title, fontsize="medium")
     return ax
+
+
+def image(ax, codes, title=""):
+    """Draw a picture (rows, cols, 3) without ticks; small ones with sharp pixels."""
+    ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
+    return _remove_ticks(ax, title)
 
 
 def picture_size(shape, bar: float = 0.0) -> tuple[float, float]:
@@ -106,10 +111,7 @@ def error_map(ax, values, title, label, **colors):
     """Draw numbers (rows, cols) as colours with a colour bar; colors: arguments of `imshow`."""
     drawn = ax.imshow(values, **colors)
     ax.figure.colorbar(drawn, ax=ax, label=label, extend="both" if colors["vmin"] < 0 else "max")
-    ax.set_xticks([])
-    ax.set_yticks([])
-    ax.set_title(title, fontsize="medium")
-    return ax
+    return _remove_ticks(ax, title)
 
 
 def curve(ax, x, y, color, label, first: int = 0, **options):

@@ -198,7 +198,7 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
     spectra(scene, None, right, quantity=quantity)
     places: list[tuple[int, int]] = []
 
-    def clicked(event):
+    def on_click(event):
         if event.inaxes is not left:
             return
         rows, cols = scene.shape
@@ -221,7 +221,7 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
             left.plot(col, row, "s", color=line.get_color(), markeredgecolor="w")
         figure.canvas.draw_idle()
 
-    figure.canvas.mpl_connect("button_press_event", clicked)
+    figure.canvas.mpl_connect("button_press_event", on_click)
     return figure
 
 

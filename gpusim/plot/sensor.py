@@ -12,7 +12,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.measure.mosaic import colored
+from gpusim.measure.mosaic import colored, tile
 from gpusim.measure.photon_transfer import PhotonTransfer
 from gpusim.measure.photon_transfer import photon_transfer as measure_photon_transfer
 from gpusim.measure.snr import snr_curve
@@ -238,8 +238,7 @@ def noise_of(frame) -> dict[str, np.ndarray]:
             letter: one[use]
             for letter, one, use in zip(sensor.channels, found, inside, strict=True)
         }
-    (rows, cols), cfa = found.shape, sensor.cfa_indices
-    tiled = np.tile(cfa, (-(-rows // cfa.shape[0]), -(-cols // cfa.shape[1])))[:rows, :cols]
+    tiled = tile(sensor.cfa_indices, found.shape)
     return {
         letter: found[inside & (tiled == number)] for number, letter in enumerate(sensor.channels)
     }

@@ -104,7 +104,7 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
-    """Return a camera's file and its keys, including those of its base.
+    """Return a camera's file and its keys, including its base's keys.
 
     Raises as `open_camera`.
     """

@@ -31,7 +31,7 @@ def icc_profile(display: Display, linear: bool = False) -> bytes:
         b"desc": _text(name),
         b"cprt": _text("No copyright, use freely"),
         b"wtpt": _xyz(D50),
-        b"chad": b"sf32\0\0\0\0" + _fixed(adapt.ravel()),
+        b"chad": b"sf32\0\0\0\0" + _fixed_point(adapt.ravel()),
         b"lumi": _xyz((0, display.luminance, 0)),
     }
     tags |= {
@@ -52,15 +52,15 @@ def _header(size):
     start = struct.pack(
         ">III4s4s4s6H4s24xI", size, 0, VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp", 1
     )
-    return start + _fixed(D50) + bytes(48)
+    return start + _fixed_point(D50) + bytes(48)
 
 
-def _fixed(values):
+def _fixed_point(values):
     return b"".join(struct.pack(">i", round(65536 * float(value))) for value in values)
 
 
 def _xyz(values):
-    return b"XYZ \0\0\0\0" + _fixed(values)
+    return b"XYZ \0\0\0\0" + _fixed_point(values)
 
 
 def _text(words):
@@ -71,7 +71,7 @@ def _text(words):
 def _curve(curve):
     """Return a parametric curve: type 3 with IEC 61966-2-1's numbers, or type 0, an exponent."""
     if curve == "srgb":
-        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed(
+        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed_point(
             (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
         )
-    return struct.pack(">4sIHH", b"para", 0, 0, 0) + _fixed((curve,))
+    return struct.pack(">4sIHH", b"para", 0, 0, 0) + _fixed_point((curve,))
