@@ -262,7 +262,7 @@ def merge_flash(
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
 
-def _check_frames(function, frames, most):
+def _check_frames(function, frames, most) -> list[Frame]:
     """Return frames as a list; raise BadData or OutOfRange unless they are of one camera."""
     try:
         frames = list(frames)

@@ -36,10 +36,15 @@ def read_nondestructively(
     Raises:
         GpusimError: as raised by `Simulator.expose`.
     """
-    times = simulator.readout.checked_reads(times)
-    exposure = simulator.expose(scene, float(times[-1]), plan=plan)
+    checked: np.ndarray = simulator.readout.checked_reads(times)
+    exposure = simulator.expose(scene, float(checked[-1]), plan=plan)
     return exposure.layered(
         simulator.readout.nondestructive(
-            exposure.mean, exposure.exposure_time, times, gain=exposure.gain, seed=seed, frame=frame
+            exposure.mean,
+            exposure.exposure_time,
+            checked,
+            gain=exposure.gain,
+            seed=seed,
+            frame=frame,
         )
     )

@@ -88,12 +88,12 @@ def _chunks(path, data):
         length, kind = struct.unpack_from(">I4s", data, place)
         body = view[place + 8 : place + 8 + length]
         if place + 12 + length > len(data):
-            raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a part are there")
+            raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a chunk are present")
         if (
             zlib.crc32(body, zlib.crc32(kind))
             != struct.unpack_from(">I", data, place + 8 + length)[0]
         ):
-            raise BadFile(path, f"damaged: wrong checksum of a part at byte {place}")
+            raise BadFile(path, f"damaged: wrong checksum of a chunk at byte {place}")
         if header is None:
             cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", body)
             if kind != b"IHDR" or colour not in CHANNELS:

@@ -73,7 +73,7 @@ def ssim(
     )
 
 
-def _crop(image, reference, border, peak, least):
+def _crop(image, reference, border, peak, least) -> tuple[np.ndarray, np.ndarray, float]:
     """Return both pictures as float64 (rows, cols, channels) without the border, and the peak."""
     image, reference = np.asarray(image), np.asarray(reference)
     if image.shape != reference.shape or image.ndim not in (2, 3):

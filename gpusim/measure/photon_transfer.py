@@ -239,7 +239,7 @@ def photon_transfer(
     )
 
 
-def _check_array(values, name, dimensions, shape=None):
+def _check_array(values, name, dimensions, shape=None) -> np.ndarray:
     """Return `values` as an array of finite numbers with these dimensions; shape: (rows, cols)."""
     try:
         values = np.asarray(values)

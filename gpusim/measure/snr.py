@@ -184,7 +184,7 @@ def visible_snr(patch: Any, samples_per_degree: float, white: ArrayLike | None =
     return float(1 / spread) if spread > 0 else np.inf
 
 
-def _numbers(values, name):
+def _numbers(values, name) -> np.ndarray:
     values = np.asarray(values)
     if (
         values.ndim not in (2, 3)

@@ -1,7 +1,6 @@
 """Sensors from the figures of an EMVA 1288 data sheet (releases 3.1 and 4.0, linear model)."""
 
 import math
-from collections.abc import Sequence
 from numbers import Real
 
 import numpy as np
@@ -62,8 +61,8 @@ def sensor_from_emva1288(
     dynamic_range_db: float | None = None,
     sensitivity_threshold: float | None = None,
     rounding: float = 0.03,
-    channels: Sequence[str] = ("Y",),
-    cfa: Sequence[str] = ("Y",),
+    channels: tuple[str, ...] = ("Y",),
+    cfa: tuple[str, ...] = ("Y",),
     seed: int = 0,
 ) -> Sensor:
     """Return the sensor of an EMVA 1288 data sheet.

@@ -70,9 +70,8 @@ def read_zemax_psf(
         OutOfRange: if the reference or the field points are out of range.
     """
     several = isinstance(paths, Iterable) and not isinstance(paths, str)
-    return spread_of(
-        [_read_listing(path) for path in (paths if several else [paths])], corner, reference
-    )
+    files: Iterable = paths if several else [paths]  # type: ignore[assignment]
+    return spread_of([_read_listing(path) for path in files], corner, reference)
 
 
 def _read_listing(path) -> Traced:

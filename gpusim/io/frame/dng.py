@@ -212,7 +212,7 @@ def _colors(path, planes, matrices, as_shot_neutral):
 def _finite(path, key, values, shape):
     values = np.asarray(values, np.float64) if values is not None else np.empty(0)
     if values.shape != shape or not np.isfinite(values).all():
-        raise BadData(f"{path}: {key} must be finite numbers of shape {shape}")
+        raise BadData(f"{path}: {key}: wanted finite numbers of shape {shape}")
     return values
 
 

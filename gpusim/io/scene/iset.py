@@ -220,7 +220,7 @@ class _File:
         if array.dtype.kind != "f":
             low, step = self.codes(owner, value, array.dtype)
         planes = np.empty((count, *shape[:2]), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite then is refused
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite values are refused
             for number in range(count):
                 planes[number] = (
                     array[..., number] if step == 1 else array[..., number] * step + low

@@ -150,7 +150,7 @@ def _check_ends(data):
         left = min(size, LARGEST_HEAP) // 16  # a block has 16 bytes at least
         while block != 1 and block + 16 <= size and base + start + block + 16 <= len(data):
             if not left:
-                raise ValueError("a heap whose free blocks are a circle, or too many")
+                raise ValueError("a heap whose free blocks form a loop, or too many")
             left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
     levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
     for at, level in levels.items():
@@ -164,7 +164,7 @@ def _check_ends(data):
                 else ()
             ):
                 if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
-                    raise ValueError("a tree that holds itself")
+                    raise ValueError("a tree that contains itself")
 
 
 def _places(data, signature):

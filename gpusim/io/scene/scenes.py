@@ -127,7 +127,7 @@ def open_scene(
         raise UnknownName(
             "scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
         )
-    changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
+    changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(
         scene, **{key: value for key, value in changes.items() if value is not None}
     )
