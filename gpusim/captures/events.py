@@ -172,9 +172,8 @@ class _Pixels:
             [[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD
         ).reshape(2, -1)
         self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
-        self._free = np.full(
-            self._on.shape, -inf
-        )  # end of the refractory time; -inf: not refractory
+        # end of the refractory time; -inf: not refractory
+        self._free = np.full(self._on.shape, -inf)
 
     def begin(self, time, light):
         """Set the reference level at the first instant. light: its logarithm, (pixels,)."""
@@ -186,9 +185,8 @@ class _Pixels:
         drift = self._sensor.leak * self._on  # per second, by which the level falls
         slope = (now - before) / (time - begun)
         here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)
-        late = here[
-            self._free[here] > -inf
-        ]  # pixels that respond again from the end of their refractory time
+        # pixels that respond again from the end of their refractory time
+        late = here[self._free[here] > -inf]
         since[late] = np.maximum(self._free[late], begun)
         self._level[late] = before[late] + slope[late] * (since[late] - begun)
         self._free[late] = -inf

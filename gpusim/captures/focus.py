@@ -174,9 +174,8 @@ class _Trials:
             exposure = program.exposure
             raw = program.raw(seed=self._seed, frame=len(self.found))
             raw = exposure.layered(np.asarray(simulator.device.numpy(raw)))
-            program.update(
-                exposure_time=exposure.exposure_time, gain=exposure.gain
-            )  # for the next trials
+            # for the next trials
+            program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
             # the middle channel
             raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
             operated = exposure.camera.sensor

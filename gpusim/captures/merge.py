@@ -99,9 +99,8 @@ def merge_bracket(
                 for layer in layers
             ]
         ).reshape(raw.shape[1:])
-    dark_noise = float(
-        (np.square(times / longest) / tables["floor"]).sum() ** -0.5
-    )  # [e- in the longest exposure]
+    # [e- in the longest exposure]
+    dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)
     shown = frames[len(frames) // 2]
     return develop_merged(
         simulator,
@@ -163,9 +162,8 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
         raise BadData("merge_burst: stacked pixels; wanted a mosaic or a monochrome sensor")
     device, period, gain = simulator.device, sensor.cfa_indices.shape, sensor.gain_dn_per_electron
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
-    noise = Developer(
-        frames[0].camera, device, simulator.readout.averaged
-    ).noise  # fixed offsets count as noise, because frames move
+    # fixed offsets count as noise, because frames move
+    noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
     with device.timed() as ms:
         raw = device.array(_replace_defects(simulator, frames), np.uint16)
         displacement = align(raw, reference=reference, period=period, device=device)

@@ -249,7 +249,6 @@ def largest_step(scene, motion, times):
             for time in times
         ]
     )
-    zoom = max(
-        motion.at(time).zoom for time in times
-    )  # samples of the frame per sample of the scene
+    # samples of the frame per sample of the scene
+    zoom = max(motion.at(time).zoom for time in times)
     return float(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).max(initial=0)) * zoom

@@ -44,9 +44,8 @@ def noise_deviation(rate: float, cutoff: float, threshold: float, mismatch: floa
     if rate == 0:
         return 0.0
     ratios = np.linspace(RATIOS[0], RATIOS[-1], 200)
-    places, weights = np.polynomial.hermite_e.hermegauss(
-        7
-    )  # over the normal distribution of the pixels' mean thresholds
+    # over the normal distribution of the pixels' mean thresholds
+    places, weights = np.polynomial.hermite_e.hermegauss(7)
     own = np.maximum(ratios[:, None] * (1 + mismatch / sqrt(2) * places), RATIOS[0])
     rates = np.exp(np.interp(own, RATIOS, np.log(RATES))) @ (weights / weights.sum())
     return threshold / float(np.interp(-log(rate / cutoff), -np.log(rates), ratios))

@@ -113,9 +113,8 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):
     """Return the numbers of a channel; raise BadFile if they are not usable."""
-    pixels = getattr(
-        channels.get(name), "pixels", None
-    )  # None: OpenEXR does not find all channels of its own list
+    # None: OpenEXR does not find all channels of its own list
+    pixels = getattr(channels.get(name), "pixels", None)
     if pixels is None or pixels.shape != shape:
         raise BadFile(
             path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
@@ -215,8 +214,7 @@ def _write(path, channels, **attributes):
     with atomic_path(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
-            OpenEXR.File(
-                str(temporary)
-            )  # OpenEXR does not report a full disk when it closes the file
+            # OpenEXR does not report a full disk when it closes the file
+            OpenEXR.File(str(temporary))
         except (RuntimeError, ValueError) as error:
             raise OSError(f"the disk may be full ({error})") from error

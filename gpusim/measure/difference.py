@@ -127,9 +127,8 @@ def blur_as_eye(xyz, samples_per_degree: float) -> np.ndarray:
         raise BadData(f"wanted XYZ of the shape (rows, cols, 3), got {xyz.shape}")
     if not 0 < samples_per_degree < np.inf:
         raise OutOfRange("samples_per_degree", samples_per_degree, "0 < samples_per_degree < inf")
-    y, x = (
-        np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2]
-    )  # [cycle/degree]
+    # [cycle/degree]
+    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2])
     squared = y[:, None] ** 2 + x**2
     channels = []
     for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):

@@ -11,9 +11,8 @@ from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.short_repr import brief
 
-MARGIN = (
-    5.0  # read noise sigmas below the well that count as full: 1 in 3e6 saturated values passes
-)
+# read noise sigmas below the well that count as full: 1 in 3e6 saturated values passes
+MARGIN = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +92,8 @@ def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:
         good.append(~full if sensor.bits == FLOAT_BITS else ~full & (raw < sensor.white_level))
     rates, valid = np.stack(found), np.stack(good)
     each = (-1, *[1] * len(shape))
-    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(
-        each
-    )  # all count if none is valid
+    # all count if none is valid
+    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(each)
     light = np.maximum((rates * counts).sum(axis=0) / counts.sum(axis=0), 0.0)
     variances = np.stack(
         [

@@ -168,9 +168,8 @@ def _response(plane, order):
             f"sfr: the edge shifts by {turns:.2g} pixels over the {len(plane)} rows or columns that it "
             "crosses, wanted 1 or more: turn it by about 5 degrees"
         )
-    spare = len(plane) - round(
-        len(plane) * np.floor(turns) / turns
-    )  # pixels beyond whole periods; left out on both sides
+    # pixels beyond whole periods; left out on both sides
+    spare = len(plane) - round(len(plane) * np.floor(turns) / turns)
     rows = rows[spare // 2 : len(plane) - (spare - spare // 2)]
     distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / np.hypot(1, fit.deriv()(rows))[
         :, None

@@ -16,9 +16,8 @@ from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.measure.difference import blur_as_eye, cielab, xyz_and_white
 from gpusim.optics.weights import product_weights
 
-MIDDLE = (
-    0.8  # part of rows and columns used: noise of the mirrored picture is less blurred at borders
-)
+# part of rows and columns used: noise of the mirrored picture is less blurred at borders
+MIDDLE = 0.8
 
 
 POINTS = 200  # points of a curve

@@ -33,11 +33,8 @@ from gpusim.optics.sampling import frame_start
 from gpusim.optics.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
-MODES = {
-    "zero": "grid-constant",
-    "edge": "nearest",
-    "reflect": "reflect",
-}  # SciPy's names of the border rules
+# SciPy's names of the border rules
+MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}
 UNSEEN = (0.4, 0.4, 0.4)
 BRIGHT = 99.5  # percentile of the luminance shown as white if the white is unknown
 QUANTITIES = {

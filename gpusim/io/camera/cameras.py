@@ -183,9 +183,8 @@ def _file_table(name_or_path):
         path = _FOLDER / f"{name_or_path}.toml"
     else:
         path = Path(name_or_path)
-        if path.suffix != ".toml" and not os.path.exists(
-            path
-        ):  # Path.exists raises for a name that is too long
+        # Path.exists raises for a name that is too long
+        if path.suffix != ".toml" and not os.path.exists(path):
             raise UnknownName("camera", str(name_or_path), camera_names())
     text = read_text(path, "TOML")
     deep = _DEEP_KEY.search(text)
@@ -311,9 +310,8 @@ def _apply_profile(path, sensor, noise):
 def _noise(path, fields, sensor):
     """Return the noise of its fields, with the capacitor's reset noise for reset "kTC"."""
     if fields.get("reset") == "kTC":
-        noise = Noise(
-            **{key: value for key, value in fields.items() if key != "reset"}
-        )  # run its checks first
+        # run its checks first
+        noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})
         if "conversion_gain" not in sensor:
             raise BadFile(
                 path,
@@ -335,9 +333,8 @@ def _apply_calibration(path, fields, sensor):
             calibration = read_calibration(
                 path.parent / calibration["file"], calibration.get("camera")
             )
-    if (
-        "focal_length" not in fields
-    ):  # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
+    # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
+    if "focal_length" not in fields:
         image_distance = calibration.fx * sensor["pixel_pitch"]
         fields["focal_length"] = image_distance / (
             1 + image_distance / fields.get("object_distance", np.inf)

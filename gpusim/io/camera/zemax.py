@@ -135,9 +135,8 @@ def _parse_values(path, text, rows, cols):
     words = text.split()
     if len(words) != rows * cols:
         raise BadData(f"{len(words)} values instead of {rows} x {cols}; is it truncated?")
-    if (
-        not text[-1].isspace() and len(set(map(len, words))) > 1
-    ):  # all numbers of OpticStudio have the same length
+    # all numbers of OpticStudio have the same length
+    if not text[-1].isspace() and len(set(map(len, words))) > 1:
         raise BadData(f"no line ends after the last value, {shown(words[-1])}; is it truncated?")
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)

@@ -8,15 +8,8 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.io.atomic import atomic_path
 
-LIGHTS = {
-    "A": 17,
-    "B": 18,
-    "C": 19,
-    "D55": 20,
-    "D65": 21,
-    "D75": 22,
-    "D50": 23,
-}  # EXIF codes, LightSource
+# EXIF codes, LightSource
+LIGHTS = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}
 # index is the code in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
 FILTERS = "RGBCMYW"
 PLANES = (1, 3, 4)  # channels that colour matrices and other programs support
@@ -106,9 +99,8 @@ def write_dng(
     if noise is not None:
         if not (len(noise) == 2 and noise[0] > 0 and noise[1] >= 0 and np.isfinite(noise).all()):
             raise OutOfRange("noise of a DNG", noise, "S > 0 and O >= 0")
-        tags.append(
-            (51041, "d", 2, tuple(map(float, noise)), False)
-        )  # NoiseProfile, one for all planes
+        # NoiseProfile, one for all planes
+        tags.append((51041, "d", 2, tuple(map(float, noise)), False))
     with atomic_path(path) as temporary:
         tifffile.imwrite(
             temporary,
@@ -121,9 +113,8 @@ def write_dng(
             extratags=tags,
         )
         if not cfa:
-            with tifffile.TiffFile(
-                temporary, mode="r+b"
-            ) as file:  # tifffile writes it for three samples only
+            # tifffile writes it for three samples only
+            with tifffile.TiffFile(temporary, mode="r+b") as file:
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
 
 
@@ -203,9 +194,8 @@ def _colors(path, planes, matrices, as_shot_neutral):
         ]  # CalibrationIlluminant1, CalibrationIlluminant2
         if forward is not None:
             forward = _finite(path, f"forward matrix of {light}", forward, (3, planes))
-            tags.append(
-                (50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False)
-            )  # ForwardMatrix1, 2
+            # ForwardMatrix1, 2
+            tags.append((50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False))
     return tags
 
 

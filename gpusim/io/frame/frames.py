@@ -12,12 +12,8 @@ from gpusim.io.exr import write_rgb_exr
 from gpusim.io.frame.dng import check_dng, write_dng
 from gpusim.io.frame.images import write_png, write_tiff
 
-BITS = {
-    ".png": (8, 16),
-    ".tif": (16, 8, 32),
-    ".tiff": (16, 8, 32),
-    ".exr": (32, 16),
-}  # the first is the default
+# the first is the default
+BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}
 FORMATS = (*BITS, ".dng", ".npz")
 
 
@@ -103,9 +99,8 @@ def _write_raw(path, frame):
     if sensor.bits != FLOAT_BITS:
         white = min(white, round(black + gain * sensor.saturation))
     noise = None
-    if (
-        frame.averaged is not None and sensor.noise.photon != "none"
-    ):  # else S is not above 0, as a DNG requires
+    # else S is not above 0, as a DNG requires
+    if frame.averaged is not None and sensor.noise.photon != "none":
         noise = RawNoise.of(sensor, frame.averaged).profile((white - black) / gain)
     colors = (
         (None, None) if sensor.is_monochrome else (frame.color_profile, frame.rendering.neutral)

@@ -61,9 +61,8 @@ class _Item(Value):
         if isinstance(item, h5py.Group):
             if len(item) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} names in {label}")
-            names = [
-                str(name, "latin-1") if isinstance(name, bytes) else name for name in item
-            ]  # bytes: not UTF-8
+            # bytes: not UTF-8
+            names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]
             names = [name for name in names if not name.startswith(HIDDEN)]
             kind = "struct" if of in ("struct", "") else f"an array of class {of}"
             if (

@@ -79,9 +79,8 @@ def damage(path) -> tuple[str, ...]:
     except ImportError:
         return ()
     try:
-        simplejpeg.decode_jpeg(
-            data, "GRAY", fastdct=True, min_factor=8
-        )  # reads all, and computes one pixel in 64
+        # reads all, and computes one pixel in 64
+        simplejpeg.decode_jpeg(data, "GRAY", fastdct=True, min_factor=8)
     except ValueError as error:
         return (f"damaged; read as far as libjpeg can: {error}",)
     return ()
@@ -121,9 +120,8 @@ def read_samples(path) -> np.ndarray:
     if Path(path).suffix.lower() in TIFF:
         return read_picture(path)
     with open_file(path) as file, reading(path, "a PNG or JPEG"), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # of large pictures: they are checked against memory below; of EXIF data
+        # of large pictures: they are checked against memory below; of EXIF data
+        warnings.simplefilter("ignore")
         require_memory(f"{path}: a file", file_size(file))
         data = file.read()
         try:

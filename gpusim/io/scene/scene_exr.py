@@ -19,13 +19,8 @@ from gpusim.io.files import name_in_errors, reading
 from gpusim.io.scene.npz import check_whole
 
 ATTRIBUTE, DEPTH = "gpusimScene", "Z"
-PARTS = {
-    "border": str,
-    "margin": int,
-    "fov": float,
-    "name": str,
-    "samples_per_pixel": float,
-}  # besides light and depth
+# besides light and depth
+PARTS = {"border": str, "margin": int, "fov": float, "name": str, "samples_per_pixel": float}
 COPIES = 2  # of the cube: samples, and samples in the unit of the file
 ROWS = 64  # converted to spectra in float64 at once
 

@@ -181,9 +181,8 @@ def _page(path, page, size):
         "SYX": lambda: page.shape,
         "YXS": lambda: (page.shape[2], *page.shape[:2]),
     }.get(page.axes, lambda: (0,))()
-    if not all(
-        isinstance(length, int) and length > 0 for length in shape
-    ):  # a damaged tag may hold several numbers
+    # a damaged tag may hold several numbers
+    if not all(isinstance(length, int) and length > 0 for length in shape):
         raise BadFile(
             path,
             f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels",
