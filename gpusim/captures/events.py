@@ -66,18 +66,9 @@ class EventSensor:
     charge: float = 500.0
 
     def __post_init__(self):
-        for name, low in (
-            ("on", LEAST_THRESHOLD),
-            ("off", LEAST_THRESHOLD),
-            ("mismatch", 0),
-            ("refractory", 0),
-            ("leak", 0),
-            ("dark", 0),
-            ("window", 0),
-            ("cutoff", 0),
-            ("noise", 0),
-            ("charge", 1),
-        ):
+        not_negative = ("mismatch", "refractory", "leak", "dark", "window", "cutoff", "noise")
+        least: dict = dict.fromkeys(("on", "off"), LEAST_THRESHOLD) | dict.fromkeys(not_negative, 0)
+        for name, low in (least | {"charge": 1}).items():
             value = getattr(self, name)
             if not (name == "window" and value is None) and not (
                 isinstance(value, Real) and low <= value < inf

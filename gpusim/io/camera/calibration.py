@@ -11,18 +11,9 @@ from gpusim.io.files import name_in_errors, read_text, reading
 LONGEST = 2**16
 WHAT = "YAML, JSON or XML of a calibration"
 # names of the models in files, and whether they are fisheye models
-MODELS = {
-    "plumb_bob": False,
-    "rational_polynomial": False,
-    "thin_prism": False,
-    "radtan": False,
-    "none": False,
-    "radial-tangential": False,
-    "pinhole": False,
-    "equidistant": True,
-    "equi": True,
-    "fisheye": True,
-}
+MODELS = dict.fromkeys("plumb_bob rational_polynomial thin_prism radtan none".split(), False)
+MODELS |= {"radial-tangential": False, "pinhole": False}
+MODELS |= {"equidistant": True, "equi": True, "fisheye": True}
 KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections other than pinhole
 MATRIX = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "mtx")
 COEFFICIENTS = (

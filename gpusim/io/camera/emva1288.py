@@ -13,6 +13,8 @@ from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 
+# arguments that are no plain figures
+_OTHERS = ("quantum_efficiency", "wavelength", "response", "channels", "cfa", "seed")
 _OPTIONAL = {
     "dark_noise",
     "dark_noise_dn",
@@ -112,28 +114,7 @@ def sensor_from_emva1288(
         BadData: if figures are missing or contradict each other.
         OutOfRange: if a figure is out of range.
     """
-    figures = {
-        "gain": gain,
-        "saturation_capacity": saturation_capacity,
-        "dark_noise": dark_noise,
-        "dsnu": dsnu,
-        "dark_noise_dn": dark_noise_dn,
-        "dsnu_row": dsnu_row,
-        "dsnu_column": dsnu_column,
-        "prnu": prnu,
-        "prnu_row": prnu_row,
-        "prnu_column": prnu_column,
-        "snr_max_db": snr_max_db,
-        "rounding": rounding,
-        "dynamic_range_db": dynamic_range_db,
-        "sensitivity_threshold": sensitivity_threshold,
-        "pixel_pitch": pixel_pitch,
-        "bits": bits,
-        "black_level": black_level,
-        "dark_current": dark_current,
-        "dark_current_temperature": dark_current_temperature,
-        "dark_current_doubling": dark_current_doubling,
-    }
+    figures = {name: value for name, value in locals().items() if name not in _OTHERS}
     _check_figures(figures)
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)

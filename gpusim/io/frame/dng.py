@@ -150,22 +150,11 @@ def _mosaic(path, cfa, channels):
         raise BadData(
             f"{path}: cfa {cfa}: wanted rows of equal length with the letters {', '.join(channels)}"
         )
+    pattern, planes = (bytes(map(FILTERS.index, letters)) for letters in ("".join(cfa), channels))
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
-        (
-            33422,
-            "B",
-            len("".join(cfa)),
-            bytes(FILTERS.index(letter) for letter in "".join(cfa)),
-            False,
-        ),  # CFAPattern
-        (
-            50710,
-            "B",
-            len(channels),
-            bytes(FILTERS.index(letter) for letter in channels),
-            False,
-        ),  # CFAPlaneColor
+        (33422, "B", len(pattern), pattern, False),  # CFAPattern
+        (50710, "B", len(planes), planes, False),  # CFAPlaneColor
         (50711, "H", 1, 1, False),  # CFALayout: rows and columns
     ]
 
@@ -182,16 +171,11 @@ def _colors(path, planes, matrices, as_shot_neutral):
     tags = [(50728, "2I", planes, _fractions(neutral), False)]  # AsShotNeutral
     for place, (light, (color, forward)) in enumerate(matrices.items()):
         color = _finite(path, f"color matrix of {light}", color, (planes, 3))
+        values = _fractions(color.ravel())
         tags += [
-            (
-                50721 + place,
-                "2i",
-                3 * planes,
-                _fractions(color.ravel()),
-                False,
-            ),  # ColorMatrix1, ColorMatrix2
-            (50778 + place, "H", 1, LIGHTS[light], False),
-        ]  # CalibrationIlluminant1, CalibrationIlluminant2
+            (50721 + place, "2i", 3 * planes, values, False),  # ColorMatrix1, ColorMatrix2
+            (50778 + place, "H", 1, LIGHTS[light], False),  # CalibrationIlluminant1, 2
+        ]
         if forward is not None:
             forward = _finite(path, f"forward matrix of {light}", forward, (3, planes))
             # ForwardMatrix1, 2

@@ -22,23 +22,11 @@ AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
 # suffixes of data files next to a header
 DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")
 LIBRARY = "envi spectral library"
-NANOMETRES = {
-    "nanometers": 1,
-    "nanometer": 1,
-    "nanometres": 1,
-    "nanometre": 1,
-    "nm": 1,
-    "micrometers": 1e3,
-    "micrometer": 1e3,
-    "micrometres": 1e3,
-    "micrometre": 1e3,
-    "microns": 1e3,
-    "micron": 1e3,
-    "um": 1e3,
-    "µm": 1e3,
-    "μm": 1e3,
-    "angstroms": 0.1,
-    "angstrom": 0.1,
+NANOMETRES: dict[str, float] = {
+    **dict.fromkeys("nanometers nanometer nanometres nanometre nm".split(), 1),
+    **dict.fromkeys("micrometers micrometer micrometres micrometre".split(), 1e3),
+    **dict.fromkeys("microns micron um µm μm".split(), 1e3),
+    **dict.fromkeys("angstroms angstrom".split(), 0.1),
 }
 UNSAID = ("", "unknown")
 LONGEST_UM = 100  # without a unit, numbers below are micrometres, others nanometres
