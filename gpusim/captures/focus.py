@@ -138,10 +138,8 @@ def _ends(optics, scene, nearest, farthest):
     reach = (
         0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
     )
-    far, near = (
-        max(1 / farthest, 1 / scene.depth.min() - reach),
-        min(1 / nearest, 1 / scene.depth.max() + reach),
-    )
+    far = max(1 / farthest, 1 / scene.depth.min() - reach)
+    near = min(1 / nearest, 1 / scene.depth.max() + reach)
     if not far < near:
         raise OutOfRange(
             "depth",

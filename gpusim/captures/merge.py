@@ -67,10 +67,8 @@ def merge_bracket(
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
     )
-    frames, tables = (
-        [frames[i] for i in order],
-        {key: values[order] for key, values in tables.items()},
-    )
+    frames = [frames[i] for i in order]
+    tables = {key: values[order] for key, values in tables.items()}
     times, sensor = tables["time"], frames[0].camera.sensor
     longest, limit = float(times.max()), sensor.saturation / times[0]
     full_scale = limit if full_scale is None else full_scale
@@ -320,10 +318,8 @@ def _merge_tables(frames):
             frame.exposure_time,
             RawNoise.of(frame.camera.sensor),
         )
-        gain, dark = (
-            sensor.gain_dn_per_electron,
-            sensor.noise.dark_current * sensor.noise.warmth * time,
-        )
+        gain = sensor.gain_dn_per_electron
+        dark = sensor.noise.dark_current * sensor.noise.warmth * time
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
         rows.append(
             (
@@ -384,10 +380,8 @@ def _display_noise(frame, averaged=1):
     averaged: as for `Developer`.
     """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
-    noise, scale = (
-        RawNoise.of(sensor, averaged),
-        sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level),
-    )
+    noise = RawNoise.of(sensor, averaged)
+    scale = sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
     return np.column_stack(
         [per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)]

@@ -132,10 +132,8 @@ def develop_merged(
 
 def host_pictures(device, developer, shown):
     """Return `linear` and `rgb` of a frame from linear display RGB on the device."""
-    planes, codes = (
-        np.array(device.numpy(shown), np.float32),
-        np.array(device.numpy(developer.encoded(shown))),
-    )
+    planes = np.array(device.numpy(shown), np.float32)
+    codes = np.array(device.numpy(developer.encoded(shown)))
     return np.moveaxis(planes, 0, -1), codes
 
 

@@ -239,10 +239,8 @@ def expose_motion(
 
 def largest_step(scene, motion, times):
     """Return the camera's largest step between two of these times in the frame [sample]."""
-    y, x = (
-        np.array((-0.5, 0.5))[:, None] * scene.samples[0],
-        np.array((-0.5, 0.5)) * scene.samples[1],
-    )
+    y = np.array((-0.5, 0.5))[:, None] * scene.samples[0]
+    x = np.array((-0.5, 0.5)) * scene.samples[1]
     places = np.array(
         [
             np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel))

@@ -195,10 +195,8 @@ def photon_transfer(
             f"bright: {fit.sum()} levels below 70 % of saturation, bright[{last}] with the greatest "
             "variance; wanted 3 or more, in the order of `photons`"
         )
-    gain, responsivity = (
-        _through_origin(signal[fit], variance[fit]),
-        _through_origin(photons[fit], signal[fit]),
-    )
+    gain = _through_origin(signal[fit], variance[fit])
+    responsivity = _through_origin(photons[fit], signal[fit])
     if not (gain > 0 and responsivity > 0):
         raise BadData(
             "bright: mean or variance falls as the light rises; check that `dark` is dark and that the "

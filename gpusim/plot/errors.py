@@ -89,10 +89,8 @@ def plan(what: Forecast | Report, figure: Any = None) -> Any:
     """
     if isinstance(what, Forecast):
         account, tolerance, ms = what.plan.account, what.plan.tolerance, what.ms
-        verdict, title = (
-            what.plan.verdict,
-            f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: ",
-        )
+        verdict = what.plan.verdict
+        title = f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: "
         title += f"about {sum(ms.values()):.3g} ms a frame, predicted"
     elif isinstance(what, Report):
         account, tolerance, verdict = what.account, what.tolerance, what.verdict

@@ -117,10 +117,8 @@ def snr(
             "snr: the sensor has no noise, so its ratio is infinite; set a noise, at least photon noise"
         )
     ax = axes_of(ax)
-    left, lowest = (
-        ax.get_xlim()[0] if ax.get_lines() else np.inf,
-        max(LOWEST, float(found.snr.min())),
-    )
+    left = ax.get_xlim()[0] if ax.get_lines() else np.inf
+    lowest = max(LOWEST, float(found.snr.min()))
     most = int(found.saturation.argmin())
     seen = found.exposure <= found.saturation[most]
     for (letter, color), values, full in zip(

@@ -241,10 +241,8 @@ def _camera(path, table):
                 path,
                 f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}",
             )
-    optics, sensor = (
-        section_fields(path, table, "optics", Optics),
-        section_fields(path, table, "sensor", Sensor),
-    )
+    optics = section_fields(path, table, "optics", Optics)
+    sensor = section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
     optics = _lens(path, _apply_calibration(path, optics, sensor))

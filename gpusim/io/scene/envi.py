@@ -65,11 +65,9 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     header = _Header(path)
     header.refuse_others()
     library = header.text("file type", "").lower() == LIBRARY
-    rows, cols, bands = (
-        header.whole("lines"),
-        header.whole("samples"),
-        header.whole("bands", 1 if library else None),
-    )
+    rows = header.whole("lines")
+    cols = header.whole("samples")
+    bands = header.whole("bands", 1 if library else None)
     if library and bands != 1:
         raise BadFile(
             path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line"

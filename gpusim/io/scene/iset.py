@@ -299,10 +299,8 @@ class _File:
 
     def split_one_light(self, content, illuminant, own):
         """Return surfaces in one light; None if it is dark."""
-        data, name = (
-            illuminant.get("data"),
-            self.text(illuminant, "name", self.text(illuminant, "comment", "light")),
-        )
+        data = illuminant.get("data")
+        name = self.text(illuminant, "name", self.text(illuminant, "comment", "light"))
         in_energy = data.kind != "struct"
         photons = data if in_energy else data.get("photons")
         values, kind = self.vector(photons), photons.numbers().dtype

@@ -178,11 +178,9 @@ def _check(path, label, item, size):
     """Raise BadFile if the file cannot hold the declared size of a data set."""
     import h5py
 
-    made, stored, nbytes = (
-        item.id.get_create_plist(),
-        item.id.get_storage_size(),
-        item.size * item.dtype.itemsize,
-    )
+    made = item.id.get_create_plist()
+    stored = item.id.get_storage_size()
+    nbytes = item.size * item.dtype.itemsize
     layout = made.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")

@@ -136,11 +136,9 @@ def _npy(path, white, wavelengths=None, kind=None, scale=None):
             path,
             "an array has no wavelengths; give them [nm], for example --wavelengths 400:700:10",
         )
-    wavelengths, kind, scale = (
-        checked_wavelengths(wavelengths),
-        checked_kind(kind),
-        checked_scale(scale),
-    )
+    wavelengths = checked_wavelengths(wavelengths)
+    kind = checked_kind(kind)
+    scale = checked_scale(scale)
     values, notes = read_npy(path, len(wavelengths), scale)
     if kind == "reflectance" and scale is None:
         check_reflectances(path, values)
