@@ -48,13 +48,13 @@ def bracket(
         GpusimError: as raised by `Simulator.frames`.
     """
     factors = bracket_times(1.0, stops)
-    once = simulator.expose(scene, plan=plan)
+    metered = simulator.expose(scene, plan=plan)
     frames: list[Frame] = []
     for number, factor in enumerate(factors):
-        exposure = lengthened(simulator, once, once.exposure_time * float(factor))
+        exposure = lengthened(simulator, metered, metered.exposure_time * float(factor))
         if number == 0:
             exposure = dataclasses.replace(
-                exposure, ms=once.ms | exposure.ms, wall_ms=once.wall_ms + exposure.wall_ms
+                exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
             )
         frames += simulator.shoot(exposure, seed=seed, first=first + number)
     return frames
@@ -78,14 +78,14 @@ def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -
     """
     if checked_time(exposure_time) is None:
         raise OutOfRange("exposure_time", "None", "a time [s]")
-    device, shape, begun = simulator.device, exposure.mean.shape, perf_counter()
+    device, shape, start = simulator.device, exposure.mean.shape, perf_counter()
     with device.timed() as ms:
         mean = chip(
             device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
             scale=exposure_time / exposure.exposure_time,
             device=device,
         )
-        made = exposed(
+        changed = exposed(
             simulator,
             exposure.plan,
             device.reshape(mean, shape),
@@ -93,4 +93,4 @@ def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -
             exposure.gain,
             Kept(),
         )
-    return dataclasses.replace(made, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+    return dataclasses.replace(changed, ms=dict(ms), wall_ms=1e3 * (perf_counter() - start))

@@ -144,9 +144,9 @@ class EventSensor:
             if not number:
                 state.begin(time, front.begin(logarithm) if front else logarithm)
             elif front:
-                begun = times[number - 1]
-                for part, output in front.advance(logarithm, time - begun):
-                    found += state.advance(begun + part * (time - begun), output)
+                before = times[number - 1]
+                for part, output in front.advance(logarithm, time - before):
+                    found += state.advance(before + part * (time - before), output)
             else:
                 found += state.advance(time, logarithm)
         together = np.concatenate([np.empty(0, EVENT), *found])
@@ -172,19 +172,19 @@ class _Pixels:
 
     def advance(self, time, now):
         """Return the events since the last instant as arrays of EVENT; now: log of the light."""
-        begun, before = self._time, self._last
+        begin, before = self._time, self._last
         drift = self._sensor.leak * self._on  # per second, by which the level falls
-        slope = (now - before) / (time - begun)
-        here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)
+        slope = (now - before) / (time - begin)
+        here, since = np.flatnonzero(self._free < time), np.full(now.shape, begin)
         # pixels that respond again from the end of their refractory time
         late = here[self._free[here] > -inf]
-        since[late] = np.maximum(self._free[late], begun)
-        self._level[late] = before[late] + slope[late] * (since[late] - begun)
+        since[late] = np.maximum(self._free[late], begin)
+        self._level[late] = before[late] + slope[late] * (since[late] - begin)
         self._free[late] = -inf
         found = []
         while len(here):
             rise = slope[here] + drift[here]  # of the light over the level
-            above = before[here] + slope[here] * (since[here] - begun) - self._level[here]
+            above = before[here] + slope[here] * (since[here] - begin) - self._level[here]
             limit = np.where(rise > 0, self._on[here], -self._off[here])
             with np.errstate(divide="ignore", invalid="ignore"):
                 wait = np.where(rise == 0, inf, np.maximum((limit - above) / rise, 0))
@@ -201,7 +201,7 @@ class _Pixels:
             if self._sensor.refractory:
                 self._free[here] = since[here] = at + self._sensor.refractory
                 here = here[since[here] < time]
-                self._level[here] = before[here] + slope[here] * (since[here] - begun)
+                self._level[here] = before[here] + slope[here] * (since[here] - begin)
                 self._free[here] = -inf
         known = self._free == -inf
         self._level[known] -= (drift * (time - since))[known]

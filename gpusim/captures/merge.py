@@ -111,7 +111,7 @@ def merge_bracket(
         dark_noise=dark_noise,
         defects=_defect_method(simulator, frames),
         ms=ms,
-        made={
+        stages={
             "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
             "rates, weighted by inverse variance"
         },
@@ -195,7 +195,7 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
         dark_noise=dark_noise,
         defects=_defect_method(simulator, frames),
         ms=ms,
-        made={
+        stages={
             "processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
             "processor.average": f"{count} frames, moved onto frame {int(reference)}",
         },
@@ -338,9 +338,9 @@ def _defect_method(simulator, frames):
 
     The chip's map is used only if it is the simulator's and pixels are not binned.
     """
-    asked, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
+    method, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
     mapped = sensor.binning == (1, 1) and sensor.noise == frames[0].camera.sensor.noise
-    return "detect" if asked == "known" and not mapped else asked
+    return "detect" if method == "known" and not mapped else method
 
 
 def _replace_defects(simulator, frames):

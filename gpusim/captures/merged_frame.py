@@ -27,17 +27,17 @@ def develop_merged(
     dark_noise,
     defects,
     ms,
-    made,
+    stages,
 ):
     """Return a frame of merged electrons.
 
     frame: frame whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the
     largest raw value. saturated: saturation of the frames relative to it. ratio: the frame's
     exposure time over the merged one's. dark_noise: standard deviation without light [e-]. defects:
-    how they were found. ms: milliseconds per stage of the merge. made: stages of the merge -> their
-    report lines.
+    how they were found. ms: milliseconds per stage of the merge. stages: stages of the merge ->
+    their report lines.
     """
-    device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
+    device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
     chip = dataclasses.replace(
         old.noise,
@@ -51,7 +51,7 @@ def develop_merged(
         row_dsnu=0.0,
         column_dsnu=0.0,
     )
-    processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
+    processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
 
     def develop_at(full):
         """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
@@ -81,7 +81,7 @@ def develop_merged(
         )
         return camera, raw, developer, planes
 
-    with device.timed() as more:
+    with device.timed() as ms_developed:
         camera, raw, developer, planes = develop_at(full)
         step = full / (TOP - PEDESTAL)
         if step**2 * ROUNDING > COARSE * dark_noise**2:
@@ -93,15 +93,15 @@ def develop_merged(
             )
         # camera value of the frame over the merged one
         k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
-        once = frame.rendering
-        shown_by = dataclasses.replace(
-            once,
-            display_from_camera=once.display_from_camera * k,
-            ceiling=once.neutral * saturated,
-            white=once.white / k,
+        rendering = frame.rendering
+        rescaled = dataclasses.replace(
+            rendering,
+            display_from_camera=rendering.display_from_camera * k,
+            ceiling=rendering.neutral * saturated,
+            white=rendering.white / k,
             saturation=saturated,
         )
-        linear, rgb = host_pictures(device, developer, developer.colored(planes, shown_by))
+        linear, rgb = host_pictures(device, developer, developer.colored(planes, rescaled))
     first = {}
     if defects != "none":
         before = dataclasses.replace(
@@ -112,13 +112,13 @@ def develop_merged(
         )
     report = _replace_stages(
         frame.report,
-        first | made | developer.models(),
-        {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}},
+        first | stages | developer.models(),
+        {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}},
     )
     return Frame(
         camera,
         float(exposure_time),
-        shown_by,
+        rescaled,
         electrons,
         raw,
         linear,

@@ -69,7 +69,7 @@ def expose_moving(
     checked_gain(gain)
     if not isinstance(scenes, Iterable):
         raise BadData(f"moving scene: {type(scenes).__name__}, wanted a list of scenes")
-    scenes, begun = [checked_scene(scene) for scene in scenes], perf_counter()
+    scenes, begin = [checked_scene(scene) for scene in scenes], perf_counter()
     device, imaging, sensor = simulator.device, simulator.imaging, simulator.camera.sensor
     if not scenes or len(scenes) != len(np.atleast_1d(times)):
         raise BadData(
@@ -80,10 +80,10 @@ def expose_moving(
         raise BadData("moving scene: the scenes differ in size")
     plans = _plans(simulator, scenes, plan, exposure_time)
     # the pictures, and their stack
-    held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
-    if held > device.memory:
+    nbytes = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
+    if nbytes > device.memory:
         raise DoesNotFit(
-            f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name
+            f"a moving scene of {len(scenes)} pictures", nbytes, device.memory, device.name
         )
     with device.timed() as ms:
         rates = [imaging.exposed(plan, imaging.rates(plan), 1.0) for plan in plans]
@@ -104,7 +104,7 @@ def expose_moving(
         exposure = exposed(
             simulator, reported, device.reshape(mean, shape), exposure_time, gain, Kept()
         )
-    return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+    return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begin))
 
 
 def _plans(simulator, scenes, plan, exposure_time):
@@ -219,21 +219,21 @@ def expose_motion(
     if not step:
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
-    made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
+    exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
     between = next(
         (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
         scenes[0].view,
     )
     bounds = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
-    seen = made.plan
-    account = dataclasses.replace(seen.account, bounds=seen.account.bounds | bounds)
+    plan_made = exposure.plan
+    account = dataclasses.replace(plan_made.account, bounds=plan_made.account.bounds | bounds)
     verdict = (
         None
         if tolerance is None
-        else account.verdict(tolerance, seen.verdict.remedy if seen.verdict else "")
+        else account.verdict(tolerance, plan_made.verdict.remedy if plan_made.verdict else "")
     )
     return dataclasses.replace(
-        made, plan=dataclasses.replace(seen, account=account, verdict=verdict)
+        exposure, plan=dataclasses.replace(plan_made, account=account, verdict=verdict)
     )
 
 

@@ -56,7 +56,7 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
     The lines are filtered. Takes no more memory than the declared lines. Raises BadFile.
     """
     header, packed = _chunks(path, data)
-    inflate, kept, found = zlib.decompressobj(), [], 0
+    inflate, pieces, found = zlib.decompressobj(), [], 0
     for piece in packed:
         while piece and not inflate.eof:
             lines = inflate.decompress(piece, min(PIECE, header.nbytes - found + 1))
@@ -67,7 +67,7 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
                     f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels",
                 )
             if keep:
-                kept.append(lines)
+                pieces.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
         raise BadFile(
@@ -75,7 +75,7 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
             "pixels take",
         )
-    return header, b"".join(kept)
+    return header, b"".join(pieces)
 
 
 def _chunks(path, data):

@@ -42,8 +42,8 @@ def efficiency(camera: Camera, ax: Any = None) -> Any:
             linestyle="--",
             label="lens",
         )
-    seen = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
-    ax.set_xlim(wavelengths[seen[0]], wavelengths[seen[-1]])
+    sensitive = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
+    ax.set_xlim(wavelengths[sensitive[0]], wavelengths[sensitive[-1]])
     ax.set_ylim(0, 1.05 * ax.get_ylim()[1])
     return finish(
         ax, camera.name, "quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]"

@@ -271,7 +271,7 @@ def irradiance_codes(
     eye = energy_from_photons(cmf())
     peak = float(eye.values.max())
     edge = np.array([[0.0]] * 3)
-    seen = Spectrum(
+    observer = Spectrum(
         np.concatenate(
             [
                 [SHORTEST],
@@ -287,7 +287,7 @@ def irradiance_codes(
     own = camera.sensor
     sensor = replace(
         own,
-        qe=seen,
+        qe=observer,
         channels=tuple("XYZ"),
         cfa=("XYZ",),
         stacked=True,

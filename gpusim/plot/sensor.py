@@ -120,7 +120,7 @@ def snr(
     left = ax.get_xlim()[0] if ax.get_lines() else np.inf
     lowest = max(LOWEST, float(found.snr.min()))
     most = int(found.saturation.argmin())
-    seen = found.exposure <= found.saturation[most]
+    below_saturation = found.exposure <= found.saturation[most]
     for (letter, color), values, full in zip(
         channel_colors(sensor.channels).items(), found.snr, found.saturation, strict=True
     ):
@@ -131,8 +131,8 @@ def snr(
             ax.plot([full], values[found.exposure == full], "o", color=color, markersize=4)
     limit = f"{label} photon noise only, channel {sensor.channels[most]}".strip()
     ax.plot(
-        found.exposure[seen],
-        10 * np.log10(found.electrons[most, seen]),
+        found.exposure[below_saturation],
+        10 * np.log10(found.electrons[most, below_saturation]),
         color=QUIET,
         linestyle="--",
         zorder=0.5,
@@ -272,9 +272,9 @@ def photon_transfer(
         )
     ax, floor = axes_of(ax), what.dark_noise_dn
     signal, total = what.signal, np.sqrt(np.maximum(what.variance, 0) + floor**2)
-    seen = signal > 0
-    ax.plot(signal[seen], total[seen], "o", color="0.2", markersize=4, label="frames")
-    line = np.geomspace(signal[seen].min(), signal[what.saturation_level], 100)
+    lit = signal > 0
+    ax.plot(signal[lit], total[lit], "o", color="0.2", markersize=4, label="frames")
+    line = np.geomspace(signal[lit].min(), signal[what.saturation_level], 100)
     ax.plot(
         line,
         np.sqrt(what.gain * line),
@@ -296,7 +296,7 @@ def photon_transfer(
     )
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.set_ylim(bottom=0.5 * min(floor, total[seen].min()))
+    ax.set_ylim(bottom=0.5 * min(floor, total[lit].min()))
     return finish(
         ax,
         name,

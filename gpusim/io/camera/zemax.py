@@ -84,8 +84,8 @@ def _read_listing(path) -> Traced:
                 f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
             )
         wavelength = _parse_length("wavelength", first, unit, WAVELENGTHS)
-        size, its = _match(SPACING, head, "Data spacing").groups()
-        spacing = _parse_length("Data spacing", size, its, SPACINGS)
+        size, spacing_unit = _match(SPACING, head, "Data spacing").groups()
+        spacing = _parse_length("Data spacing", size, spacing_unit, SPACINGS)
         middle = MIDDLE.search(head)
         row, col = (int(item) - 1 for item in middle.groups()) if middle else (rows // 2, cols // 2)
         if not (0 <= row < rows and 0 <= col < cols):

@@ -104,7 +104,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        values, more = read_planes(
+        values, changes = read_planes(
             data,
             _SelectedPlanes(view, order),
             scale=factor,
@@ -114,7 +114,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
-    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *more))
+    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *changes))
 
 
 class _SelectedPlanes:
@@ -153,14 +153,14 @@ class _Header:
             if value.startswith("{"):
                 parts = [value]
                 while "}" not in parts[-1]:
-                    more = next(lines, None)
-                    if more is None:
+                    line_after = next(lines, None)
+                    if line_after is None:
                         raise BadFile(
                             path,
                             f"{shown(key)} has no end: a brace is not closed; is it truncated?",
                         )
-                    if not more.startswith(";"):
-                        parts.append(more)
+                    if not line_after.startswith(";"):
+                        parts.append(line_after)
                 value = " ".join(parts)
             if self.fields.get(key, value) != value:
                 raise BadFile(path, f"has two different values for {shown(key)}")
@@ -296,11 +296,11 @@ class _Header:
         )
 
 
-def _wavelengths(header, given, count):
+def _wavelengths(header, own, count):
     """Return wavelengths [nm] of all bands, a mask of good bands, and notes."""
     path, notes = header.path, []
-    if given is not None:
-        nm = given
+    if own is not None:
+        nm = own
         if len(nm) != count:
             raise OutOfRange(
                 "wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}"
@@ -327,17 +327,17 @@ def _wavelengths(header, given, count):
         good = header.numbers("bbl", count) != 0
         if not good.all():
             notes.append(f"bands marked bad by bbl are left out: {count - good.sum()} of {count}")
-    kept = np.sort(nm[good])
-    if not len(kept) or not (np.diff(kept) > 0).all():
+    used = np.sort(nm[good])
+    if not len(used) or not (np.diff(used) > 0).all():
         raise BadFile(
             path,
-            f"wavelengths of {len(kept)} bands, only {len(np.unique(kept))} different; wanted 1 or "
+            f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different; wanted 1 or "
             "more, all different",
         )
-    if not SHORTEST <= kept[0] <= kept[-1] <= LONGEST:
+    if not SHORTEST <= used[0] <= used[-1] <= LONGEST:
         raise BadFile(
             path,
-            f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}",
+            f"wavelengths {used[0]:.6g} .. {used[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}",
         )
     return nm, good, notes
 

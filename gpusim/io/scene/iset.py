@@ -340,10 +340,10 @@ class _File:
         found = _separate_lights(light)
         if found is not None:
             mean, maps, lights = found
-            made = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
-            lit = (light > 0) & (made > 0)
+            mixed = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
+            lit = (light > 0) & (mixed > 0)
             if not content.values[~lit].any():  # else unlit samples emit light
-                surfaces = np.divide(content.values, made, out=np.zeros_like(made), where=lit)
+                surfaces = np.divide(content.values, mixed, out=np.zeros_like(mixed), where=lit)
                 return (
                     Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
                     Spectrum(own, mean, "light that varies"),

@@ -178,23 +178,23 @@ def _check(path, label, item, size):
     """Raise BadFile if the file cannot hold the declared size of a data set."""
     import h5py
 
-    made = item.id.get_create_plist()
+    plist = item.id.get_create_plist()
     stored = item.id.get_storage_size()
     nbytes = item.size * item.dtype.itemsize
-    layout = made.get_layout()
+    layout = plist.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
     if (
         layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
-        or made.get_external_count()
+        or plist.get_external_count()
     ):
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
-    filters = [made.get_filter(number)[0] for number in range(made.get_nfilters())]
+    filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
         raise BadFile(path, f"{label}: packed by another method than MATLAB's")
     largest = max(
         nbytes,
-        math.prod(made.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
+        math.prod(plist.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
     )
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
         raise BadFile(

@@ -189,8 +189,8 @@ class _Archive:
         """Return reflectance and light if the light is known, else radiance and a light of 1."""
         wavelengths = content.wavelengths
         if "illuminant" in self.stored:
-            theirs = self.array("illuminant_wavelengths_nm", None)
-            return content, Spectrum(theirs, self.array("illuminant", len(theirs)), "illuminant")
+            nodes = self.array("illuminant_wavelengths_nm", None)
+            return content, Spectrum(nodes, self.array("illuminant", len(nodes)), "illuminant")
         if "illuminant_photons" in self.stored:
             light = self.array("illuminant_photons", len(wavelengths)).astype(np.float64)
             if (light > 0).all():  # else the radiance is kept: a dark band has no reflectance

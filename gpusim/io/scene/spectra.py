@@ -102,7 +102,7 @@ def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
     ids = (np.arange(rows) * down // rows)[:, None] * across + np.arange(cols) * across // cols
     np.minimum(ids, count, out=ids)
     spectra = np.vstack([spectra, np.zeros((int(across * down > count), len(wavelengths)))])
-    said = f"{count} spectra as patches, {across} x {down}, row by row"
+    note = f"{count} spectra as patches, {across} x {down}, row by row"
     with name_in_errors(path):
         content = Materials(
             wavelengths,
@@ -110,4 +110,4 @@ def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
             np.ones(ids.shape, np.float32),
             spectra,
         )
-        return Scene(content, light, name=path.stem, notes=(said, *notes))
+        return Scene(content, light, name=path.stem, notes=(note, *notes))

@@ -145,15 +145,15 @@ def _open_pages(path):
 
 
 def _pages(path, tiff, size):
-    pages, seen = [], set()
+    pages, offsets = [], set()
     for number, page in enumerate(tiff.pages):
         if number == MOST_PAGES:
             raise BadFile(path, f"more than {MOST_PAGES} pages")
-        if page.offset in seen:
+        if page.offset in offsets:
             raise BadFile(
                 path, f"page {number} repeats an earlier one: the file's pages form a loop"
             )
-        seen.add(page.offset)
+        offsets.add(page.offset)
         if not int(page.subfiletype) & (SMALLER | MASK):
             pages.append(_page(path, page, size))
     if not pages:
