@@ -1,4 +1,4 @@
-"""Frames of merged electrons: raw values in 16 bits, developed with the look of a captured frame."""
+"""Frames of merged electrons: 16-bit raw values, developed like a captured frame."""
 
 import dataclasses
 

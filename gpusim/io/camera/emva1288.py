@@ -307,7 +307,7 @@ def _pixel_part(name, figures, rounding, unit):
     if both > total * (1 + rounding):
         raise BadData(
             f"{name}_row = {row:g} {unit} and {name}_column = {column:g} {unit} are {both:.4g} {unit} "
-            f"together, more than the total {name} = {total:g} {unit}"
+            f"together: more than {name} = {total:g} {unit}, their total"
         )
     return math.sqrt(max(total**2 - both**2, 0.0))
 
