@@ -51,7 +51,7 @@ def autofocus(
     farthest: float = np.inf,
     seed: int = 0,
 ) -> Focus:
-    """Focus the camera of `simulator` on a region of the frame by the contrast of raw pictures.
+    """Focus the camera of `simulator` on a region of the frame for contrast of raw pictures.
 
     Positions are evenly spaced in dioptres, to which the sensor's displacement and the circle of
     confusion are proportional. The first are FIRST_STEP pixels of circle of confusion apart, then

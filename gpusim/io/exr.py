@@ -113,7 +113,7 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):
     """Return the numbers of a channel; raise BadFile if they are not usable."""
-    # None: OpenEXR does not find all channels of its own list
+    # None: OpenEXR does not find all channels that it lists
     pixels = getattr(channels.get(name), "pixels", None)
     if pixels is None or pixels.shape != shape:
         raise BadFile(

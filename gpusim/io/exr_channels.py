@@ -48,7 +48,7 @@ class Contents:
 def contents(path, names, bands) -> Contents:
     """Return the content of a file.
 
-    names: names of its channels. bands: {channel: wavelength [nm]} given by the user; only these
+    names: names of its channels. bands: {channel: wavelength [nm]} from the user; only these
     are then used. Raises BadFile, and UnknownName for a name in `bands`.
     """
     depths = [name for name in names if DEPTH.fullmatch(name) and name not in bands]

@@ -32,10 +32,10 @@ GAUSSIANS = (
 def ciede2000(picture: Any, reference: Any, white: ArrayLike | None = None) -> np.ndarray:
     """Return the CIEDE2000 colour difference of every pixel.
 
-    A frame is compared by its linear picture with the exposure divided out: a perfect white
+    A frame is compared as its linear picture with the exposure divided out: a perfect white
     diffuser is display white, and values are clipped to the display's range, before tone curve and
     8-bit encoding. To compare it as bright as the screen shows it, pass `display.xyz(frame.rgb)`. A
-    scene is compared by its `ideal` picture on the display of the other's frame, without clipping.
+    scene is compared as its `ideal` picture on the display of the other's frame, without clipping.
 
     Source: CIE 142-2001, by colour-science.
 

@@ -131,7 +131,7 @@ def photon_transfer(
     dark_series: Mapping[float, ArrayLike] | None = None,
     saturation_level: int | None = None,
 ) -> PhotonTransfer:
-    """Measure a linear camera by the photon transfer method.
+    """Measure a linear camera with the photon transfer method.
 
     Source: EMVA Standard 1288, Release 4.0 Linear (2021) and 3.1 (2016). With y the digital
     number, mu its mean, sigma^2 its temporal variance and s^2 the spatial variance of a mean of L

@@ -115,7 +115,7 @@ def error_map(ax, values, title, label, **colors):
 
 
 def curve(ax, x, y, color, label, first: int = 0, **options):
-    """Draw a line, dashed by the number of lines of its colour on the axes.
+    """Draw a line; its dashes depend on how many lines have its colour on the axes.
 
     This separates the curves of several cameras. first: index in STYLES for the first line.
     """

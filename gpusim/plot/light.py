@@ -387,7 +387,7 @@ def _window(scene, place):
 
 
 def _apply_view(scene) -> Scene:
-    """Return the scene as shown by its view, resampled by splines of fifth order.
+    """Return the scene as seen in its view, resampled by splines of fifth order.
 
     Source: Thevenaz, Blu and Unser, Interpolation revisited, IEEE Trans. Med. Imaging 19 (2000).
     """

@@ -159,7 +159,7 @@ def color_checker(frame: Any, scene: Scene, ax: Any = None) -> Any:
     """Plot the CIEDE2000 of the 24 patches of the chart "colorchecker".
 
     Each bar has the colour of its patch. Means of the patches are compared: noise contributes only
-    by its bias.
+    through its bias.
 
     Args:
         frame: frame of `scene`.

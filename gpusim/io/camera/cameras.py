@@ -64,7 +64,7 @@ def camera_names() -> list[str]:
 
 
 def open_camera(name_or_path: str | os.PathLike) -> Camera:
-    """Open a built-in camera by its name, or a camera file (TOML).
+    """Open a built-in camera by name, or a camera file (TOML).
 
     A file's keys are the fields of Optics, Sensor, Processor and Display; keys with a unit end in
     it, for example `pixel_pitch_um`. With `base`, the name of a built-in camera or a file in the
@@ -274,7 +274,7 @@ def _processor(path, fields):
 
 
 def _display(path, fields):
-    """Return a display by its name, or with custom primaries, white and curve."""
+    """Return a display by name, or with custom primaries, white and curve."""
     name = fields.pop("name", None)
     if not fields:
         with _name_key_in_errors(path, "[display] name"):

@@ -34,8 +34,8 @@ def spread_of(
 ) -> PointSpread:
     """Return the camera's point spread functions: of one field point, or several of a round lens.
 
-    One field point holds for the whole frame. All are resampled as the finest is, by the sampling
-    theorem, over the square that all cover.
+    One field point holds for the whole frame. All are resampled as the finest is, with sinc
+    interpolation, over the square that all cover.
 
     corner: distance of the frame's corner from the axis [m], required for several field points,
     which lie on one line from the axis along x or y. reference: wavelength whose image point is the

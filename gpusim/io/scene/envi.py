@@ -51,7 +51,7 @@ class Envi:
 
 
 def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | None = None) -> Envi:
-    """Read an ENVI file by its header: BSQ, BIL or BIP, of any real type and byte order.
+    """Read an ENVI file from its header: BSQ, BIL or BIP, of any real type and byte order.
 
     wavelengths: [nm], one per band, instead of the header's. kind: "reflectance" or "radiance";
     None is the kind for which the header has a factor or gains, else reflectance. scale: number

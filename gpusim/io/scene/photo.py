@@ -30,7 +30,7 @@ def read_photo(path) -> Basis | Materials:
     """Read a PNG, JPEG or TIFF as reflectances: white (1, 1, 1) reflects 1 at every wavelength.
 
     The picture is read as sRGB (an embedded colour profile is not applied) with 8 or 16 bits per
-    channel, or as linear sRGB floats, and turned by its orientation. Transparent parts have
+    channel, or as linear sRGB floats, turned to its orientation. Transparent parts have
     darkness behind them. Colour is converted by `lift`; grey becomes one neutral material and its
     shading. Raises BadFile and DoesNotFit.
     """

@@ -97,7 +97,7 @@ def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
 def read_picture(path) -> np.ndarray:
     """Read the samples of a photograph, uint8, uint16 or float32, shape (rows, cols, channels).
 
-    Channels are as in `read_samples`. It is turned by its orientation. A premultiplied alpha is
+    Channels are as in `read_samples`. It is turned to its orientation. A premultiplied alpha is
     left out, because its background is dark already. Raises BadFile, DoesNotFit.
     """
     with _open_pages(path) as (pages, stored):
