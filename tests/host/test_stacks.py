@@ -121,7 +121,7 @@ def test_arrays_that_end_early_and_no_arrays(tmp_path):
     data = path.read_bytes()
     for damaged, said in (
         (data[:-1], "480 bytes of numbers expected, 479"),
-        (data + b"x", "481 are there"),
+        (data + b"x", "481 present"),
         (data[:20], "truncated"),
         (b"", "truncated"),
         (b"PK" + data, "not a NumPy array"),
