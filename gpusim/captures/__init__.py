@@ -1,1 +1,1 @@
-"""Recipes over a Simulator: several exposures of one scene, and what is made of them."""
+"""Recipes for several exposures of a scene: brackets, bursts, merges, motion, events, autofocus."""

@@ -1,6 +1,7 @@
-"""One scene exposed for several times."""
+"""Exposure brackets: one scene captured with several exposure times."""
 
 import dataclasses
+from collections.abc import Sequence
 from math import prod
 from time import perf_counter
 
@@ -17,45 +18,73 @@ from gpusim.planner.plan import Plan
 def bracket(
     simulator: Simulator,
     scene: Scene,
-    stops,
+    stops: Sequence[float],
     *,
     seed: int = 0,
     first: int = 0,
     plan: Plan | None = None,
 ) -> list[Frame]:
-    """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
+    """Capture a scene with several exposure times.
 
-    The mean electrons are computed once. plan: see `Simulator`. Raises as `Simulator.frames` does. `merge_bracket`
-    makes one picture of high dynamic range of them.
+    The mean electrons are computed once. `merge_bracket` merges the frames into one high dynamic
+    range picture.
+
+    Args:
+        simulator: simulator whose camera takes the frames.
+        scene: scene to capture.
+        stops: exposure of each frame relative to the camera's, in stops: (-2, 0, 2) for a quarter,
+            once and four times the exposure time.
+        seed: seed of the noise.
+        first: number of the first frame.
+        plan: plan to use; None plans the scene. See `Simulator`.
+
+    Returns:
+        One frame per stop.
+
+    Raises:
+        BadData: if `stops` is not a list of numbers.
+        OutOfRange: if a stop gives no valid exposure time.
+        GpusimError: as raised by `Simulator.frames`.
     """
     factors = bracket_times(1.0, stops)
-    once = simulator.expose(scene, plan=plan)
+    metered = simulator.expose(scene, plan=plan)
     frames: list[Frame] = []
     for number, factor in enumerate(factors):
-        exposure = lengthened(simulator, once, once.exposure_time * float(factor))
+        exposure = lengthened(simulator, metered, metered.exposure_time * float(factor))
         if number == 0:
             exposure = dataclasses.replace(
-                exposure, ms=once.ms | exposure.ms, wall_ms=once.wall_ms + exposure.wall_ms
+                exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
             )
         frames += simulator.shoot(exposure, seed=seed, first=first + number)
     return frames
 
 
 def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -> Exposure:
-    """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew.
+    """Return an exposure of the same scene with another exposure time.
 
-    Raises OutOfRange.
+    Only the electrons of the chip are computed again; the light on the pixels is reused.
+
+    Args:
+        simulator: simulator that made the exposure.
+        exposure: exposure to change.
+        exposure_time: new exposure time [s].
+
+    Returns:
+        The new exposure, with the plan and gain of the old one.
+
+    Raises:
+        OutOfRange: if `exposure_time` is None or not a valid time.
     """
     if checked_time(exposure_time) is None:
-        raise OutOfRange("exposure_time", "None", "a time [s]: the exposure has one of its own")
-    device, shape, begun = simulator.device, exposure.mean.shape, perf_counter()
+        raise OutOfRange("exposure_time", "None", "a time [s]")
+    device, shape, start = simulator.device, exposure.mean.shape, perf_counter()
     with device.timed() as ms:
         mean = chip(
             device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
             scale=exposure_time / exposure.exposure_time,
             device=device,
         )
-        made = expose_mean(
+        changed = expose_mean(
             simulator, exposure.plan, device.reshape(mean, shape), exposure_time, exposure.gain
         )
-    return dataclasses.replace(made, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+    return dataclasses.replace(changed, ms=dict(ms), wall_ms=1e3 * (perf_counter() - start))

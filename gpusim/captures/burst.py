@@ -1,4 +1,4 @@
-"""Many frames exposed alike: of a scene at rest, or of what a camera that shakes sees."""
+"""Bursts: frames with the same exposure, of a static scene or of a shaking camera's views."""
 
 from collections.abc import Iterable
 
@@ -20,15 +20,30 @@ def burst(
     first: int = 0,
     plan: Plan | None = None,
 ) -> list[Frame]:
-    """Frames of one exposure time and gain, numbered from `first`: as `merge_burst` takes them.
+    """Capture frames with one exposure time and gain, as `merge_burst` takes them.
 
-    scenes: one, or several, such as the views of a hand that shakes. count: frames of each; its mean electrons are
-    computed once. Automatic exposure meters the first scene. plan: see `Simulator`. Raises as `Simulator.frames` does.
+    The mean electrons of each scene are computed once. Automatic exposure meters the first scene.
+
+    Args:
+        simulator: simulator whose camera takes the frames.
+        scenes: one scene or several, for example the views of a shaking hand.
+        count: frames per scene.
+        seed: seed of the noise.
+        first: number of the first frame.
+        plan: plan to use for all scenes; None plans each. See `Simulator`.
+
+    Returns:
+        `count` frames of the first scene, then of the next.
+
+    Raises:
+        BadData: if there are no scenes.
+        OutOfRange: if `count` is not a whole number of 1 or more.
+        GpusimError: as raised by `Simulator.frames`.
     """
     checked_count("count of frames", count)
     views = [scenes] if isinstance(scenes, Scene) else list(scenes)
     if not views:
-        raise BadData("burst: no scenes, wanted one or several")
+        raise BadData("burst: no scenes; wanted one or more")
     exposures = [simulator.expose(views[0], plan=plan)]
     exposures += [
         simulator.expose(view, exposures[0].exposure_time, exposures[0].gain, plan)
@@ -44,7 +59,21 @@ def burst(
 def average(
     simulator: Simulator, exposure: Exposure, count: int, *, seed: int = 0, first: int = 0
 ) -> np.ndarray:
-    """Mean raw values of `count` frames of an exposure [DN], float64: see `Readout.average`. Raises OutOfRange."""
+    """Return the mean raw values of many frames of an exposure, see `Readout.average`.
+
+    Args:
+        simulator: simulator that made the exposure.
+        exposure: exposure to read out.
+        count: number of frames.
+        seed: seed of the noise.
+        first: number of the first frame.
+
+    Returns:
+        Mean raw values [DN], float64, with the shape of a frame's raw values.
+
+    Raises:
+        OutOfRange: if `count`, `seed` or `first` is out of range.
+    """
     return exposure.layered(
         simulator.readout.average(
             exposure.chip_mean,

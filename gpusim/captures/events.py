@@ -1,4 +1,4 @@
-"""Event cameras: pixels that tell when the logarithm of their light has changed by a threshold."""
+"""Event cameras: pixels report when the logarithm of their light changes by a threshold."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,8 +6,9 @@ from math import ceil, inf
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gpusim.captures.moving import STEP, farthest
+from gpusim.captures.moving import STEP, largest_step
 from gpusim.captures.photoreceptor import RATES, Photoreceptor
 from gpusim.domain.errors import BadData, OutOfRange, checked_count, shown
 from gpusim.domain.motion import Motion
@@ -15,30 +16,41 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.simulator import Simulator
 
 EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
-MOST = 100_000  # instants
-COARSEST = (
-    100.0  # of them in a second, in which the hand of a `Motion` turns back eight times at most
-)
-LEAST_THRESHOLD = 0.01  # of a pixel, whatever its mismatch
+MOST = 100_000  # most instants
+# [Hz] instants per second; the hand of a `Motion` turns at most eight times a second
+COARSEST = 100.0
+LEAST_THRESHOLD = 0.01  # least threshold of a pixel after mismatch
 
 
 @dataclass(frozen=True)
 class EventSensor:
-    """Read-out of a pixel's light as events.
+    """Parameters of an event camera's pixels.
 
-    on, off: change of the natural logarithm of the light that makes an event. mismatch: standard deviation of both
-    from pixel to pixel, over themselves. refractory: time after an event in which a pixel sees nothing; what it
-    compares with is its light at the end of it [s]. leak: events on a second that a pixel makes in steady light [Hz].
-    dark: electrons that flow in darkness [e- s-1]. seed: of mismatch and noise.
-    cutoff, noise, charge: of the photoreceptor and the source follower behind it, see `photoreceptor`. cutoff: where
-    a bright pixel's response has lost 3 dB [Hz]; in dim light it is slower. noise: events on and off a second that
-    the amplifier's noise makes in dim light, in the mean over the pixels [Hz]; in bright light it makes about half.
-    Photons add to it. charge: electrons by which the photoreceptor changes by an e-fold [e-]; the electrons per second
-    over 2 pi charge are its own cutoff [Hz].
-    window: None, or an ideal pixel without a photoreceptor: its output is the light as it is, averaged over this time
-    [s], in which the number of electrons scatters by Poisson; 0: it does not.
-    The defaults are the noisy preset of v2e (shot noise 5 Hz, cutoff 30 Hz, leak 0.1 Hz), but for its mismatch of 0.25.
-    Source: Lichtsteiner, Posch and Delbruck, IEEE J. Solid-State Circuits 43 (2008), 566. Raises OutOfRange.
+    The defaults are the noisy preset of v2e (shot noise 5 Hz, cutoff 30 Hz, leak 0.1 Hz), except
+    for its mismatch of 0.25.
+
+    Source: Lichtsteiner, Posch and Delbruck, IEEE J. Solid-State Circuits 43 (2008), 566.
+
+    Attributes:
+        on: increase of the natural logarithm of the light that makes an ON event.
+        off: decrease of the natural logarithm of the light that makes an OFF event.
+        mismatch: relative standard deviation of both thresholds over the pixels.
+        refractory: time after an event during which the pixel does not respond [s]. Afterwards it
+            compares with its light at the end of that time.
+        leak: ON events per second of a pixel in steady light [Hz].
+        dark: dark current [e- s-1].
+        window: None, or averaging time of an ideal pixel without a photoreceptor [s]: its output is
+            the light averaged over this time, with Poisson noise. 0 is without noise.
+        seed: seed of mismatch and noise.
+        cutoff: frequency at which a bright pixel's response has lost 3 dB [Hz]; in dim light it is
+            slower.
+        noise: ON and OFF events per second from the amplifier's noise in dim light, mean over the
+            pixels [Hz]. In bright light there are about half as many. Photon noise adds to it.
+        charge: electrons that change the photoreceptor's output by one e-fold [e-]. Its cutoff is
+            the electrons per second over 2 pi charge [Hz].
+
+    Raises:
+        OutOfRange: if a value is out of range.
     """
 
     on: float = 0.2
@@ -54,28 +66,21 @@ class EventSensor:
     charge: float = 500.0
 
     def __post_init__(self):
-        for name, low in (
-            ("on", LEAST_THRESHOLD),
-            ("off", LEAST_THRESHOLD),
-            ("mismatch", 0),
-            ("refractory", 0),
-            ("leak", 0),
-            ("dark", 0),
-            ("window", 0),
-            ("cutoff", 0),
-            ("noise", 0),
-            ("charge", 1),
-        ):
+        not_negative = ("mismatch", "refractory", "leak", "dark", "window", "cutoff", "noise")
+        least: dict = dict.fromkeys(("on", "off"), LEAST_THRESHOLD) | dict.fromkeys(not_negative, 0)
+        for name, low in (least | {"charge": 1}).items():
             value = getattr(self, name)
             if not (name == "window" and value is None) and not (
                 isinstance(value, Real) and low <= value < inf
             ):
                 raise OutOfRange(f"events.{name}", shown(value), f"{low:g} or more")
         if not self.dark > 0:
-            raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
+            raise OutOfRange(
+                "events.dark", self.dark, "above 0, because the logarithm of 0 is undefined"
+            )
         if not self.cutoff > 0:
             raise OutOfRange(
-                "events.cutoff", self.cutoff, "above 0 Hz; window = 0 is an ideal pixel"
+                "events.cutoff", self.cutoff, "above 0 Hz; use window = 0 for an ideal pixel"
             )
         if self.noise > RATES[0] * self.cutoff:
             raise OutOfRange(
@@ -85,13 +90,24 @@ class EventSensor:
             )
         checked_count("events.seed", self.seed, 0, 2**64 - 1)
 
-    def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
-        """Events of light at rising instants [s]; rates: of electrons there, each (rows, cols) [e- s-1].
+    def events(self, times: ArrayLike, rates: Iterable[np.ndarray]) -> np.ndarray:
+        """Return the events of a sequence of images.
 
-        Between two instants the logarithm of the light changes linearly. The photoreceptor goes on in steps of its
-        own, so that its noise does not depend on the instants. With a `window` each instant is scattered by itself, so
-        that instants a window apart have the noise of such pixels, and fewer have less. Returns an array of EVENT, by
-        time: t [s], column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
+        Between two instants the logarithm of the light changes linearly. The photoreceptor advances
+        in its own time steps, so its noise does not depend on the instants. With a `window` each
+        instant gets independent photon noise: instants one window apart have the noise of real
+        pixels, a coarser spacing has less.
+
+        Args:
+            times: two or more instants [s], rising.
+            rates: electrons per second at each instant, each of shape (rows, cols) [e- s-1].
+
+        Returns:
+            Array of EVENT sorted by time: t [s], column x, row y, polarity p (1 or -1).
+
+        Raises:
+            BadData: if the times do not rise, or a rate is missing, negative, not finite or of
+                another shape.
         """
         times, found, state = np.asarray(times, np.float64), [], None
         if (
@@ -101,15 +117,14 @@ class EventSensor:
             or (np.diff(times) <= 0).any()
         ):
             raise BadData(
-                f"times of events: shape {times.shape}; wanted two or more finite instants in seconds, "
-                "rising"
+                f"times of events: shape {times.shape}; wanted two or more finite instants [s], rising"
             )
         random = np.random.Generator(np.random.Philox(self.seed))
-        given = iter(rates)
+        images = iter(rates)
         for number, time in enumerate(times):
-            if (rate := next(given, None)) is None:
+            if (rate := next(images, None)) is None:
                 raise BadData(
-                    f"rates of events: {number}, wanted one for each of {len(times)} instants"
+                    f"rates of events: {number} for {len(times)} instants; wanted one per instant"
                 )
             light = np.asarray(rate, np.float64)
             if light.ndim != 2 or not np.isfinite(light).all() or (light < 0).any():
@@ -129,17 +144,17 @@ class EventSensor:
             if not number:
                 state.begin(time, front.begin(logarithm) if front else logarithm)
             elif front:
-                begun = times[number - 1]
-                for part, output in front.seen(logarithm, time - begun):
-                    found += state.seen(begun + part * (time - begun), output)
+                before = times[number - 1]
+                for part, output in front.advance(logarithm, time - before):
+                    found += state.advance(before + part * (time - before), output)
             else:
-                found += state.seen(time, logarithm)
+                found += state.advance(time, logarithm)
         together = np.concatenate([np.empty(0, EVENT), *found])
         return together[np.argsort(together["t"], kind="stable")]
 
 
 class _Pixels:
-    """What pixels compare their light with, and since when they look."""
+    """Reference levels of the pixels and the end of their refractory times."""
 
     def __init__(self, sensor, shape, random):
         self._sensor, self.shape = sensor, shape
@@ -148,30 +163,28 @@ class _Pixels:
             [[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD
         ).reshape(2, -1)
         self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
-        self._free = np.full(
-            self._on.shape, -inf
-        )  # end of the refractory time, -inf where the level is known
+        # end of the refractory time; -inf: not refractory
+        self._free = np.full(self._on.shape, -inf)
 
     def begin(self, time, light):
-        """The first instant: what the light's logarithm (pixels,) is compared with."""
+        """Set the reference level at the first instant. light: its logarithm, (pixels,)."""
         self._time, self._last, self._level = time, light, light.copy()
 
-    def seen(self, time, now):
-        """Events since the instant before, of the light's logarithm (pixels,): arrays of EVENT."""
-        begun, before = self._time, self._last
+    def advance(self, time, now):
+        """Return the events since the last instant as arrays of EVENT; now: log of the light."""
+        begin, before = self._time, self._last
         drift = self._sensor.leak * self._on  # per second, by which the level falls
-        slope = (now - before) / (time - begun)
-        here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)
-        late = here[
-            self._free[here] > -inf
-        ]  # they look again from the end of their refractory time on
-        since[late] = np.maximum(self._free[late], begun)
-        self._level[late] = before[late] + slope[late] * (since[late] - begun)
+        slope = (now - before) / (time - begin)
+        here, since = np.flatnonzero(self._free < time), np.full(now.shape, begin)
+        # pixels that respond again from the end of their refractory time
+        late = here[self._free[here] > -inf]
+        since[late] = np.maximum(self._free[late], begin)
+        self._level[late] = before[late] + slope[late] * (since[late] - begin)
         self._free[late] = -inf
         found = []
         while len(here):
             rise = slope[here] + drift[here]  # of the light over the level
-            above = before[here] + slope[here] * (since[here] - begun) - self._level[here]
+            above = before[here] + slope[here] * (since[here] - begin) - self._level[here]
             limit = np.where(rise > 0, self._on[here], -self._off[here])
             with np.errstate(divide="ignore", invalid="ignore"):
                 wait = np.where(rise == 0, inf, np.maximum((limit - above) / rise, 0))
@@ -182,13 +195,13 @@ class _Pixels:
             events["t"], events["p"] = at, np.sign(limit)
             events["y"], events["x"] = np.divmod(here, self.shape[1])
             found.append(events)
-            # the level falls meanwhile, and is reset by the threshold, or to the light at the end of the time
+            # the level drifts down meanwhile; an event moves it by the threshold
             self._level[here] += limit - drift[here] * wait
             since[here] = at
             if self._sensor.refractory:
                 self._free[here] = since[here] = at + self._sensor.refractory
                 here = here[since[here] < time]
-                self._level[here] = before[here] + slope[here] * (since[here] - begun)
+                self._level[here] = before[here] + slope[here] * (since[here] - begin)
                 self._free[here] = -inf
         known = self._free == -inf
         self._level[known] -= (drift * (time - since))[known]
@@ -205,11 +218,27 @@ def events_of(
     start: float = 0.0,
     instants: int | None = None,
 ) -> np.ndarray:
-    """Events of a camera that moves before a scene, see `EventSensor.events`.
+    """Return the events of an event camera that moves in front of a scene.
 
-    Each pixel sees the light that the simulator's camera gathers there, its own colour of a mosaic. duration, start:
-    [s]. instants: at which the scene is seen; None: a `window` of the sensor apart, if it has one, or nearer where the
-    camera moves more than STEP samples between two. Raises as `Simulator.expose` does, and OutOfRange.
+    See `EventSensor.events`. Each pixel sees the light collected by the simulator's camera, through
+    its own colour filter.
+
+    Args:
+        simulator: simulator whose camera collects the light.
+        scene: scene to look at.
+        motion: motion of the camera.
+        duration: length of the recording [s].
+        sensor: event sensor; None takes the defaults.
+        start: time at which the recording begins, on the clock of the motion [s].
+        instants: number of images of the scene. None: one per `window` of the sensor if it has one,
+            and enough that the camera moves at most STEP samples between two.
+
+    Returns:
+        Array of EVENT, see `EventSensor.events`.
+
+    Raises:
+        OutOfRange: if the duration or the number of instants is out of range.
+        GpusimError: as raised by `Simulator.expose`.
     """
     scene, sensor = checked_scene(scene), EventSensor() if sensor is None else sensor
     if not 0 < duration < inf:
@@ -219,10 +248,10 @@ def events_of(
             max(duration / sensor.window if sensor.window else 1, COARSEST * duration)
         )
         times = start + duration * np.linspace(0, 1, min(instants, MOST))
-        instants = 1 + ceil((instants - 1) * max(farthest(scene, motion, times) / STEP, 1))
+        instants = 1 + ceil((instants - 1) * max(largest_step(scene, motion, times) / STEP, 1))
     if instants > MOST:
         raise OutOfRange(
-            "instants of events", instants, f"up to {MOST}: a shorter time or a slower camera"
+            "instants of events", instants, f"up to {MOST}: take a shorter time or a slower camera"
         )
     times = start + duration * np.linspace(
         0, 1, checked_count("instants of events", instants, 2, MOST)

@@ -1,4 +1,4 @@
-"""Contrast autofocus: pictures at trial positions of the sensor, the sharpest of which is in focus."""
+"""Contrast autofocus: the sharpest of several pictures at trial focus positions."""
 
 from dataclasses import dataclass, replace
 
@@ -12,19 +12,21 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import brief
 from gpusim.pipeline.simulator import Simulator
 
-FIRST_STEP = 4.0  # [pixel] of circle of confusion between the first positions
-WAVELENGTH = 550.0  # [nm] at which the depth of focus is counted
-CERTAIN = 20.0  # times its standard error is what the contrast must rise by; neighbouring differences share pixels
-LEAST_RISE = 0.02  # of the least contrast: less is shading, not focus
+FIRST_STEP = 4.0  # [pixel] circle of confusion between the first positions
+WAVELENGTH = 550.0  # [nm] for the depth of focus
+CERTAIN = 20.0  # standard errors by which contrast must rise; neighbouring differences share pixels
+LEAST_RISE = 0.02  # rise relative to the least contrast: less is shading, not focus
 
 
 @dataclass(frozen=True, eq=False)
 class Focus:
-    """Where a picture is sharpest.
+    """Result of the autofocus.
 
-    optics: the lens focused there. object_distance: of the plane in focus [m]; optics.image_distance is where the
-    sensor is. depth_of_focus: half of the range that is as sharp, in dioptres [1/m].
-    distances [m], contrasts [1]: the trials, from far to near, shape (n,).
+    Attributes:
+        optics: lens focused there; optics.image_distance is the distance to the sensor.
+        depth_of_focus: half of the range that is equally sharp, in dioptres [1/m].
+        distances: object distances of the trials, from far to near, shape (n,) [m].
+        contrasts: contrasts of the trials, shape (n,) [1].
     """
 
     optics: Optics
@@ -49,21 +51,35 @@ def autofocus(
     farthest: float = np.inf,
     seed: int = 0,
 ) -> Focus:
-    """Focus the camera of `simulator` on what is in a region of the frame, by the contrast of its raw pictures.
+    """Focus the camera of `simulator` on a region of the frame for contrast of raw pictures.
 
-    region: rows and columns of the raw picture [pixel]; by default the middle third. nearest, farthest: range of the
-    search [m]; by default from 20 focal lengths to infinity. seed: of the noise, each trial is another frame.
-    Positions are even in dioptres, to which the sensor's displacement and the circle of confusion are proportional:
-    first FIRST_STEP pixels of it apart, then three times closer about the best, until half a depth of focus; the last
-    ones' parabola has its top in focus. Source: Farrell and Wandell, section 4.4; Krotkov, International Journal of
-    Computer Vision 1, 223 (1987) (the mean squared gradient).
-    Raises BadData for a scene without depth or without detail, OutOfRange for a region or range that cannot be, or if
-    the contrast still rises at `nearest`.
+    Positions are evenly spaced in dioptres, to which the sensor's displacement and the circle of
+    confusion are proportional. The first are FIRST_STEP pixels of circle of confusion apart, then
+    three times closer around the best, down to half a depth of focus. The focus is the peak of a
+    parabola through the last ones.
+
+    Source: Farrell and Wandell, section 4.4; Krotkov, International Journal of Computer Vision 1,
+    223 (1987) (the mean squared gradient).
+
+    Args:
+        simulator: simulator whose camera is focused.
+        scene: scene with depth.
+        region: rows and columns of the raw picture [pixel]; None is the middle third.
+        nearest: nearest distance searched [m]; None is 20 focal lengths.
+        farthest: farthest distance searched [m].
+        seed: seed of the noise; each trial is another frame.
+
+    Returns:
+        The lens in focus, and all trials.
+
+    Raises:
+        BadData: if the scene has no depth or no detail.
+        OutOfRange: if the region or range is invalid, or the contrast still rises at `nearest`.
     """
     optics = simulator.camera.optics
     if scene.depth is None:
         raise BadData(
-            f"{scene.name}: no depth, so it is equally sharp at every focus; give scene.depth [m]"
+            f"{scene.name}: no depth, so every focus is equally sharp; set scene.depth [m]"
         )
     nearest = 20 * optics.focal_length if nearest is None else nearest
     if not optics.focal_length < nearest < farthest:
@@ -85,7 +101,9 @@ def autofocus(
         around = np.clip(best + step * np.arange(-3, 4), far, near)
         best = max(around, key=trials)
     if best == near:
-        raise OutOfRange("nearest", f"{nearest:.4g} m", "less: the contrast still rises there")
+        raise OutOfRange(
+            "nearest", f"{nearest:.4g} m", "a nearer distance: the contrast still rises there"
+        )
     around = np.unique(np.clip(best + step * np.arange(-3, 4), far, near))
     curve = np.polynomial.Polynomial.fit(around, [trials(vergence) for vergence in around], 2)
     bend = curve.convert().coef
@@ -101,9 +119,9 @@ def autofocus(
 
 
 def _steps(camera):
-    """Between the first trials, and of half the range that is as sharp as the focus [1/m]."""
+    """Return the step of the first trials and the depth of focus, both in dioptres [1/m]."""
     infinity, pitch = replace(camera.optics, object_distance=np.inf), camera.sensor.pixel_pitch
-    diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # to a pixel
+    diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # per pixel
     depth_of_focus = max(
         2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9,  # a quarter wave
         infinity.working_f_number * pitch / 2,
@@ -112,18 +130,16 @@ def _steps(camera):
 
 
 def _ends(optics, scene, nearest, farthest):
-    """Where the search begins and ends [1/m], no trial so far from any surface that the lens's model ends.
+    """Return both ends of the search [1/m], within the lens model's range around the surfaces.
 
-    Raises OutOfRange.
+    Raises OutOfRange if nothing remains.
     """
     per_diopter = replace(optics, object_distance=np.inf).displacement(1.0)
     reach = (
         0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
     )
-    far, near = (
-        max(1 / farthest, 1 / scene.depth.min() - reach),
-        min(1 / nearest, 1 / scene.depth.max() + reach),
-    )
+    far = max(1 / farthest, 1 / scene.depth.min() - reach)
+    near = min(1 / nearest, 1 / scene.depth.max() + reach)
     if not far < near:
         raise OutOfRange(
             "depth",
@@ -134,20 +150,21 @@ def _ends(optics, scene, nearest, farthest):
 
 
 class _Trials:
-    """The contrast of a region at trial positions, each of which is measured once.
+    """Contrast of a region at trial positions, each measured once.
 
-    found: vergence [1/m] -> contrast and its standard error [1]. Raises OutOfRange for a region that is too small.
+    found: vergence [1/m] -> contrast and its standard error [1]. Raises OutOfRange if the region is
+    too small.
     """
 
     def __init__(self, simulator, scene, region, seed):
         sensor, readout = simulator.camera.sensor, simulator.readout
         self._program, self._seed = simulator.program(scene), seed
         self._period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
-        self._region = _checked_region(region, readout.output_shape(scene.shape), self._period)
+        self._region = _check_region(region, readout.output_shape(scene.shape), self._period)
         self.found: dict[float, tuple[float, float]] = {}
 
     def __call__(self, vergence):
-        """The contrast at a vergence [1/m]; exposed as the first trial was."""
+        """Return the contrast at a vergence [1/m], with the exposure of the first trial."""
         if vergence not in self.found:
             simulator = self._program.simulator
             focused = replace(simulator.camera.optics, object_distance=_distance(vergence))
@@ -155,12 +172,10 @@ class _Trials:
             exposure = program.exposure
             raw = program.raw(seed=self._seed, frame=len(self.found))
             raw = exposure.layered(np.asarray(simulator.device.numpy(raw)))
-            program.update(
-                exposure_time=exposure.exposure_time, gain=exposure.gain
-            )  # of the next trials
-            raw = (
-                raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
-            )  # the middle channel
+            # for the next trials
+            program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
+            # the middle channel
+            raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
             operated = exposure.camera.sensor
             self.found[vergence] = _contrast(
                 raw[self._region].astype(float) - operated.dark_level,
@@ -172,7 +187,7 @@ class _Trials:
         return self.found[vergence][0]
 
     def require_rise(self):
-        """Refuse a scene whose contrast is the same at every focus, but for noise. Raises BadData."""
+        """Raise BadData if the contrast differs between trials by no more than noise."""
         (least, error), (most, _) = min(self.found.values()), max(self.found.values())
         if not most - least > max(CERTAIN * error, LEAST_RISE * abs(least), 1e-12):
             raise BadData(
@@ -185,8 +200,8 @@ def _distance(vergence):
     return 1 / vergence if vergence > 0 else np.inf
 
 
-def _checked_region(region, shape, period):
-    """Rows and columns in which contrast is measured. Raises OutOfRange."""
+def _check_region(region, shape, period):
+    """Return the rows and columns in which contrast is measured; raise OutOfRange if too few."""
     region = region or tuple(slice(n // 3, n - n // 3) for n in shape)
     for part, size, least in zip(region, shape, period, strict=True):
         start, stop, _ = part.indices(size)
@@ -200,17 +215,17 @@ def _checked_region(region, shape, period):
 
 
 def _contrast(raw, sensor, period, exposure_time, averaged):
-    """Mean squared difference of neighbours of one colour over the squared mean, and its standard error.
+    """Return the contrast [1] and its standard error.
 
-    What the sensor's noise is known to add is taken away: it grows as the trials get darker.
-    raw: digital numbers above the dark level [DN]. averaged: pixels whose digital numbers are one's.
+    Contrast is the mean squared difference of neighbours of the same colour over the squared mean.
+    The known contribution of the sensor's noise is subtracted, because it grows as the trials get
+    darker. raw: digital numbers above the dark level [DN]. averaged: pixels averaged into one
+    digital number.
     """
     level, gain = raw.mean(), sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
-    dark = (
-        sensor.noise.dark_current * sensor.noise.warmth * exposure_time
-    )  # a part of the level's electrons
+    dark = sensor.noise.dark_current * sensor.noise.warmth * exposure_time  # included in the level
     noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
     squares = np.concatenate(
         [

@@ -1,11 +1,13 @@
-"""Several frames of one scene made into one picture: exposure brackets, bursts, pairs with and without flash."""
+"""Merge several frames of one scene: exposure brackets, bursts, pairs with and without flash."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
+from gpusim.captures.merged_frame import develop_merged, host_pictures
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.raw_noise import ROUNDING, RawNoise
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
@@ -19,50 +21,54 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
 
-PEDESTAL, TOP = (
-    1024,
-    65535,
-)  # digital numbers of black and of the largest value in merged raw values
-FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
-COARSE = 0.1  # of the dark noise's variance: more from rounding asks for the finer scale
-REACH = 16  # [pixel] over which demosaicking may mix values
 
+def merge_bracket(
+    simulator: Simulator, frames: Iterable[Frame], *, full_scale: float | None = None
+) -> Frame:
+    """Merge frames with different exposure times into one high dynamic range picture.
 
-def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None) -> Frame:
-    """One picture of high dynamic range from frames exposed differently long, such as `bracket` takes.
+    Each pixel becomes the mean of its rates, electrons per second, weighted by inverse variance.
+    Frames in which it is full are left out; if all are, it takes the value of the frame that holds
+    the largest rate: the shortest, if gains are equal. See `processor.merge`. The converter clips
+    values below digital number 0: a camera with a black level stays unbiased in the dark. If the
+    camera replaces defective pixels, this is done in every frame before the merge; known ones are
+    detected instead if the map is not the simulator's or pixels are binned.
 
-    Each pixel becomes the mean of its rates, electrons per second, weighted by the inverse of their variances; frames
-    in which it is full are left out, and where all are, it is that of the frame which holds the largest rate: the
-    shortest, of equal gains. See `processor.merge`. Values below digital number 0 were cut by the converter: a camera
-    with a black level stays unbiased in the dark. Where the camera replaces defective pixels, that is done in every
-    frame before the merge; those known are detected instead if the map is not the simulator's, or pixels are binned.
+    Frames are not aligned: they must show the same scene from the same place. A shake of 5 and 7
+    pixels lowers 39 dB to 25 dB.
 
-    Frames are not aligned: they have to show the same from the same place. Shaken by 5 and 7 pixels, what had 39 dB has
-    25 dB.
+    Args:
+        simulator: simulator of the camera.
+        frames: 2 to 16 frames of one camera and size, as digital numbers without digital binning,
+            in any order and with any analog gains.
+        full_scale: largest rate that the merged raw values hold [e- s-1]; None is the largest that
+            any frame holds.
 
-    frames: 2 to 16 of one camera and size, from digital numbers, not binned as such; order and analog gains are free.
-    full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
-    Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
-    or (C, rows, cols) [e-], divided by `exposure_time` a rate, negative where noise made it so; `raw` the same in 16
-    bits up to full_scale; `linear` developed from them, as bright as the frame of the middle exposure: its display
-    white stays 1, what is brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are
-    too coarse.
-    Raises BadData, OutOfRange.
+    Returns:
+        A frame as of the longest exposure with an unlimited well. `mean` is the merged electrons,
+        float32 (rows, cols) or (C, rows, cols) [e-]; divided by `exposure_time` it is a rate,
+        negative if noise makes it so. `raw` is the same in 16 bits up to full_scale. `linear` is
+        developed from it, as bright as the frame of the middle exposure: its display white stays 1,
+        brighter values exceed it. Dark parts are developed at a scale 256 times finer if 16 bits
+        are too coarse for them.
+
+    Raises:
+        BadData: if the frames do not fit together, are digitally binned, or every pixel is full in
+            all.
+        OutOfRange: if an exposure time or full_scale is out of range.
     """
-    frames = _checked("merge_bracket", frames, MOST_FRAMES)
+    frames = _check_frames("merge_bracket", frames, MOST_FRAMES)
     if simulator.readout.averaged > 1:
         raise BadData(
-            "merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
-            '"charge", or no binning'
+            "merge_bracket: digital binning hides full pixels; use sensor.binning_mode = "
+            '"charge" or no binning'
         )
-    tables = _tables(frames)
+    tables = _merge_tables(frames)
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
     )
-    frames, tables = (
-        [frames[i] for i in order],
-        {key: values[order] for key, values in tables.items()},
-    )
+    frames = [frames[i] for i in order]
+    tables = {key: values[order] for key, values in tables.items()}
     times, sensor = tables["time"], frames[0].camera.sensor
     longest, limit = float(times.max()), sensor.saturation / times[0]
     full_scale = limit if full_scale is None else full_scale
@@ -71,11 +77,11 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     if (frames[0].raw >= tables["ceiling"][0]).all():
         raise BadData(
             "merge_bracket: every pixel is full in the frame that holds the largest rate, of "
-            f"{times[0]:.4g} s; take a shorter one"
+            f"{times[0]:.4g} s; take a shorter exposure"
         )
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     with simulator.device.timed() as ms:
-        raw = _without_defects(simulator, frames)
+        raw = _replace_defects(simulator, frames)
         layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
         rate = np.stack(
             [
@@ -91,11 +97,10 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
                 for layer in layers
             ]
         ).reshape(raw.shape[1:])
-    dark_noise = float(
-        (np.square(times / longest) / tables["floor"]).sum() ** -0.5
-    )  # [e- in the longest exposure]
+    # [e- in the longest exposure]
+    dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)
     shown = frames[len(frames) // 2]
-    return _developed(
+    return develop_merged(
         simulator,
         shown,
         rate * np.float32(longest),
@@ -104,32 +109,42 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
         saturated=limit / full_scale,
         ratio=shown.exposure_time / longest,
         dark_noise=dark_noise,
-        defects=_defects(simulator, frames),
+        defects=_defect_method(simulator, frames),
         ms=ms,
-        made={
+        stages={
             "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
-            "rates, by the inverse of their variances"
+            "rates, weighted by inverse variance"
         },
     )
 
 
-def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
-    """One picture with less noise from frames exposed equally long while the camera shook or things moved.
+def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int = 0) -> Frame:
+    """Merge frames with equal exposure into one picture with less noise, aligned to a reference.
 
-    Tiles of 16 x 16 periods of the mosaic are found again in every frame (`processor.align`), moved onto the reference
-    and averaged, each block of a period with weights that are 0 where the difference is more than the noise explains
-    (`processor.average`): what moves by itself is shown as the reference has it, without ghosts and with its noise.
-    A tile moves only if noise does not explain it: at rest the variance is 1 / n of one frame's, within 2 %, on flat
-    fields and sharp edges, for 2 to 16 frames, 20 to 2000 electrons and periods of 1 to 6 pixels.
-    Defective pixels: as for `merge_bracket`.
+    Tiles of 16 x 16 periods of the mosaic are searched in every frame (`processor.align`), moved
+    onto the reference and averaged. Blocks of one period get weight 0 if they differ by more than
+    noise explains (`processor.average`): moving objects appear as in the reference, without ghosts
+    and with its noise. A tile moves only if noise does not explain the difference: at rest the
+    variance is 1 / n of one frame's, within 2 %, on flat fields and sharp edges, for 2 to 16
+    frames, 20 to 2000 electrons and periods of 1 to 6 pixels. Defective pixels are handled as by
+    `merge_bracket`.
 
-    frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the
-    mosaic high and wide. reference: the frame that stays where it is.
-    Returns a Frame as of n times the exposure time, the sum of n frames without noise correlated among them: `mean`
-    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits; `linear` as bright as the reference.
-    Raises BadData, OutOfRange.
+    Args:
+        simulator: simulator of the camera.
+        frames: two or more frames of one camera, size, exposure time and gain, as digital numbers,
+            at least 16 periods of the mosaic high and wide.
+        reference: index of the frame that the others are aligned to.
+
+    Returns:
+        A frame as of n times the exposure time, the sum of n frames without noise correlated among
+        them. `mean` is the collected electrons, float32 (rows, cols) [e-]; `raw` is in 16 bits;
+        `linear` is as bright as the reference.
+
+    Raises:
+        BadData: if the frames do not fit together, or pixels are stacked.
+        OutOfRange: if an exposure time or the reference is out of range.
     """
-    frames = _checked("merge_burst", frames, None)
+    frames = _check_frames("merge_burst", frames, None)
     times = np.array([frame.exposure_time for frame in frames])
     sensors = [frame.camera.sensor for frame in frames]
     if (
@@ -137,19 +152,18 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
         or len({sensor.gain_dn_per_electron for sensor in sensors}) > 1
     ):
         raise BadData(
-            "merge_burst: the frames differ in exposure time or gain; wanted equal ones (merge_bracket takes "
-            "others)"
+            "merge_burst: the frames differ in exposure time or gain; wanted equal ones; use merge_bracket "
+            "for different ones"
         )
     sensor, count = sensors[0], len(frames)
     if sensor.stacked:
         raise BadData("merge_burst: stacked pixels; wanted a mosaic or a monochrome sensor")
     device, period, gain = simulator.device, sensor.cfa_indices.shape, sensor.gain_dn_per_electron
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
-    noise = Developer(
-        frames[0].camera, device, simulator.readout.averaged
-    ).noise  # moved, offsets differ as noise does
+    # fixed offsets count as noise, because frames move
+    noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
     with device.timed() as ms:
-        raw = device.array(_without_defects(simulator, frames), np.uint16)
+        raw = device.array(_replace_defects(simulator, frames), np.uint16)
         displacement = align(raw, reference=reference, period=period, device=device)
         numbers = device.numpy(
             average(
@@ -170,7 +184,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     dark_noise = float(
         np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark))
     )
-    return _developed(
+    return develop_merged(
         simulator,
         frames[int(reference)],
         electrons,
@@ -179,9 +193,9 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
         saturated=sensor.saturation / full,
         ratio=1 / count,
         dark_noise=dark_noise,
-        defects=_defects(simulator, frames),
+        defects=_defect_method(simulator, frames),
         ms=ms,
-        made={
+        stages={
             "processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
             "processor.average": f"{count} frames, moved onto frame {int(reference)}",
         },
@@ -191,15 +205,27 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
 def merge_flash(
     simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0
 ) -> Frame:
-    """The ambient picture, in its own light, with the noise averaged among pixels that a flash picture shows as alike.
+    """Denoise an ambient picture by averaging pixels that look equal in a flash picture.
 
-    ambient, flash: frames of one camera and view, without and with a flash beside the scene's light; exposure times
-    and gains are free. radius: of the window [pixel], 1 to 12. reach: squared difference, over that of noise alone,
-    from which on pixels are not alike. The noise that counts is that of the sensor through the camera's colour matrix.
-    See `processor.flash`.
-    Returns the ambient frame with new `linear` and `rgb`. Raises BadData, OutOfRange.
+    The picture keeps its own light. The noise taken into account is the sensor's, through the
+    camera's colour matrix. See `processor.flash`.
+
+    Args:
+        simulator: simulator of the camera.
+        ambient: frame without flash.
+        flash: frame of the same camera and view with flash in addition to the scene's light;
+            exposure times and gains are free.
+        radius: radius of the window, 1 to 12 [pixel].
+        reach: squared difference relative to noise from which pixels count as different.
+
+    Returns:
+        The ambient frame with new `linear` and `rgb`.
+
+    Raises:
+        BadData: if the frames do not fit together or have NaN or infinite values.
+        OutOfRange: if an exposure time, the radius or the reach is out of range.
     """
-    ambient, flash = _checked("merge_flash", [ambient, flash], None)
+    ambient, flash = _check_frames("merge_flash", [ambient, flash], None)
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
@@ -221,7 +247,7 @@ def merge_flash(
         ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
     )
     developer = Developer(ambient.camera, simulator.device)
-    linear, rgb = _shown(
+    linear, rgb = host_pictures(
         simulator.device, developer, developer.colored(simulator.device.array(planes), as_is)
     )
     *stages, encoding = ambient.report.stages
@@ -232,8 +258,8 @@ def merge_flash(
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
 
-def _checked(function, frames, most):
-    """Frames of one camera. Raises BadData, OutOfRange."""
+def _check_frames(function, frames, most) -> list[Frame]:
+    """Return frames as a list; raise BadData or OutOfRange unless they are of one camera."""
     try:
         frames = list(frames)
     except TypeError:
@@ -241,8 +267,8 @@ def _checked(function, frames, most):
     for number, frame in enumerate(frames):
         if not isinstance(frame, Frame):
             raise BadData(
-                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
-                "as Simulator.frames and gpusim.bracket give"
+                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, "
+                "from Simulator.frames or gpusim.bracket"
             )
     if len(frames) < 2 or (most and len(frames) > most):
         raise BadData(
@@ -253,7 +279,7 @@ def _checked(function, frames, most):
         sensor = frame.camera.sensor
         if sensor.bits == FLOAT_BITS:
             raise BadData(
-                f"{function}: frame {number} has raw values without a converter; wanted sensor.bits 1 .. 16"
+                f"{function}: frame {number} has no converter (float raw values); wanted sensor.bits 1 .. 16"
             )
         if not 0 < frame.exposure_time < np.inf:
             raise OutOfRange(
@@ -264,7 +290,7 @@ def _checked(function, frames, most):
         if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
             raise BadData(
                 f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
-                f"wanted uint16, all like frame 0, {np.shape(first.raw)}"
+                f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
             )
         for key in (
             "channels",
@@ -283,8 +309,8 @@ def _checked(function, frames, most):
     return frames
 
 
-def _tables(frames):
-    """What `processor.merge` wants to know of each frame."""
+def _merge_tables(frames):
+    """Return the parameters of each frame that `processor.merge` takes."""
     rows = []
     for frame in frames:
         sensor, time, noise = (
@@ -292,10 +318,8 @@ def _tables(frames):
             frame.exposure_time,
             RawNoise.of(frame.camera.sensor),
         )
-        gain, dark = (
-            sensor.gain_dn_per_electron,
-            sensor.noise.dark_current * sensor.noise.warmth * time,
-        )
+        gain = sensor.gain_dn_per_electron
+        dark = sensor.noise.dark_current * sensor.noise.warmth * time
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
         rows.append(
             (
@@ -309,20 +333,24 @@ def _tables(frames):
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
-def _defects(simulator, frames):
-    """How the frames' defective pixels are found: by the chip's map only if it is the simulator's and not binned."""
-    asked, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
+def _defect_method(simulator, frames):
+    """Return how defective pixels are found.
+
+    The chip's map is used only if it is the simulator's and pixels are not binned.
+    """
+    method, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
     mapped = sensor.binning == (1, 1) and sensor.noise == frames[0].camera.sensor.noise
-    return "detect" if asked == "known" and not mapped else asked
+    return "detect" if method == "known" and not mapped else method
 
 
-def _without_defects(simulator, frames):
-    """Raw values of all frames, their defects replaced if the camera asks for it.
+def _replace_defects(simulator, frames):
+    """Return the raw values of all frames, defects replaced if the camera does so.
 
-    In merged ones the noise of bright parts is not that of their electrons, and what moved fits no map of the chip.
+    This happens before the merge: merged values have other noise than their electrons, and moved
+    ones fit no map of the chip.
     """
     raw = np.stack([frame.raw for frame in frames])
-    how, device, shape = _defects(simulator, frames), simulator.device, raw.shape[1:]
+    how, device, shape = _defect_method(simulator, frames), simulator.device, raw.shape[1:]
     if how == "none":
         return raw
     for frame, layers in zip(frames, raw.reshape(len(frames), -1, *shape[-2:]), strict=True):
@@ -345,166 +373,15 @@ def _without_defects(simulator, frames):
     return raw
 
 
-def _developed(
-    simulator,
-    frame,
-    electrons,
-    *,
-    exposure_time,
-    full,
-    saturated,
-    ratio,
-    dark_noise,
-    defects,
-    ms,
-    made,
-):
-    """A Frame of merged electrons.
-
-    frame: whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the largest raw value.
-    saturated: where the frames saturate, in parts of it. ratio: the frame's exposure time over the merged one's.
-    dark_noise: standard deviation without light [e-]. defects: how they were found. ms: milliseconds per stage of the
-    merge. made: its stages -> what they did.
-    """
-    device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
-    averaged, shading = simulator.readout.averaged, frame.shading
-    chip = dataclasses.replace(
-        old.noise,
-        dark_current=0.0,
-        read=dark_noise * averaged**0.5,
-        reset=0.0,
-        adc=0.0,
-        row=0.0,
-        column=0.0,
-        dsnu=0.0,
-        row_dsnu=0.0,
-        column_dsnu=0.0,
-    )
-    processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
-
-    def scaled(full):
-        """Camera, digital numbers, and the developer that demosaicked them to planes, 1 being `full` electrons."""
-        gain = (TOP - PEDESTAL) / full
-        sensor = dataclasses.replace(
-            old,
-            bits=16,
-            black_level=PEDESTAL,
-            analog_offset=0.0,
-            gain=gain,
-            analog_gain=1.0,
-            conversion_gain=None,
-            adc_range=None,
-            full_well=full,
-            noise=chip,
-        )
-        camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
-        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(
-            np.uint16
-        )
-        developer = Developer(camera, device, averaged)
-        planes = developer.demosaicked(
-            device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
-            shading=shading,
-            white=frame.rendering.neutral,
-            blur=frame.blur,
-        )
-        return camera, raw, developer, planes
-
-    with device.timed() as more:
-        camera, raw, developer, planes = scaled(full)
-        step = full / (TOP - PEDESTAL)
-        if step**2 * ROUNDING > COARSE * dark_noise**2:
-            fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-            most = (
-                1.0 if shading is None else max(1.0, float(shading.max()))
-            )  # the shading's gains clip earlier
-            planes = device.array(
-                np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine)
-            )
-        k = (
-            full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
-        )  # old camera value over new
-        once = frame.rendering
-        shown_by = dataclasses.replace(
-            once,
-            display_from_camera=once.display_from_camera * k,
-            ceiling=once.neutral * saturated,
-            white=once.white / k,
-            saturation=saturated,
-        )
-        linear, rgb = _shown(device, developer, developer.colored(planes, shown_by))
-    first = {}
-    if defects != "none":
-        before = dataclasses.replace(
-            camera, processor=dataclasses.replace(processor, defects=defects)
-        )
-        first["processor.defects"] = (
-            Developer(before, device).models()["processor.defects"] + ", frame by frame"
-        )
-    report = _reported(
-        frame.report,
-        first | made | developer.models(),
-        {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}},
-    )
-    return Frame(
-        camera,
-        float(exposure_time),
-        shown_by,
-        electrons,
-        raw,
-        linear,
-        rgb,
-        report,
-        frame.blur,
-        shading,
-        averaged=None,
-    )
-
-
-def _shown(device, developer, shown):
-    """A frame's `linear` and `rgb` of linear display RGB on the device."""
-    planes, codes = (
-        np.array(device.numpy(shown), np.float32),
-        np.array(device.numpy(developer.encoded(shown))),
-    )
-    return np.moveaxis(planes, 0, -1), codes
-
-
-def _reported(report, processing, ms):
-    """A frame's report with other stages between its sensor and its colours."""
-    last = ("processor.color", "display.encode")
-    before = [
-        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
-    ]
-    stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
-    after = [
-        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
-        for stage in report.stages
-        if stage.stage in last
-    ]
-    return dataclasses.replace(report, stages=[*before, *stages, *after])
-
-
-def _bright(electrons, limit):
-    """Where demosaicking may have mixed in a value beyond `limit` [e-], bool (rows, cols)."""
-    from scipy.ndimage import maximum_filter
-
-    return (
-        maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1)
-        >= 0.99 * limit
-    )
-
-
 def _display_noise(frame, averaged=1):
-    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`.
+    """Return the noise of linear display values as `processor.flash` takes it, (3, 4).
 
-    Both pictures have the chip's fixed offsets, which make no pixels unlike: the noise is that from frame to frame.
+    Only noise from frame to frame counts, because both pictures have the same fixed offsets.
+    averaged: as for `Developer`.
     """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
-    noise, scale = (
-        RawNoise.of(sensor, averaged),
-        sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level),
-    )
+    noise = RawNoise.of(sensor, averaged)
+    scale = sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
     return np.column_stack(
         [per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)]

@@ -1,4 +1,4 @@
-"""What moves, before a rolling shutter: scenes at a few instants, or a camera on its path."""
+"""Motion in front of a rolling shutter: scenes at a few instants, or a camera on its path."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -6,6 +6,7 @@ from math import prod
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
@@ -13,7 +14,7 @@ from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
-from gpusim.domain.scene import checked_scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.frame import Exposure
@@ -23,51 +24,65 @@ from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
-COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # of instants: each has those of the one before
-ENOUGH = 0.5  # of a tolerance
+COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # instants; each set contains the one before
+ENOUGH = 0.5  # part of the tolerance for the error between instants
 STEP = 0.25  # [sample] between two instants, without a tolerance
 
 
 def expose_moving(
     simulator: Simulator,
-    scenes,
-    times,
+    scenes: Iterable[Scene],
+    times: ArrayLike,
     exposure_time: float | None = None,
     start: float = 0.0,
     gain: float = 1.0,
     flicker: Flicker | None = None,
     plan: Plan | None = None,
 ) -> Exposure:
-    """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
+    """Return the mean electrons of a moving scene or camera behind a rolling shutter.
 
-    scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
-    start: when the first row opens [s]; row y opens y row_time of the sensor later. Automatic exposure meters the
-    first scene in steady light; gain: as for `Simulator.expose`. flicker: of all its light, on the clock of the times.
-    plan: of all scenes, see `Simulator`.
-    Raises as `Simulator.expose` does, and BadData, OutOfRange for times that do not cover the exposure.
+    Row y opens y row times of the sensor after the first. Automatic exposure meters the first scene
+    in steady light.
+
+    Args:
+        simulator: simulator whose camera takes the exposure.
+        scenes: the scene at each of the instants `times`, all of one size. The light changes
+            linearly between them.
+        times: instants of the scenes [s].
+        exposure_time: exposure time [s]; None is the camera's or automatic.
+        start: time at which the first row opens [s].
+        gain: analog gain, see `Simulator.expose`.
+        flicker: flicker of all the light, on the clock of `times`; None is steady light.
+        plan: plan for all scenes; None plans them. See `Simulator`.
+
+    Returns:
+        The exposure.
+
+    Raises:
+        BadData: if `scenes` is empty, their sizes differ, or they do not match `times`.
+        OutOfRange: if the times do not cover the exposure.
+        DoesNotFit: if the scenes do not fit into the device's memory.
+        GpusimError: as raised by `Simulator.expose`.
     """
     checked_time(exposure_time)
     checked_gain(gain)
     if not isinstance(scenes, Iterable):
-        raise BadData(
-            f"moving scene: {type(scenes).__name__}, wanted several scenes, such as [scene]"
-        )
-    scenes, begun = [checked_scene(scene) for scene in scenes], perf_counter()
+        raise BadData(f"moving scene: {type(scenes).__name__}, wanted a list of scenes")
+    scenes, begin = [checked_scene(scene) for scene in scenes], perf_counter()
     device, imaging, sensor = simulator.device, simulator.imaging, simulator.camera.sensor
     if not scenes or len(scenes) != len(np.atleast_1d(times)):
         raise BadData(
-            f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
-            "one or more"
+            f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted one or more "
+            "of each, equally many"
         )
     if len({scene.shape for scene in scenes}) > 1:
         raise BadData("moving scene: the scenes differ in size")
     plans = _plans(simulator, scenes, plan, exposure_time)
-    held = (
-        8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
-    )  # the pictures, and once more together
-    if held > device.memory:
+    # the pictures, and their stack
+    nbytes = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
+    if nbytes > device.memory:
         raise DoesNotFit(
-            f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name
+            f"a moving scene of {len(scenes)} pictures", nbytes, device.memory, device.name
         )
     with device.timed() as ms:
         rates = [imaging.values(plan)["per second"] for plan in plans]
@@ -84,35 +99,37 @@ def expose_moving(
         model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
             f", light that flickers at {flicker.frequency:g} Hz" if flicker else ""
         )
-        told = dataclasses.replace(
+        reported = dataclasses.replace(
             _worst(plans, simulator.tolerance), models=plans[0].models | {"sensor.shutter": model}
         )
-        exposure = expose_mean(simulator, told, device.reshape(mean, shape), exposure_time, gain)
-    return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+        exposure = expose_mean(
+            simulator, reported, device.reshape(mean, shape), exposure_time, gain
+        )
+    return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begin))
 
 
 def _plans(simulator, scenes, plan, exposure_time):
-    """A plan for every scene: of each content one, or the one that was given."""
+    """Return a plan for every scene: one per content, or the given one."""
 
-    def planned(scene):
+    def plan_scene(scene):
         return (
             simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
         )
 
-    first = planned(scenes[0])
+    first = plan_scene(scenes[0])
     return [
         first,
         *(
             dataclasses.replace(first, scene=scene)
             if first.serves(scene) and (scene.content is scenes[0].content)
-            else planned(scene)
+            else plan_scene(scene)
             for scene in scenes[1:]
         ),
     ]
 
 
 def _worst(plans, tolerance):
-    """The first plan with the largest error of every cause in any of the plans."""
+    """Return the first plan with the largest bound of each cause over all plans."""
     bounds: dict = {}
     for plan in plans:
         for name, bound in plan.account.bounds.items():
@@ -135,7 +152,7 @@ def _worst(plans, tolerance):
 
 def expose_motion(
     simulator: Simulator,
-    scene,
+    scene: Scene | Animation,
     motion: Motion,
     exposure_time: float | None = None,
     start: float = 0.0,
@@ -144,14 +161,30 @@ def expose_motion(
     flicker: Flicker | None = None,
     plan: Plan | None = None,
 ) -> Exposure:
-    """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
+    """Return the mean electrons of a scene if the camera moves during the exposure.
 
-    scene: a Scene, or an Animation, in which things move on the same clock.
-    start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
-    instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
-    the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
-    flicker: see `expose_moving`. plan: of all views, see `Simulator`.
-    Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than COUNTS has.
+    Shows motion blur and, with a rolling shutter, leaning edges. Automatic exposure meters the
+    first view.
+
+    Args:
+        simulator: simulator whose camera takes the exposure.
+        scene: a Scene, or an Animation whose actors move on the same clock.
+        motion: motion of the camera.
+        exposure_time: exposure time [s]; None is the camera's or automatic.
+        start: time at which the first row opens, on the clock of the motion [s].
+        gain: analog gain, see `Simulator.expose`.
+        instants: number of views of the scene, 2 or more. None chooses the fewest of COUNTS that
+            keep the error between them below ENOUGH of the tolerance or, without a tolerance, the
+            camera's step below STEP samples. That error is reported as "shutter".
+        flicker: flicker of all the light; see `expose_moving`.
+        plan: plan for all views; None plans them. See `Simulator`.
+
+    Returns:
+        The exposure.
+
+    Raises:
+        OutOfRange: if there are fewer than 2 instants, or the path needs more than COUNTS has.
+        GpusimError: as raised by `expose_moving`.
     """
     moving = scene if isinstance(scene, Animation) else None
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
@@ -166,8 +199,8 @@ def expose_motion(
     probes = probes_for(simulator, scene, motion.at(start), seconds)
     for count in [instants] if instants else COUNTS:
         times = start + whole * np.linspace(0, 1, count)
-        step = farthest(scene, motion, times)
-        if moving:  # an actor's own way, as large as the camera shows it, and the camera's
+        step = largest_step(scene, motion, times)
+        if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
         tolerance = simulator.tolerance
@@ -181,43 +214,40 @@ def expose_motion(
         raise OutOfRange(
             "motion during an exposure",
             f"{step * (count - 1):.4g} samples in {whole:.4g} s",
-            "a path "
-            f"that takes up to {count} instants: a shorter exposure, a slower camera, a larger tolerance",
+            f"a path of up to {count} instants: take a shorter exposure, a slower camera or a larger "
+            "tolerance",
         )
     if not step:
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
-    made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
+    exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
     between = next(
         (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
         scenes[0].view,
     )
-    told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
-    seen, bounds = made.plan, made.plan.account.bounds | told
-    account = dataclasses.replace(seen.account, bounds=bounds)
+    bounds = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
+    plan_made = exposure.plan
+    account = dataclasses.replace(plan_made.account, bounds=plan_made.account.bounds | bounds)
     verdict = (
         None
         if tolerance is None
-        else account.verdict(tolerance, seen.verdict.remedy if seen.verdict else "")
+        else account.verdict(tolerance, plan_made.verdict.remedy if plan_made.verdict else "")
     )
     return dataclasses.replace(
-        made, plan=dataclasses.replace(seen, account=account, verdict=verdict)
+        exposure, plan=dataclasses.replace(plan_made, account=account, verdict=verdict)
     )
 
 
-def farthest(scene, motion, times):
-    """How far the camera moves between two of these times, at most, anywhere in the frame [sample]."""
-    y, x = (
-        np.array((-0.5, 0.5))[:, None] * scene.samples[0],
-        np.array((-0.5, 0.5)) * scene.samples[1],
-    )
+def largest_step(scene, motion, times):
+    """Return the camera's largest step between two of these times in the frame [sample]."""
+    y = np.array((-0.5, 0.5))[:, None] * scene.samples[0]
+    x = np.array((-0.5, 0.5)) * scene.samples[1]
     places = np.array(
         [
             np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel))
             for time in times
         ]
     )
-    zoom = max(
-        motion.at(time).zoom for time in times
-    )  # a place of the scene is so many samples of the frame
+    # samples of the frame per sample of the scene
+    zoom = max(motion.at(time).zoom for time in times)
     return float(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).max(initial=0)) * zoom

@@ -1,1 +1,1 @@
-"""Scenes from files, pictures and raw data into files."""
+"""Readers of scenes and cameras; writers of pictures and raw data."""

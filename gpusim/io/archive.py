@@ -1,4 +1,4 @@
-"""NumPy archives (.npz) of plain arrays, read within bounds: nothing is taken before it has been asked for."""
+"""NumPy archives (.npz) of plain arrays, read with bounded memory and written atomically."""
 
 import io
 import math
@@ -8,36 +8,33 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
+from gpusim.io.atomic import atomic_path
 from gpusim.io.files import file_size, open_file, reading
 
 NUMBERS, WHOLE, TEXT = "uif", "ui", "U"  # NumPy's letters for kinds of types
 KINDS = {NUMBERS: "real numbers", WHOLE: "whole numbers", TEXT: "text"}
 WHAT = "an .npz archive of plain arrays"
-VERSIONS = (
-    (1, 0),
-    (2, 0),
-    (3, 0),
-)  # of an array's header; the last two differ in letters of names alone
-METHODS = (
-    zipfile.ZIP_STORED,
-    zipfile.ZIP_DEFLATED,
-)  # those of NumPy; zipfile inflates the others without a bound
+# of an array's header; the last two differ only in the encoding of names
+VERSIONS = ((1, 0), (2, 0), (3, 0))
+# NumPy's methods; zipfile inflates others without a bound
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ENCRYPTED = 1  # bit of a zip member's flags
 LARGEST_RATIO = 1032  # of deflate: 258 bytes of 2 bits (RFC 1951)
 LONGEST_DIRECTORY = 2**20  # [byte]; some ten thousand arrays
-LONGEST_HEADER = 10_000  # [byte] of an array, what NumPy itself allows
-LONGEST_TEXT = 2**20  # [byte] of an array of texts: names and where a table is from
-PIECE = 2**18  # [byte] that are read at once
+LONGEST_HEADER = 10_000  # [byte] of an array, NumPy's own limit
+LONGEST_TEXT = 2**20  # [byte] of an array of texts: names and the source of a table
+PIECE = 2**18  # [byte] read at once
 
 
 @dataclass(frozen=True)
 class _Member:
-    """An array as its header says: shape, dtype and order; its numbers begin at the byte `start`."""
+    """An array's header: shape, dtype and order; its numbers begin at byte `start`."""
 
     info: zipfile.ZipInfo
     shape: tuple[int, ...]
@@ -51,7 +48,7 @@ class _Member:
 
 
 class Archive(Mapping):
-    """The arrays of an open .npz by their names; each is read when it is asked for, its shape is known before."""
+    """Arrays of an open .npz by name; shapes are known at once, numbers are read on access."""
 
     def __init__(self, path, file):
         self.path, self._size = path, file_size(file)
@@ -63,18 +60,18 @@ class Archive(Mapping):
             self._members[name] = self._member(info)
 
     def _member(self, info):
-        """Header of a member, whose declared sizes the file can hold."""
+        """Return the header of a member; raise BadFile if the file cannot hold its size."""
         what = f"array {info.filename!r}"
         if info.flag_bits & ENCRYPTED or info.compress_type not in METHODS:
             raise BadFile(
                 self.path,
-                f"{what} is encrypted, or packed by another method than NumPy's; write it with "
+                f"{what} is encrypted or uses another compression than NumPy; write it with "
                 "np.savez or np.savez_compressed",
             )
         if info.compress_size > self._size or info.file_size > LARGEST_RATIO * info.compress_size:
             raise BadFile(
                 self.path,
-                f"{what}, truncated or damaged: {info.file_size} bytes cannot come of "
+                f"{what}, truncated or damaged: {info.file_size} bytes cannot come from "
                 f"{info.compress_size} in a file of {self._size}",
             )
         with self._zip.open(info) as stream:
@@ -105,7 +102,7 @@ class Archive(Mapping):
         return len(self._members)
 
     def require(self, names):
-        """Raise BadFile unless all these arrays are there."""
+        """Raise BadFile if an array is missing."""
         missing = [name for name in names if name not in self]
         if missing:
             raise BadFile(
@@ -113,10 +110,10 @@ class Archive(Mapping):
             )
 
     def shape(self, name, kinds=NUMBERS, *, wanted=None) -> tuple[int, ...]:
-        """Shape of an array, before it is read.
+        """Return the shape of an array without reading it.
 
-        kinds: letters of NumPy for the kinds of types that it may have. wanted: the shape that it should have, None for
-        any length, or None for any shape. Raises BadFile if it is missing or something else.
+        kinds: NumPy's letters for the allowed kinds of types. wanted: required shape, with None for
+        any length; None is any shape. Raises BadFile if the array is missing or different.
         """
         if name not in self:
             raise BadFile(
@@ -149,12 +146,12 @@ class Archive(Mapping):
                 letters = array.reshape(-1).view(
                     np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
                 )
-                if letters.max() > sys.maxunicode:  # Python would raise what no file should cause
-                    raise UnicodeError(f"{member.info.filename!r} holds letters that are none")
+                if letters.max() > sys.maxunicode:  # else Python raises ValueError
+                    raise UnicodeError(f"{member.info.filename!r} holds invalid characters")
         return array.transpose() if member.fortran else array
 
     def require_memory(self, copies: float):
-        """Raise DoesNotFit unless all arrays fit as stored, with `copies` of their numbers as float64 beside."""
+        """Raise DoesNotFit unless all arrays fit as stored plus `copies` of them in float64."""
         needed = sum(
             member.nbytes + 8 * copies * math.prod(member.shape)
             for member in self._members.values()
@@ -163,9 +160,9 @@ class Archive(Mapping):
 
 
 def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether the first axis is the fastest, and type of an array (.npy); `head` is left at its numbers.
+    """Return shape, Fortran order and type of an array (.npy); leave `head` at its numbers.
 
-    head: its first LONGEST_HEADER bytes. Raises whatever NumPy does on damaged ones.
+    head: its first LONGEST_HEADER bytes. Raises any error of NumPy on damaged headers.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that Python 2 wrote
@@ -180,7 +177,7 @@ def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
 
 
 class _Bounded:
-    """A file of which nothing is read at once that is longer than a zip file's directory may be."""
+    """A file that refuses reads longer than a zip directory may be."""
 
     def __init__(self, file):
         self.file, self.seek, self.tell, self.seekable = file, file.seek, file.tell, file.seekable
@@ -193,9 +190,15 @@ class _Bounded:
         return self.file.read(size)
 
 
+def write_archive(path, arrays: Mapping[str, Any]):
+    """Write arrays by name as a compressed .npz. Raises BadFile."""
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
 @contextmanager
 def open_archive(path):
-    """Open an .npz as an `Archive`. Nothing is unpickled. Raises BadFile."""
+    """Open an .npz as an `Archive` without unpickling. Raises BadFile."""
     with open_file(path) as file:
         with reading(path, WHAT):
             archive = Archive(path, file)

@@ -1,4 +1,4 @@
-"""Files that are either complete or not there."""
+"""Atomic output: files are either complete or absent."""
 
 import os
 import stat
@@ -10,40 +10,41 @@ from gpusim.domain.leftovers import remove_leftovers, remove_leftovers_once, tem
 
 
 def check_output(path):
-    """Raise BadFile unless a file of this name can be written: an empty one is made beside it. None is no output.
+    """Raise BadFile unless the file can be written, tested with an empty file next to it.
 
-    Temporary files that killed processes left in the folder are removed.
+    None is no output. Temporary files of killed processes in the folder are removed.
     """
     if path is not None:
-        with _writing(path) as temporary:
+        with _temporary_file(path) as temporary:
             temporary.touch(exist_ok=False)
             remove_leftovers(temporary.parent)
 
 
 @contextmanager
 def atomic_path(path):
-    """Yield a temporary path beside `path`, with the same suffix; it takes the name `path` when the block succeeds.
+    """Yield a temporary path next to `path` with its suffix, renamed to `path` on success.
 
-    When the block fails the temporary file is removed and an existing `path` is left as it was. Raises BadFile when the
-    folder is missing or cannot be written to, the disk is full, or `path` is a folder, a device or a pipe.
+    If the block fails, the temporary file is removed and an existing `path` stays unchanged. Raises
+    BadFile if the folder is missing or not writable, the disk is full, or `path` is a folder, a
+    device or a pipe.
     """
-    with _writing(path) as temporary:
+    with _temporary_file(path) as temporary:
         yield temporary
         os.replace(temporary, path)
 
 
 @contextmanager
-def _writing(path):
-    """Yield the name of a temporary file, which is removed; what the system refuses is a BadFile."""
+def _temporary_file(path):
+    """Yield the name of a temporary file and remove it at the end; raise BadFile on OSError."""
     path = Path(path)
     try:
         kind = _kind(path)
-        if kind:  # as root one could even replace /dev/null
+        if kind:  # root could even replace /dev/null
             raise BadFile(path, f"is {kind}; wanted the name of a file")
         if not path.absolute().parent.is_dir():
             raise BadFile(path, f"the folder {path.absolute().parent} does not exist")
         remove_leftovers_once(path.absolute().parent)
-        temporary = path.with_name(temporary_name(path.suffix[:8]))  # no longer than names may be
+        temporary = path.with_name(temporary_name(path.suffix[:8]))  # within the limit of names
         try:
             yield temporary
         finally:
@@ -54,7 +55,7 @@ def _writing(path):
 
 
 def _kind(path):
-    """What is at `path` if it is not a file that can be replaced."""
+    """Return the kind of object at `path` in words; None for a regular file or nothing."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:

@@ -1,4 +1,7 @@
-"""OpenEXR: spectral scenes in, spectral scenes and linear pictures out; `exr_channels` tells what a file holds."""
+"""OpenEXR: reads spectral scenes, writes spectral scenes and linear pictures.
+
+The names of the channels are interpreted by `exr_channels`.
+"""
 
 import math
 from dataclasses import dataclass
@@ -13,24 +16,24 @@ from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.atomic import atomic_path
 from gpusim.io.exr_channels import contents
-from gpusim.io.files import named, open_file, reading
+from gpusim.io.files import name_in_errors, open_file, reading
 
 UNITS = "W.m^-2.sr^-1.nm^-1"
-PLANES_OF_COLORS = 9  # that are held at once, beside the three, while colours become sRGB's
+PLANES_OF_COLORS = 9  # extra planes held during the conversion to sRGB
 OUTSIDE = (
-    "colours outside sRGB, of which no reflectances are made: {:.2g} % of the samples, drawn towards grey of "
+    "colours outside sRGB, which have no reflectance here: {:.2g} % of the samples, moved towards grey of "
     "the same luminance until they fit"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Exr:
-    """What an OpenEXR file holds.
+    """Content of an OpenEXR file.
 
-    kind: "radiance", values [photon s-1 m-2 sr-1 nm-1]; "reflectance", values [1]; or "rgb", linear sRGB, white 1.
-    wavelengths: [nm], or None of "rgb". values: float32, shape (L, rows, cols).
-    depth_channel, depth: its name and distances as they are stored, shape (rows, cols), or None.
-    notes: what could not be taken as it is.
+    kind: "radiance", values [photon s-1 m-2 sr-1 nm-1]; "reflectance", values [1]; or "rgb", linear
+    sRGB, white 1. wavelengths: [nm], None for "rgb". values: float32, shape (L, rows, cols).
+    depth_channel, depth: name and stored distances, shape (rows, cols), or None. notes: values that
+    were changed or not read.
     """
 
     kind: str
@@ -44,19 +47,22 @@ class Exr:
 def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     """Read a spectral or a linear RGB OpenEXR file, and its depth.
 
-    bands: {channel: wavelength [nm]} for files that do not say the wavelength in the channel's name, such as
-        Mitsuba's; these channels then are the spectral radiance [W m-2 sr-1 nm-1], whatever other channels there are.
-    depth: whether to look for a channel of distances: Z, depth, Depth.Z (Blender), depth.T (Mitsuba's AOV).
-    Read are channels S0.<wavelength>nm [W m-2 sr-1 nm-1], T.<wavelength>nm (reflectance), Indigo's wavelength<edge>
-    [W m-2 sr-1 m-1], each taken at the middle of its bucket, or else a picture of R, G, B, also in a layer Combined, or
-    X, Y, Z. RGB of other primaries (`chromaticities`) becomes linear sRGB, its white adapted (Bradford): (1, 1, 1)
-    stays white; XYZ is taken as it is. Polarised and bispectral files are refused.
+    Channels read are S0.<wavelength>nm [W m-2 sr-1 nm-1], T.<wavelength>nm (reflectance), Indigo's
+    wavelength<edge> [W m-2 sr-1 m-1] at the middle of each bucket; otherwise a picture of R, G, B,
+    also in a layer Combined, or X, Y, Z. RGB of other primaries (`chromaticities`) becomes linear
+    sRGB, its white adapted (Bradford): (1, 1, 1) stays white; XYZ is kept. Polarised and bispectral
+    files are refused.
+
+    bands: {channel: wavelength [nm]} for files without wavelengths in the names, for example
+    Mitsuba's; only these channels are then read, as spectral radiance [W m-2 sr-1 nm-1]. depth:
+    read a channel of distances: Z, depth, Depth.Z (Blender), depth.T (Mitsuba's AOV).
+
     Raises BadFile, UnknownName (a name in `bands`) and DoesNotFit.
     """
     import OpenEXR
 
     path = Path(path)
-    open_file(path).close()  # OpenEXR opens it once more, by its name
+    open_file(path).close()  # OpenEXR opens it again by its name
     with reading(path, "an OpenEXR file"):
         parts = [
             part.header
@@ -66,10 +72,10 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
         names = [channel.name for channel in parts[0]["channels"]]
         deep = any("deep" in str(header.get("type")) for header in parts)
     if deep:
-        raise BadFile(path, "deep data (several samples in a pixel); wanted a flat picture")
+        raise BadFile(path, "deep data (several samples in a pixel); write a flat picture")
     held = contents(path, names, bands or {})
     rows, cols = sizes[0]
-    # Every channel of every part is read, at worst as 4-byte numbers, and what was chosen is copied into the cube.
+    # Every channel of every part is read, at worst as 4-byte numbers; the cube is a copy.
     stored = sum(
         len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True)
     )
@@ -87,7 +93,7 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
             plane *= held.unit / energy_per_photon(nm)
     notes = []
     if held.is_picture:
-        with named(path):
+        with name_in_errors(path):
             values, notes = _colors(values, held.kind, parts[0].get("chromaticities"))
     distances = _pixels(path, channels, held.depth, (rows, cols)) if depth and held.depth else None
     if distances is not None and held.other_depths:
@@ -106,10 +112,9 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):
-    """The numbers of a channel."""
-    pixels = getattr(
-        channels.get(name), "pixels", None
-    )  # not there: what OpenEXR finds differs from its own list
+    """Return the numbers of a channel; raise BadFile if they are not usable."""
+    # None: OpenEXR does not find all channels that it lists
+    pixels = getattr(channels.get(name), "pixels", None)
     if pixels is None or pixels.shape != shape:
         raise BadFile(
             path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
@@ -124,7 +129,7 @@ def _pixels(path, channels, name, shape, *, finite=False, negative=True):
 
 
 def _colors(values, kind, chromaticities):
-    """Linear sRGB of a picture, not negative, and notes. Raises BadData."""
+    """Return a picture in linear sRGB, not negative, and notes. Raises BadData."""
     matrix = None
     if kind == "xyz":
         matrix = np.linalg.inv(srgb_to_xyz())
@@ -142,7 +147,7 @@ def _colors(values, kind, chromaticities):
 
 
 def _size(header):
-    """Rows and columns of a part."""
+    """Return rows and columns of a part."""
     (left, top), (right, bottom) = (corner.tolist() for corner in header["dataWindow"])
     return bottom - top + 1, right - left + 1
 
@@ -152,10 +157,11 @@ def write_spectral_exr(
 ):
     """Write a spectral OpenEXR.
 
-    wavelengths: [nm], shape (L,). values: shape (L, rows, cols), radiance [photon s-1 m-2 sr-1 nm-1], written as
-    S0 channels in W m-2 sr-1 nm-1; or, with `reflectance`, reflectance [1], written as T channels. half: 16-bit floats.
-    more: {name: plane (rows, cols)} of other channels, as 32-bit floats. attributes: of the header, besides.
-    Raises BadData and BadFile.
+    wavelengths: [nm], shape (L,). values: shape (L, rows, cols), radiance [photon s-1 m-2 sr-1
+    nm-1], written as S0 channels in W m-2 sr-1 nm-1; or, with `reflectance`, reflectance [1],
+    written as T channels. half: use 16-bit floats. more: {name: plane (rows, cols)} of other
+    channels, as 32-bit floats. attributes: further attributes of the header. Raises BadData and
+    BadFile.
     """
     values = np.asarray(values)
     if values.ndim != 3 or len(values) != len(wavelengths) or values.size == 0:
@@ -164,18 +170,18 @@ def write_spectral_exr(
     for nm, plane in zip(wavelengths, values, strict=True):
         energy = 1.0 if reflectance else energy_per_photon(nm)
         name = ("T." if reflectance else "S0.") + f"{nm:.6f}nm".replace(".", ",")
-        channels[name] = _narrowed(path, name, np.asarray(plane, np.float64) * energy, half)
+        channels[name] = _to_floats(path, name, np.asarray(plane, np.float64) * energy, half)
     if len(channels) < len(values):
         raise BadData(
-            f"{path}: wavelengths nearer to each other than the 1e-6 nm that channels' names tell apart"
+            f"{path}: wavelengths differ by less than 1e-6 nm, the resolution of channel names"
         )
-    channels |= {name: _narrowed(path, name, plane, False) for name, plane in (more or {}).items()}
+    channels |= {name: _to_floats(path, name, plane, False) for name, plane in (more or {}).items()}
     units = {} if reflectance else {"emissiveUnits": UNITS}
     _write(path, channels, spectralLayoutVersion="1.0", **units, **attributes)
 
 
 def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):
-    """Write a linear picture, shape (rows, cols, 3), with the chromaticities of the display that it is for.
+    """Write a linear picture, shape (rows, cols, 3), with the chromaticities of its display.
 
     Raises BadData and BadFile.
     """
@@ -183,14 +189,15 @@ def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):
     if rgb.ndim != 3 or rgb.shape[-1] != 3 or rgb.size == 0:
         raise BadData(f"{path}: a picture needs shape (rows, cols, 3), got {rgb.shape}")
     channels = {
-        name: _narrowed(path, name, rgb[..., index], half) for index, name in enumerate("RGB")
+        name: _to_floats(path, name, rgb[..., index], half) for index, name in enumerate("RGB")
     }
     _write(
         path, channels, chromaticities=tuple(np.ravel((*display.primaries, display.white)).tolist())
     )
 
 
-def _narrowed(path, name, plane, half):
+def _to_floats(path, name, plane, half):
+    """Return a plane as 16- or 32-bit floats; raise BadData if it does not fit."""
     if not np.isfinite([plane.min(), plane.max()]).all():
         raise BadData(f"{path}: channel {name!r}: NaN or infinite values")
     if half and np.abs(plane).max() > np.finfo(np.float16).max:
@@ -207,8 +214,7 @@ def _write(path, channels, **attributes):
     with atomic_path(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
-            OpenEXR.File(
-                str(temporary)
-            )  # what does not fit the disk as the file is closed is lost without a word
+            # OpenEXR does not report a full disk when it closes the file
+            OpenEXR.File(str(temporary))
         except (RuntimeError, ValueError) as error:
             raise OSError(f"the disk may be full ({error})") from error

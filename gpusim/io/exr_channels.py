@@ -1,7 +1,8 @@
-"""What an OpenEXR file holds, by the names of its channels.
+"""Content of an OpenEXR file, derived from the names of its channels.
 
-Spectral layouts: Fichet, Pacanowski & Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021; Indigo's, as
-its technical reference has it ("Spectral Input and Output"). Passes: Blender's and Mitsuba 3's names.
+Spectral layouts: Fichet, Pacanowski & Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3),
+2021; Indigo's technical reference ("Spectral Input and Output"). Passes: names of Blender and
+Mitsuba 3.
 """
 
 import re
@@ -14,20 +15,22 @@ from gpusim.domain.errors import BadFile, UnknownName
 
 NUMBER = r"\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?"
 BAND = re.compile(rf"(S0|T)\.({NUMBER})nm")
-SPECTRAL = re.compile(r"(S0|T)\.\d")  # meant to be a band, whether or not its name can be read
+SPECTRAL = re.compile(r"(S0|T)\.\d")  # a band, also if the rest cannot be read
 BISPECTRAL = re.compile(rf"T\.{NUMBER}nm\.{NUMBER}nm")
 POLARISED = re.compile(r"S[123]\..+")
 BUCKET = re.compile(r"wavelength(\d+(?:_\d+)?)")
 UNEVEN = 0.01  # of a bucket's width: names have two decimals
-PICTURE = re.compile(r"(|(?:.+\.)?Combined\.)R")  # the layer in which a colour picture is
+PICTURE = re.compile(r"(|(?:.+\.)?Combined\.)R")  # layer of a colour picture
 DEPTH = re.compile(r"Z|(?:.+\.)?depth(?:\.\w+)?|(?:.+\.)?Depth(?:\.\w+)?")
 
 
 @dataclass(frozen=True)
 class Contents:
-    """kind: "radiance", "reflectance", "rgb" or "xyz". channels: (name, wavelength [nm] or None), in order.
+    """Kind and channels of a file.
 
-    unit: of radiance [W m-2 sr-1 nm-1]. depth: name of the channel of distances, or None; other_depths: not chosen.
+    kind: "radiance", "reflectance", "rgb" or "xyz". channels: (name, wavelength [nm] or None), in
+    order. unit: of radiance [W m-2 sr-1 nm-1]. depth: name of the channel of distances, or None;
+    other_depths: further ones.
     """
 
     kind: str
@@ -43,10 +46,10 @@ class Contents:
 
 
 def contents(path, names, bands) -> Contents:
-    """Find out what a file holds.
+    """Return the content of a file.
 
-    names: of its channels. bands: {channel: wavelength [nm]} that the user gave; nothing else is asked then.
-    Raises BadFile, and UnknownName for a name in `bands`.
+    names: names of its channels. bands: {channel: wavelength [nm]} from the user; only these
+    are then used. Raises BadFile, and UnknownName for a name in `bands`.
     """
     depths = [name for name in names if DEPTH.fullmatch(name) and name not in bands]
     depths.sort(key=lambda name: name != "Z")
@@ -71,13 +74,13 @@ def _picture(path, names, bands, depths):
         raise BadFile(
             path,
             "no spectral channels (S0.<wavelength>nm, T.<wavelength>nm, wavelength<nm>) and no picture "
-            f"of R, G, B alone; there are {listed}; say wavelengths with --band NAME=nm",
+            f"of only R, G, B; there are {listed}; give wavelengths with --band NAME=nm",
         )
     return found
 
 
 def _require_intensity(path, names):
-    """Refuse light of which the polarisation is told, and surfaces that answer at another wavelength."""
+    """Raise BadFile for polarised light and bispectral reflectances."""
     for name in sorted(names):
         if POLARISED.fullmatch(name):
             raise BadFile(
@@ -106,7 +109,7 @@ def _fichet(path, names):
     if len(kinds) > 1:
         raise BadFile(
             path,
-            "holds both emissive (S0) and reflective (T) channels, which cannot be told apart as light",
+            "holds both emissive (S0) and reflective (T) channels; write only one kind",
         )
     if not kinds:
         return None
@@ -115,7 +118,7 @@ def _fichet(path, names):
 
 
 def _indigo(path, names):
-    """Buckets of light in W m-2 sr-1 m-1, each named by its lower edge; its wavelength here is its middle."""
+    """Return Indigo's buckets, W m-2 sr-1 m-1, at their middle; names have the lower edges."""
     edges = [
         (name, float(match[1].replace("_", ".")))
         for name in names
@@ -127,14 +130,14 @@ def _indigo(path, names):
     if len(edges) < 2:
         raise BadFile(
             path,
-            f"only one bucket ({edges[0][0]!r}), whose width nothing says; at least 2 are needed",
+            f"only one bucket ({edges[0][0]!r}) of unknown width; at least 2 are needed",
         )
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
         raise BadFile(
             path,
-            f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "
-            "that are equally spaced",
+            f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted "
+            "equally spaced edges",
         )
     return Contents("radiance", [(name, edge + width / 2) for name, edge in edges], unit=1e-9)
 

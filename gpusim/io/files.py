@@ -1,7 +1,8 @@
-"""The one way into a user's file: it is there, it is a file, it fits, and what a parser raises becomes a BadFile."""
+"""Input files: opened with checks of their kind and size; errors of parsers become BadFile."""
 
 import csv
 import io
+import logging
 import os
 import stat
 from contextlib import contextmanager
@@ -10,10 +11,9 @@ from pathlib import Path
 from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
 from gpusim.domain.memory import require_memory
 
-LONGEST_TEXT = 2**20  # [byte] of what people write; TOML takes up to 3 s for as much
-TEXT_COST = (
-    64  # [byte] that a parser takes per byte of text: one Python object for every two letters
-)
+LONGEST_TEXT = 2**20  # [byte] of files written by hand; TOML takes up to 3 s for this
+# [byte] memory of a parser per byte of text: one Python object for every two letters
+TEXT_COST = 64
 KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -24,18 +24,17 @@ KINDS = (
 
 
 def open_file(path) -> io.BufferedReader:
-    """Open a regular file for reading bytes. Raises BadFile for anything else, without waiting for it.
+    """Open a regular file for reading bytes; raise BadFile for anything else.
 
-    A pipe without a writer, a terminal or a socket would let a program wait without end, and devices have no end.
+    Pipes without a writer, terminals and sockets are refused because a read could wait forever,
+    devices because they have no end.
     """
     if not isinstance(path, str | os.PathLike):
         raise BadFile(shown(path), f"{type(path).__name__}, wanted a file's path")
     path = Path(path)
     try:
-        _require_regular(
-            path, path.stat()
-        )  # before it is opened: to open a device may do something
-        # nor does it wait if it has become a pipe meanwhile
+        _require_regular(path, path.stat())  # before opening: opening a device may have effects
+        # non-blocking, in case it has become a pipe meanwhile
         file = open(
             path,
             "rb",
@@ -45,7 +44,7 @@ def open_file(path) -> io.BufferedReader:
         raise BadFile(path, "no such file") from None
     except OSError as error:
         raise BadFile(path, f"cannot be read: {error.strerror or error}") from None
-    except ValueError:  # a zero byte, or letters that no file's name can have
+    except ValueError:  # a zero byte or other invalid characters
         raise BadFile(path, "no such file: no file can have this name") from None
     try:
         _require_regular(path, os.fstat(file.fileno()))
@@ -62,7 +61,7 @@ def _require_regular(path, status):
 
 
 def file_size(file) -> int:
-    """Size of an open file [byte]."""
+    """Return the size of an open file [byte]."""
     return os.fstat(file.fileno()).st_size
 
 
@@ -71,16 +70,15 @@ def read_text(
 ) -> str:
     """Read a text in UTF-8, with or without a byte-order mark.
 
-    what: as in `reading`. longest: [byte]. older: read UTF-16 with its mark as well, and Windows' letters where it is
-    not UTF-8. cost: [byte] that its parser takes per byte. Raises BadFile, DoesNotFit.
+    what: as in `reading`. longest: [byte]. older: also accept UTF-16 with a byte-order mark, and
+    Windows-1252 if it is not UTF-8. cost: memory of its parser per byte of text [byte]. Raises
+    BadFile, DoesNotFit.
     """
     with open_file(path) as file, reading(path, what):
         require_memory(f"{path}: a text", cost * min(file_size(file), longest))
-        data = file.read(longest + 1)  # files of the system are longer than they say
+        data = file.read(longest + 1)  # system files are longer than their size
         if len(data) > longest:
-            raise BadFile(
-                path, f"more than {longest / 2**20:g} MiB: longer than it can sensibly be"
-            )
+            raise BadFile(path, f"more than {longest / 2**20:g} MiB: too long for {what}")
         if older and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return data.decode("utf-16", "replace")
         try:
@@ -92,10 +90,11 @@ def read_text(
 
 
 def read_cells(path, longest: int) -> list[list[str]]:
-    """Read a CSV table: the cells of every line that is not empty, without blanks around them.
+    """Read a CSV table: the stripped cells of every line that is not empty.
 
-    Cells are divided by commas, semicolons (numbers may have decimal commas then) or tabs; lines that begin with # are
-    comments. Empty columns at the end, of spreadsheets, are left out. longest: [byte]. Raises BadFile, DoesNotFit.
+    Cells are separated by commas, semicolons (numbers may then have decimal commas) or tabs; lines
+    that begin with # are comments. Empty columns at the end are left out. longest: [byte]. Raises
+    BadFile, DoesNotFit.
     """
     text = read_text(path, "a CSV table", longest, older=True)
     with reading(path, "a CSV table"):
@@ -119,18 +118,21 @@ def read_cells(path, longest: int) -> list[list[str]]:
 
 @contextmanager
 def reading(path, what: str):
-    """While a file's bytes are read and parsed by a library: whatever it raises on them is said as BadFile.
+    """Raise BadFile for any error of a library that reads and parses a file's bytes.
 
-    what: what the file should be, such as "a PNG". Parsers raise anything on damaged files (KeyError, RecursionError,
-    NotImplementedError ...), and their documents do not say what. Only calls of parsers belong in the block: an error
-    of this program should be seen as such. GpusimErrors pass, and NameError, which no file can cause.
+    what: expected kind of file, for example "a PNG". Parsers raise undocumented errors on damaged
+    files (KeyError, RecursionError, NotImplementedError ...). Put only calls of parsers into the
+    block, to keep errors of this program visible. GpusimErrors pass, and NameError, which no file
+    can cause.
     """
     try:
         yield
     except (GpusimError, NameError):
         raise
     except MemoryError:
-        raise BadFile(path, f"not {what} that this computer has the memory to read") from None
+        raise BadFile(
+            path, f"not {what}, or this computer has too little memory to read it"
+        ) from None
     except OSError as error:
         raise BadFile(
             path, f"cannot be read: not {what}, or truncated ({error.strerror or error})"
@@ -142,10 +144,21 @@ def reading(path, what: str):
 
 
 @contextmanager
-def named(path):
-    """While the parts of a file become what they describe: the domain's errors are said with the file's name.
+def silence(logger: str):
+    """Silence a library's logger, whose messages on a file are also raised as errors."""
+    log = logging.getLogger(logger)
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
 
-    DoesNotFit and BadFile, which have it, pass. Memory that ran out although it was asked for is a BadFile as well.
+
+@contextmanager
+def name_in_errors(path):
+    """Raise the domain's errors as BadFile with the file's name.
+
+    DoesNotFit and BadFile pass. Memory that runs out in spite of the check is a BadFile too.
     """
     try:
         yield
@@ -154,4 +167,4 @@ def named(path):
     except GpusimError as error:
         raise BadFile(path, str(error)) from error
     except MemoryError as error:
-        raise BadFile(path, "this computer has not the memory to use it") from error
+        raise BadFile(path, "this computer has too little memory to use it") from error

@@ -1,7 +1,7 @@
-"""What a PNG must hold to be whole: chunks with right checksums, and the bytes of every line of its picture.
+"""Completeness of a PNG: checksums of its chunks, and the bytes of every line of its picture.
 
-Pillow alone takes a file whose compressed lines end early for a picture with black below.
-Source: PNG specification, third edition (W3C 2025): chunks 5, interlacing 8, filtering 9.
+Pillow accepts a file whose compressed lines end early, with black for the missing lines. Source:
+PNG specification, third edition (W3C 2025): chunks 5, interlacing 8, filtering 9.
 """
 
 import math
@@ -22,7 +22,7 @@ ADAM7 = (
     (1, 0, 2, 2),
     (0, 1, 1, 2),
 )
-PIECE = 2**20  # [byte] of lines that are inflated at once
+PIECE = 2**20  # [byte] inflated at once
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,12 @@ class Header:
 
 
 def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
-    """Check a PNG from its signature to its end; return its header and, with `keep`, its filtered lines.
+    """Check a PNG from its signature to its end; return its header and, with `keep`, its lines.
 
-    Takes no more memory than the lines that the header declares. Raises BadFile.
+    The lines are filtered. Takes no more memory than the declared lines. Raises BadFile.
     """
     header, packed = _chunks(path, data)
-    inflate, kept, found = zlib.decompressobj(), [], 0
+    inflate, pieces, found = zlib.decompressobj(), [], 0
     for piece in packed:
         while piece and not inflate.eof:
             lines = inflate.decompress(piece, min(PIECE, header.nbytes - found + 1))
@@ -67,7 +67,7 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
                     f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels",
                 )
             if keep:
-                kept.append(lines)
+                pieces.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
         raise BadFile(
@@ -75,11 +75,11 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
             "pixels take",
         )
-    return header, b"".join(kept)
+    return header, b"".join(pieces)
 
 
 def _chunks(path, data):
-    """Header and compressed pieces of a PNG whose chunks are whole."""
+    """Return header and compressed pieces of a PNG; raise BadFile if a chunk is damaged."""
     header, packed, place = None, [], len(SIGNATURE)
     view = memoryview(data)
     while True:
@@ -88,12 +88,12 @@ def _chunks(path, data):
         length, kind = struct.unpack_from(">I4s", data, place)
         body = view[place + 8 : place + 8 + length]
         if place + 12 + length > len(data):
-            raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a part are there")
+            raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a chunk are present")
         if (
             zlib.crc32(body, zlib.crc32(kind))
             != struct.unpack_from(">I", data, place + 8 + length)[0]
         ):
-            raise BadFile(path, f"damaged: wrong checksum of a part at byte {place}")
+            raise BadFile(path, f"damaged: wrong checksum of a chunk at byte {place}")
         if header is None:
             cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", body)
             if kind != b"IHDR" or colour not in CHANNELS:
@@ -107,7 +107,7 @@ def _chunks(path, data):
 
 
 def png(header: Header, packed: bytes, chunks: dict | None = None) -> bytes:
-    """A PNG of these compressed lines; chunks: {kind: body} of those before them."""
+    """Return a PNG of these compressed lines; chunks: {kind: body} of chunks before them."""
     start = struct.pack(
         ">IIBBBBB", header.cols, header.rows, header.bits, header.colour, 0, 0, header.interlaced
     )

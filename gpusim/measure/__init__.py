@@ -1,4 +1,4 @@
-"""Measures of cameras and of pictures: what a laboratory would find."""
+"""Measurements of cameras and pictures, as made in a laboratory."""
 
 from gpusim.measure.difference import ciede2000, samples_per_degree, scielab
 from gpusim.measure.fidelity import cpsnr, ssim

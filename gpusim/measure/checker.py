@@ -1,4 +1,4 @@
-"""The patches of a ColorChecker in a picture, against what a perfect camera shows of them."""
+"""Colour errors of the patches of a ColorChecker in a picture."""
 
 import numpy as np
 
@@ -7,12 +7,12 @@ from gpusim.domain.scene import Scene
 from gpusim.measure.difference import ciede2000
 from gpusim.measure.ideal import ideal
 
-INSIDE = 8  # of a patch's side is left out at each of its borders, where the lens blurs them
-LEAST = 48  # rows of a chart whose patches can be told apart
+INSIDE = 8  # 1 / INSIDE of a patch's side is left out at each border because of the lens's blur
+LEAST = 48  # least rows of a chart with separable patches
 
 
 class Checker:
-    """The patches of a scene that is the chart "colorchecker", as a perfect camera shows them on sRGB.
+    """Patches of a scene of the chart "colorchecker", as an ideal camera shows them on sRGB.
 
     true: their mean XYZ, (24, 3), white Y = 1.
     """
@@ -24,21 +24,21 @@ class Checker:
         self._parts = [
             tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts
         ]
-        self.true = self._means(ideal(scene))
+        self.true = self._patch_means(ideal(scene))
 
-    def _means(self, picture):
+    def _patch_means(self, picture):
         return np.stack([picture[part].mean(axis=(0, 1)) for part in self._parts])
 
     def differences(self, linear, diffuser: float, display) -> np.ndarray:
-        """CIEDE2000 of each patch's mean, (24,), from dark skin to black.
+        """Return the CIEDE2000 of each patch's mean colour, (24,), from dark skin to black.
 
-        linear: display RGB (rows, cols, 3), of a white diffuser `diffuser`.
+        linear: display RGB (rows, cols, 3). diffuser: its value for a white diffuser.
         """
-        shown = np.clip(self._means(np.asarray(linear, np.float64)) / diffuser, 0, 1)
+        shown = np.clip(self._patch_means(np.asarray(linear, np.float64)) / diffuser, 0, 1)
         return ciede2000(shown @ display.xyz_from_rgb.T, self.true)
 
 
 def checker_of(scene: Scene) -> Checker | None:
-    """The patches of a scene; None where it is another, or its light is not known."""
+    """Return the patches of a scene; None if it is no ColorChecker or its light is unknown."""
     plain = scene.name == "colorchecker" and scene.view.is_plain and scene.light_is_known
     return Checker(scene) if plain and scene.shape[0] >= LEAST else None

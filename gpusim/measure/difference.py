@@ -1,6 +1,9 @@
-"""How different two pictures look: CIEDE2000 of every pixel, and S-CIELAB, which sees as the eye does from afar."""
+"""Visible differences of two pictures: CIEDE2000 of every pixel, and S-CIELAB."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
@@ -9,7 +12,8 @@ from gpusim.measure.ideal import ideal
 
 DIFFERENCES = ("cielab", "ciede2000")
 
-# XYZ to luminance, red-green and blue-yellow, by the digits of the authors' program (the paper rounds them).
+# XYZ to luminance, red-green and blue-yellow, with the digits of the authors' program (the paper
+# rounds them).
 OPPONENT = np.array(
     [
         [0.2787336, 0.7218031, -0.1065520],
@@ -17,7 +21,7 @@ OPPONENT = np.array(
         [0.0859513, -0.5899859, 0.5011089],
     ]
 )
-# Weights and spreads [degree] of the Gaussians exp(-r^2 / spread^2) of each of them: table 1 of the paper.
+# Weights and spreads [degree] of the Gaussians exp(-r^2 / spread^2) of each: table 1 of the paper.
 GAUSSIANS = (
     ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
     ((0.531, 0.0392), (0.330, 0.494)),
@@ -25,44 +29,83 @@ GAUSSIANS = (
 )
 
 
-def ciede2000(picture, reference, white=None) -> np.ndarray:
-    """CIEDE2000 colour difference of every pixel, float64 (rows, cols).
+def ciede2000(picture: Any, reference: Any, white: ArrayLike | None = None) -> np.ndarray:
+    """Return the CIEDE2000 colour difference of every pixel.
 
-    picture, reference: each a frame (`Frame`: its linear picture with the exposure divided out, a perfect white
-        diffuser as display white, clipped to what the display can show, before tone curve and 8 bits; those of the
-        screen, as bright as it shows them, are `display.xyz(frame.rgb)`), a `Scene` (its `ideal` picture on the display
-        of the other's frame, nothing clipped), or XYZ, shape (..., 3), white Y about 1.
-    white: XYZ that counts as white, shape (3,); None: the display's, sRGB's where there is no frame.
-    Raises BadData. Source: CIE 142-2001, by colour-science.
+    A frame is compared as its linear picture with the exposure divided out: a perfect white
+    diffuser is display white, and values are clipped to the display's range, before tone curve and
+    8-bit encoding. To compare it as bright as the screen shows it, pass `display.xyz(frame.rgb)`. A
+    scene is compared as its `ideal` picture on the display of the other's frame, without clipping.
+
+    Source: CIE 142-2001, by colour-science.
+
+    Args:
+        picture: a `Frame`, a `Scene`, or XYZ of shape (..., 3) with white Y about 1.
+        reference: the same.
+        white: XYZ of the white, shape (3,); None is the display's, sRGB's if there is no frame.
+
+    Returns:
+        Colour differences, float64, shape (rows, cols).
+
+    Raises:
+        BadData: if the shapes differ or are wrong, or values are not finite.
     """
     return _difference("ciede2000", *_pair(picture, reference, white))
 
 
 def scielab(
-    picture, reference, samples_per_degree: float, *, difference: str = "cielab", white=None
+    picture: Any,
+    reference: Any,
+    samples_per_degree: float,
+    *,
+    difference: str = "cielab",
+    white: ArrayLike | None = None,
 ) -> np.ndarray:
-    """S-CIELAB: colour difference of every pixel after the blur of the eye's colour channels, float64 (rows, cols).
+    """Return the S-CIELAB colour difference of every pixel, which includes the eye's blur.
 
-    picture, reference, white: see `ciede2000`; two dimensions. samples_per_degree: pixels to a degree of visual angle,
-    see `samples_per_degree`. difference: "cielab" (1976, as published) or "ciede2000". Raises BadData, OutOfRange,
-    UnknownName.
-    The filters are exact Gaussians. The authors' program samples them at the pixels, which blurs less where they are
-    as narrow as a pixel: at 20 samples per degree the mean difference here is 5, 10 and 18 % lower than with kernels
-    sampled so (the phone's frames of dead leaves, ColorChecker and frequency sweep, against the scene); at 30 to 40
-    samples per degree 0 to 4 %. Means at different densities, or of that program, are no scale for each other.
-    Source: Zhang & Wandell 1997, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5(1).
+    The filters are exact Gaussians. The authors' program samples them at the pixels, which blurs
+    less if they are as narrow as a pixel: at 20 samples per degree the mean difference here is 5,
+    10 and 18 % lower than with kernels sampled in that way (the phone's frames of dead leaves,
+    ColorChecker and frequency sweep, against the scene); at 30 to 40 samples per degree 0 to 4 %.
+    Do not compare means of different densities, or with means of that program.
+
+    Source: Zhang & Wandell 1997, "A spatial extension of CIELAB for digital color-image
+    reproduction", J. SID 5(1).
+
+    Args:
+        picture: picture of two dimensions, see `ciede2000`.
+        reference: the same.
+        samples_per_degree: pixels per degree of visual angle, see `samples_per_degree`.
+        difference: "cielab" (1976, as published) or "ciede2000".
+        white: XYZ of the white, see `ciede2000`.
+
+    Returns:
+        Colour differences, float64, shape (rows, cols).
+
+    Raises:
+        BadData: if the shapes differ or are wrong, or values are not finite.
+        OutOfRange: if `samples_per_degree` is not positive.
+        UnknownName: if `difference` is unknown.
     """
     if difference not in DIFFERENCES:
         raise UnknownName("difference", difference, DIFFERENCES)
     picture, reference, white = _pair(picture, reference, white)
-    picture, reference = (eye_filtered(xyz, samples_per_degree) for xyz in (picture, reference))
+    picture, reference = (blur_as_eye(xyz, samples_per_degree) for xyz in (picture, reference))
     return _difference(difference, picture, reference, white)
 
 
 def samples_per_degree(pitch: float, distance: float) -> float:
-    """Pixels of a display to a degree of visual angle; pitch: of its pixels [m], distance: to the eye [m].
+    """Return the pixels of a display per degree of visual angle.
 
-    Raises OutOfRange.
+    Args:
+        pitch: pixel pitch of the display [m].
+        distance: distance to the eye [m].
+
+    Returns:
+        Pixels per degree.
+
+    Raises:
+        OutOfRange: if an argument is not positive and finite.
     """
     for key, value in (("pitch", pitch), ("distance", distance)):
         if not 0 < value < np.inf:
@@ -70,12 +113,12 @@ def samples_per_degree(pitch: float, distance: float) -> float:
     return float(np.radians(1) / (2 * np.arctan(pitch / (2 * distance))))
 
 
-def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
-    """XYZ (rows, cols, 3) as the eye's opponent channels blur them, float64; beyond its border a picture is mirrored.
+def blur_as_eye(xyz, samples_per_degree: float) -> np.ndarray:
+    """Return XYZ (rows, cols, 3) blurred in the eye's opponent channels, float64.
 
-    Each Gaussian, of unit sum, acts by its transfer function exp(-pi^2 spread^2 f^2) on the cosine series of the
-    mirrored picture, so that none is cut off; the channel's sum is scaled to keep uniform pictures as they are.
-    Raises BadData, OutOfRange.
+    The picture is mirrored at its borders. Each Gaussian, of unit sum, acts by its transfer
+    function exp(-pi^2 spread^2 f^2) on the cosine series of the mirrored picture, so none is cut
+    off. The channel's sum is scaled to keep uniform pictures unchanged. Raises BadData, OutOfRange.
     """
     from scipy.fft import dctn, idctn
 
@@ -84,9 +127,8 @@ def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
         raise BadData(f"wanted XYZ of the shape (rows, cols, 3), got {xyz.shape}")
     if not 0 < samples_per_degree < np.inf:
         raise OutOfRange("samples_per_degree", samples_per_degree, "0 < samples_per_degree < inf")
-    y, x = (
-        np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2]
-    )  # [cycle/degree]
+    # [cycle/degree]
+    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2])
     squared = y[:, None] ** 2 + x**2
     channels = []
     for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):
@@ -98,14 +140,20 @@ def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
 
 
 def cielab(xyz, white) -> np.ndarray:
-    """CIE 1976 L*, a*, b* of XYZ, float64, shape (..., 3); white: XYZ, shape (3,). Source: CIE 15, colour-science."""
+    """Return CIE 1976 L*, a*, b* of XYZ, float64, shape (..., 3).
+
+    white: XYZ, shape (3,). Source: CIE 15, by colour-science.
+    """
     from colour.models import XYZ_to_Lab, XYZ_to_xy
 
     return XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], XYZ_to_xy(white))
 
 
-def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
-    """XYZ (..., 3) of a frame, see `ciede2000`, or XYZ as given, and those of white (3,). Raises BadData."""
+def xyz_and_white(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
+    """Return XYZ (..., 3) of a frame (see `ciede2000`) or of XYZ, and XYZ of the white (3,).
+
+    Raises BadData.
+    """
     display = picture.camera.display if hasattr(picture, "camera") else DISPLAYS["srgb"]
     if hasattr(picture, "camera"):
         linear = picture.linear.astype(np.float64) / picture.rendering.diffuser
@@ -124,7 +172,7 @@ def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pair(picture, reference, white):
-    """XYZ of both, of one shape, and of white."""
+    """Return XYZ of both pictures, of one shape, and of the white."""
     pair = [picture, reference]
     frame = next((one for one in pair if hasattr(one, "camera")), None)
     display = frame.camera.display if frame is not None else DISPLAYS["srgb"]
@@ -134,7 +182,7 @@ def _pair(picture, reference, white):
     )
     pair = [ideal(one, display, shape) if isinstance(one, Scene) else one for one in pair]
     white = display.xyz_from_rgb.sum(1) if white is None else white
-    (picture, white), (reference, _) = (shown(one, white) for one in pair)
+    (picture, white), (reference, _) = (xyz_and_white(one, white) for one in pair)
     if picture.shape != reference.shape:
         raise BadData(f"pictures of different shapes, {picture.shape} and {reference.shape}")
     return picture, reference, white

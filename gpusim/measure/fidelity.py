@@ -1,30 +1,63 @@
-"""How near a picture's numbers come to those of a reference: CPSNR and SSIM."""
+"""Fidelity of a picture to a reference: CPSNR and SSIM."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
 
-WINDOW = 11  # of SSIM: a Gaussian of 1.5 pixels, cut off at 5
+WINDOW = 11  # side of the SSIM window: a Gaussian of 1.5 pixels, cut off at 5
 
 
-def cpsnr(image, reference, border: int = 10, peak: float | None = None) -> float:
-    """Peak signal to noise ratio [dB] over all channels together, 10 log10(peak^2 / mean square); infinite if equal.
+def cpsnr(
+    image: ArrayLike, reference: ArrayLike, border: int = 10, peak: float | None = None
+) -> float:
+    """Return the peak signal-to-noise ratio over all channels together.
 
-    image, reference: shape (rows, cols, channels) or (rows, cols). border: pixels left out on each side. peak: the
-    value of white; None: 1, or the largest number of an integer type. Raises BadData, OutOfRange.
+    It is 10 log10(peak^2 / mean squared error).
+
+    Args:
+        image: picture, shape (rows, cols, channels) or (rows, cols).
+        reference: picture of the same shape.
+        border: pixels left out on each side.
+        peak: value of white; None is 1, or the largest number of an integer type.
+
+    Returns:
+        The ratio [dB], infinite if both are equal.
+
+    Raises:
+        BadData: if shapes or types do not fit, or values are not finite.
+        OutOfRange: if `border` or `peak` is out of range.
     """
-    image, reference, peak = _inside(image, reference, border, peak, 1)
+    image, reference, peak = _crop(image, reference, border, peak, 1)
     error = np.mean((image - reference) ** 2)
     return float(10 * np.log10(peak**2 / error)) if error > 0 else np.inf
 
 
-def ssim(image, reference, border: int = 10, peak: float | None = None) -> float:
-    """Mean structural similarity [1] of all channels, by scikit-image with the authors' Gaussian window.
+def ssim(
+    image: ArrayLike, reference: ArrayLike, border: int = 10, peak: float | None = None
+) -> float:
+    """Return the mean structural similarity of all channels.
 
-    Arguments as for `cpsnr`; 11 x 11 pixels or more inside the border. Raises BadData, OutOfRange.
-    Source: Wang, Bovik, Sheikh & Simoncelli 2004, "Image quality assessment", IEEE Trans. Image Processing 13(4).
+    Computed by scikit-image with the authors' Gaussian window.
+
+    Source: Wang, Bovik, Sheikh & Simoncelli 2004, "Image quality assessment", IEEE Trans. Image
+    Processing 13(4).
+
+    Args:
+        image: picture, shape (rows, cols, channels) or (rows, cols), 11 x 11 pixels or more inside
+            the border.
+        reference: picture of the same shape.
+        border: pixels left out on each side.
+        peak: value of white; None is 1, or the largest number of an integer type.
+
+    Returns:
+        The similarity [1].
+
+    Raises:
+        BadData: if shapes or types do not fit, or values are not finite.
+        OutOfRange: if `border` or `peak` is out of range.
     """
-    image, reference, peak = _inside(image, reference, border, peak, WINDOW)
+    image, reference, peak = _crop(image, reference, border, peak, WINDOW)
     from skimage.metrics import structural_similarity
 
     return float(
@@ -40,8 +73,8 @@ def ssim(image, reference, border: int = 10, peak: float | None = None) -> float
     )
 
 
-def _inside(image, reference, border, peak, least):
-    """Both as float64 (rows, cols, channels) without the border, and the peak."""
+def _crop(image, reference, border, peak, least) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return both pictures as float64 (rows, cols, channels) without the border, and the peak."""
     image, reference = np.asarray(image), np.asarray(reference)
     if image.shape != reference.shape or image.ndim not in (2, 3):
         raise BadData(
@@ -60,7 +93,7 @@ def _inside(image, reference, border, peak, least):
     if min(rows, cols) < least:
         raise BadData(
             f"pictures of {image.shape[0]} x {image.shape[1]} pixels (channels come last): wanted {least} "
-            f"or more each way inside the border of {border}"
+            f"or more rows and columns inside the border of {border}"
         )
     cut = np.s_[border : border + rows, border : border + cols]
     image, reference = (

@@ -1,4 +1,6 @@
-"""The picture that a perfect camera would show: a scene's colours, pixel by pixel, on a display."""
+"""The picture of an ideal camera: the colours of a scene, pixel by pixel, on a display."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,41 +13,54 @@ from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_e
 from gpusim.optics.sampling import AREA, frame_start, pixel_taps
 from gpusim.optics.weights import product_weights
 
-DAYLIGHT = "D65"  # assumed where the scene's light is not known
-PERIOD = 8  # of the largest mosaic [pixel]: of a binned one only whole periods are kept
+DAYLIGHT = "D65"  # assumed if the scene's light is unknown
+PERIOD = 8  # of the largest mosaic [pixel]: binned frames have whole periods only
 
 
 def ideal(
     scene: Scene,
     display: Display = DISPLAYS["srgb"],
-    shape=None,
+    shape: Sequence[int] | None = None,
     *,
     light: Spectrum | str | None = None,
     luminance: float | None = None,
 ) -> np.ndarray:
-    """CIE 1931 XYZ of `scene` on `display`, without lens, noise or mosaic; float64 (rows, cols, 3), white Y = 1.
+    """Return the CIE 1931 XYZ of `scene` on `display`, without lens, noise or mosaic.
 
-    The XYZ of every sample's spectrum, averaged over the area of the pixel, are adapted from the white of the light to
-    the display's (Bradford). Nothing is clipped to the display's gamut, and a lens's distortion is not followed.
+    The XYZ of every sample's spectrum are averaged over the area of the pixel and adapted from the
+    white of the light to the display's (Bradford). Nothing is clipped to the display's gamut, and
+    lens distortion is not applied.
 
-    shape: rows and columns, those of a binned frame (see `gpusim.kernels.sensor.bin`), which may leave out the last of
-        the scene's; None: of the scene's frame.
-    light: shows the surfaces in this light instead of the scene's, as a camera's colour matrix aims at: photon radiance
-        at any scale, or the name of an illuminant. luminance: shown as display white [cd m-2], needed where the scene's
-        light is not known (the white is D65's then), and not with `light`; None: that of a perfect diffuser.
-    Raises BadData (shape, light, luminance), OutOfRange.
+    Args:
+        scene: scene to show.
+        display: display to show it on.
+        shape: rows and columns of a binned frame (see `gpusim.kernels.sensor.bin`), which may omit
+            the last of the scene's; None is the scene's frame.
+        light: light to show the surfaces in instead of the scene's, as a camera's colour matrix
+            assumes: photon radiance at any scale, or the name of an illuminant.
+        luminance: luminance shown as display white [cd m-2]. Required if the scene's light is
+            unknown (its white is then D65), not allowed with `light`. None is the luminance of a
+            perfect diffuser.
+
+    Returns:
+        XYZ with white Y = 1, float64, shape (rows, cols, 3).
+
+    Raises:
+        BadData: if shape, light or luminance do not fit the scene.
+        OutOfRange: if `luminance` is not positive and finite.
     """
-    eye = energy_from_photons(cmf())  # at its own 1 nm; a light's table may be coarse
+    eye = energy_from_photons(cmf())  # in its own steps of 1 nm; a light's table may be coarse
     if not scene.light_is_known and light is not None:
         raise BadData(
-            f"ideal: {scene.name} is radiance, not reflectance: it cannot be shown in another light"
+            f"ideal: {scene.name} is radiance, not reflectance: it cannot be shown in another light; "
+            "leave light out"
         )
     if luminance is not None and not 0 < luminance < np.inf:
         raise OutOfRange("luminance of white", f"{luminance} cd m-2", "0 < luminance < inf")
     if luminance is not None and light is not None:
         raise BadData(
-            "ideal: luminance together with light: the light has any scale, so leave luminance out and a "
-            "perfect diffuser is white"
+            "ideal: luminance together with light, whose scale is arbitrary; leave luminance out: a perfect "
+            "diffuser is white"
         )
     if isinstance(light, str):
         light = photons_from_energy(illuminant(light))
@@ -54,7 +69,7 @@ def ideal(
     if not scene.light_is_known:
         if luminance is None:
             raise BadData(
-                f"ideal: the light of {scene.name} is not known; wanted luminance = that of white [cd m-2]"
+                f"ideal: the light of {scene.name} is not known; wanted luminance of white [cd m-2]"
             )
         white = product_weights(scene.wavelengths, eye, photons_from_energy(illuminant(DAYLIGHT)))
         white = white.sum(1) / white[1].sum()
@@ -63,29 +78,29 @@ def ideal(
         scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
     return np.moveaxis(
-        _binned(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape),
+        _bin(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape),
         0,
         -1,
     )
 
 
 def pixel_sums(scene: Scene, weights) -> np.ndarray:
-    """Sums over wavelength of the scene's content, averaged over every pixel's square; float64 (3, rows, cols).
+    """Return sums of the scene's content over wavelength, averaged over every pixel's square.
 
-    weights: of the scene's wavelengths, shape (3, L).
+    weights: of the scene's wavelengths, shape (3, L). Returns float64 (3, rows, cols). Raises
+    BadData if the scene has a view.
     """
     if not scene.view.is_plain:
-        raise BadData(
-            f"ideal: a view of {scene.name}, whose samples are not the frame's; wanted the scene as it is"
-        )
+        raise BadData(f"ideal: {scene.name} has a view; wanted the scene without one")
     middle = slice(scene.margin, -scene.margin or None)
     return _pixels(scene, sample_sums(scene, weights, (middle, middle)))
 
 
 def sample_sums(scene: Scene, weights, window) -> np.ndarray:
-    """Sums over wavelength of samples, float64 (C, rows, cols); what stands in front hides what is behind.
+    """Return sums of the samples over wavelength, float64 (C, rows, cols), with layers in front.
 
-    weights: of the scene's wavelengths, shape (C, L). window: slices of rows and columns of the content's samples.
+    weights: of the scene's wavelengths, shape (C, L). window: slices of rows and columns of the
+    content's samples.
     """
     planes = scene.content.on_host().weighted(weights, window)
     for layer in scene.layers[::-1]:
@@ -95,7 +110,7 @@ def sample_sums(scene: Scene, weights, window) -> np.ndarray:
 
 
 def _pixels(scene, planes):
-    """Means of the samples over the area of each pixel."""
+    """Return the mean of the samples over the area of each pixel."""
     if scene.samples_per_pixel == 1:
         return planes
     for axis, pixels in ((1, scene.shape[0]), (2, scene.shape[1])):
@@ -109,7 +124,7 @@ def _pixels(scene, planes):
     return planes
 
 
-def _binned(planes, shape):
+def _bin(planes, shape):
     if shape is None or tuple(shape) == planes.shape[1:]:
         return planes
     rows, cols = shape

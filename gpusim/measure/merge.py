@@ -1,6 +1,8 @@
-"""What a merge of several exposures to one of high dynamic range starts from."""
+"""Inputs of a merge of several exposures into one high dynamic range picture."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -9,15 +11,18 @@ from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.short_repr import brief
 
-MARGIN = 5.0  # standard deviations of a read below the well that still count as full: one saturated value in 3e6 passes
+# read noise sigmas below the well that count as full: 1 in 3e6 saturated values passes
+MARGIN = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class MergeInputs:
-    """Several measurements of the same light, shape (frames, rows, cols) or (frames, C, rows, cols).
+    """Measurements of the same light, shape (frames, rows, cols) or (frames, C, rows, cols).
 
-    rates: electrons per second from light [e- s-1], float64; negative where noise made them so. variances: of these
-    [e-2 s-2], float64. valid: whether neither the converter nor the well limited the value, bool.
+    Attributes:
+        rates: electrons per second from light [e- s-1], float64; negative if noise makes them so.
+        variances: variances of the rates [e-2 s-2], float64.
+        valid: whether neither the converter nor the well limited the value, bool.
     """
 
     rates: np.ndarray
@@ -27,25 +32,36 @@ class MergeInputs:
     __repr__ = brief
 
 
-def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
-    """Rates, variances and valid values of frames of one scene, such as `gpusim.bracket` takes.
+def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:
+    """Return rates, variances and valid values of frames of one scene, see `gpusim.bracket`.
 
     With the gain g [DN/e-], the electrons of dark current d and the exposure time t of a frame
 
         rate = ((raw - black level) / g - analog offset - d) / t,
         variance = (r t + d + read^2 + row^2 + column^2 + 1 / (12 g^2)) / t^2,
 
-    for one pixel, and `RawNoise.variance` for the mean of several. r is the mean rate of all valid values of a pixel,
-    each weighted by its exposure time, or 0 if that is negative. The variance is not taken from each value alone:
-    weights of their inverse would then favour the values that happen to be low, and the merged rate be about one
-    electron short. Fixed patterns, telegraph noise and the clipping of values below digital number 0 are not corrected
-    for. Among averaged digital numbers saturated ones may be unseen.
+    for one pixel, and `RawNoise.variance` for the mean of several. r is the mean rate of all valid
+    values of a pixel, weighted by exposure time, or 0 if that is negative. The variance is not
+    estimated from each value separately: inverse-variance weights would then favour values that
+    happen to be low, and the merged rate would be about one electron too low. Fixed patterns,
+    telegraph noise and the clipping of values below digital number 0 are not corrected. Saturated
+    pixels may be hidden in averaged digital numbers.
 
-    frames: objects with camera, exposure_time [s] and raw, shape (rows, cols) or (C, rows, cols) [DN], all alike.
-    averaged: pixels whose digital numbers were averaged to one by digital binning [1].
-    Raises BadData, OutOfRange. Source: Debevec and Malik, "Recovering high dynamic range radiance maps from
-    photographs" (1997), for the merge of rates; Hasinoff, Durand and Freeman, "Noise-optimal capture for high dynamic
-    range photography" (2010), for the variance.
+    Source: Debevec and Malik, "Recovering high dynamic range radiance maps from photographs"
+    (1997), for the merge of rates; Hasinoff, Durand and Freeman, "Noise-optimal capture for high
+    dynamic range photography" (2010), for the variance.
+
+    Args:
+        frames: objects with camera, exposure_time [s] and raw [DN], shape (rows, cols) or (C, rows,
+            cols), all of one shape.
+        averaged: pixels averaged into one digital number by digital binning [1].
+
+    Returns:
+        The inputs of the merge.
+
+    Raises:
+        BadData: if there are no frames, or their raw values do not fit together or are not finite.
+        OutOfRange: if an exposure time or `averaged` is out of range.
     """
     frames = list(frames)
     if not frames:
@@ -63,7 +79,7 @@ def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
         if raw.shape != shape or raw.ndim not in (2, 3) or not raw.size:
             raise BadData(
                 f"merge_inputs: frame {number} has the shape {raw.shape}; wanted (rows, cols) or "
-                f"(C, rows, cols), all like frame 0, {shape}"
+                f"(C, rows, cols), the same for all frames; frame 0 has {shape}"
             )
         if not np.isfinite(raw).all():
             raise BadData(f"merge_inputs: frame {number} has NaN or infinite values")
@@ -76,9 +92,8 @@ def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
         good.append(~full if sensor.bits == FLOAT_BITS else ~full & (raw < sensor.white_level))
     rates, valid = np.stack(found), np.stack(good)
     each = (-1, *[1] * len(shape))
-    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(
-        each
-    )  # where none is valid, all are as good
+    # all count if none is valid
+    counts = np.where(valid.any(axis=0), valid, True) * times.reshape(each)
     light = np.maximum((rates * counts).sum(axis=0) / counts.sum(axis=0), 0.0)
     variances = np.stack(
         [

@@ -1,4 +1,4 @@
-"""A raw mosaic as a picture: every pixel in the colour of its filter."""
+"""Pictures of raw mosaics: every pixel in the colour of its filter."""
 
 import numpy as np
 
@@ -13,14 +13,16 @@ LIGHTS = {
     "Y": (1, 1, 0),
     "E": (0, 1, 0.5),
     "W": (1, 1, 1),
-}  # linear RGB; letters that are not in it are grey
+}  # linear RGB; other letters are grey
 GREY = (1, 1, 1)
 
 
 def colored(sensor: Sensor, codes) -> np.ndarray:
-    """uint8 (rows, cols, 3) of a mosaic's codes, uint8 (rows, cols), or of stacked pixels (C, rows, cols).
+    """Return a colour picture of a mosaic's codes, uint8 (rows, cols, 3).
 
-    Of one channel in grey, as are filters of unknown letters; stacked RGB is a picture, other layers are their mean.
+    One channel and filters with unknown letters are grey. Stacked RGB is a picture; of other
+    stacked layers the mean is shown. codes: uint8 (rows, cols), or (C, rows, cols) of stacked
+    pixels.
     """
     codes = np.asarray(codes)
     if codes.ndim == 3:
@@ -33,6 +35,10 @@ def colored(sensor: Sensor, codes) -> np.ndarray:
         GREY if sensor.is_monochrome else LIGHTS.get(letter, GREY) for letter in sensor.channels
     ]
     period = np.array(lights, np.float32)[sensor.cfa_indices]
-    (rows, cols), (high, wide) = codes.shape, period.shape[:2]
-    tiled = np.tile(period, (-(-rows // high), -(-cols // wide), 1))[:rows, :cols]
-    return (codes[..., None] * tiled + np.float32(0.5)).astype(np.uint8)
+    return (codes[..., None] * tile(period, codes.shape) + np.float32(0.5)).astype(np.uint8)
+
+
+def tile(period: np.ndarray, shape) -> np.ndarray:
+    """Return a period of a mosaic, (high, wide) or (high, wide, C), repeated over (rows, cols)."""
+    rows, cols = (np.arange(count) % step for count, step in zip(shape, period.shape, strict=False))
+    return period[np.ix_(rows, cols)]

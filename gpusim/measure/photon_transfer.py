@@ -1,19 +1,19 @@
-"""Photon transfer: gain, noise, saturation and nonuniformity of a linear camera from its frames (EMVA 1288)."""
+"""Photon transfer (EMVA 1288): gain, noise, saturation and nonuniformity of a linear camera."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.short_repr import brief
 
-QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
-LEAST_DARK_VARIANCE = (
-    0.24  # [DN^2]; below, rounding hides the dark noise and the standard puts this instead
-)
+# [DN^2]; rounding hides smaller dark noise, and the standard uses this value
+LEAST_DARK_VARIANCE = 0.24
 FIT = 0.7  # part of saturation up to which lines are fitted
 LINEAR = 0.05, 0.95  # parts of saturation between which linearity is judged
 MIDDLE = 0.3, FIT  # part of saturation at which PRNU may be measured; the standard aims at 0.5
@@ -21,21 +21,35 @@ MIDDLE = 0.3, FIT  # part of saturation at which PRNU may be measured; the stand
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """What `photon_transfer` found, in the standard's terms; None: not asked for, NaN: below what the frames resolve.
+    """Results of `photon_transfer` in the standard's terms.
 
-    gain: K [DN/e-]. responsivity: R [DN/photon]. quantum_efficiency: eta = R / K [e-/photon].
-    dark_noise: sigma_d [e-], without quantisation. dark_noise_dn: sigma_y.dark [DN], with it. quantisation_limited:
-        whether the latter was below sqrt(0.24) DN and replaced by it, so that both are upper bounds.
-    sensitivity_threshold: mu_p.min [photon], where the signal-to-noise ratio is 1.
-    saturation_photons: mu_p.sat [photon]. saturation_capacity: mu_e.sat [e-]. snr_max: its square root [1].
-    dynamic_range: mu_p.sat / mu_p.min [1].
-    linearity_error: mean magnitude of the relative deviations from a line [%]; linearity_min, linearity_max: the least
-        and the greatest of them [%].
-    dsnu, dsnu_row, dsnu_column, dsnu_pixel [e-]; prnu, prnu_row, prnu_column, prnu_pixel [%]: total and parts.
-    dark_current: mu_I [e-/s] from the mean, dark_current_from_variance: from the variance, which needs no stable offset
-        but is noisier.
-    photons, signal, variance: the photon transfer curve, shape (E,) each: mu_p [photon], mu_y - mu_y.dark [DN] and
-        sigma^2_y - sigma^2_y.dark [DN^2]. saturation_level: index of the saturated level.
+    None: not measured; NaN: below the resolution of the frames.
+
+    Attributes:
+        gain: K [DN/e-].
+        responsivity: R [DN/photon].
+        quantum_efficiency: eta = R / K [e-/photon].
+        dark_noise: sigma_d [e-], without quantisation.
+        dark_noise_dn: sigma_y.dark [DN], with quantisation.
+        quantisation_limited: whether dark_noise_dn was below sqrt(0.24) DN and replaced by it; both
+            dark noises are then upper bounds.
+        sensitivity_threshold: mu_p.min [photon], the light with a signal-to-noise ratio of 1.
+        saturation_photons: mu_p.sat [photon].
+        saturation_capacity: mu_e.sat [e-].
+        snr_max: square root of saturation_capacity [1].
+        dynamic_range: mu_p.sat / mu_p.min [1].
+        linearity_error: mean absolute relative deviation from a line [%].
+        linearity_min: least relative deviation [%].
+        linearity_max: greatest relative deviation [%].
+        photons: mu_p of the photon transfer curve, shape (E,) [photon].
+        signal: mu_y - mu_y.dark of the curve, shape (E,) [DN].
+        variance: sigma^2_y - sigma^2_y.dark of the curve, shape (E,) [DN^2].
+        saturation_level: index of the saturated level.
+        dsnu: dark-signal nonuniformity [e-]; dsnu_row, dsnu_column and dsnu_pixel are its parts.
+        prnu: photo-response nonuniformity [%]; prnu_row, prnu_column and prnu_pixel are its parts.
+        dark_current: mu_I from the mean [e-/s].
+        dark_current_from_variance: mu_I from the variance [e-/s]: needs no stable offset but is
+            noisier.
     """
 
     gain: float
@@ -71,9 +85,10 @@ class PhotonTransfer:
 
     @property
     def figures(self) -> dict[str, float]:
-        """What `sensor_from_emva1288` takes of it; it wants pixel_pitch, bits, black_level and wavelength beside.
+        """Figures for `sensor_from_emva1288`.
 
-        Nonuniformities that the frames do not resolve are left out.
+        It also needs pixel_pitch, bits, black_level and wavelength. Nonuniformities that the frames
+        do not resolve are left out.
         """
         names = (
             "gain",
@@ -107,46 +122,69 @@ class PhotonTransfer:
 
 
 def photon_transfer(
-    bright,
-    dark,
-    photons,
+    bright: Iterable[ArrayLike],
+    dark: ArrayLike,
+    photons: ArrayLike,
     *,
-    dark_stack=None,
-    bright_stack=None,
-    dark_series=None,
-    saturation_level=None,
+    dark_stack: ArrayLike | None = None,
+    bright_stack: ArrayLike | None = None,
+    dark_series: Mapping[float, ArrayLike] | None = None,
+    saturation_level: int | None = None,
 ) -> PhotonTransfer:
-    """Measure a linear camera by the photon transfer method.
+    """Measure a linear camera with the photon transfer method.
 
-    bright: frames of evenly lit pixels at E levels of light, from darkness to beyond saturation; any iterable of E
-        arrays (n, rows, cols), n >= 2, [DN]. The standard asks for n = 2 and at least 50 levels evenly spaced.
-    dark: frames (n, rows, cols) without light at the same exposure time, n >= 2 [DN].
-    photons: mean photons on a pixel at each level, shape (E,), rising from above 0 [photon].
-    dark_stack, bright_stack: L >= 2 frames (L, rows, cols) without light and at half of saturation, for DSNU and PRNU
-        (bright needs dark) [DN].
-    dark_series: {exposure time [s]: frames (n, rows, cols) without light}, three times or more, for the dark current;
-        the dark noise is then that at time 0.
-    saturation_level: index of the saturated level, if the greatest variance does not show it.
-    Returns PhotonTransfer. Raises BadData, OutOfRange.
+    Source: EMVA Standard 1288, Release 4.0 Linear (2021) and 3.1 (2016). With y the digital
+    number, mu its mean, sigma^2 its temporal variance and s^2 the spatial variance of a mean of L
+    frames,
 
-    Source: EMVA Standard 1288, Release 4.0 Linear (2021) and 3.1 (2016): with y the digital number, mu its mean and
-    sigma^2 its temporal variance, s^2 the spatial variance of a mean of L frames,
-        mu_y - mu_y.dark = R mu_p,  sigma^2_y - sigma^2_y.dark = K (mu_y - mu_y.dark),  eta = R / K,
-    both lines through the origin by least squares up to 70 % of saturation, which is where sigma^2_y is greatest;
+        mu_y - mu_y.dark = R mu_p,  sigma^2_y - sigma^2_y.dark = K (mu_y - mu_y.dark),
+        eta = R / K,
+
+    both lines through the origin by least squares up to 70 % of saturation, the level with the
+    greatest sigma^2_y;
+
         sigma_d^2 = (sigma^2_y.dark - 1/12) / K^2,  mu_p.min = (sigma_y.dark / K + 1/2) / eta,
         s^2 = s^2_measured - sigma^2_y / L = s^2_row + s^2_column + s^2_pixel,
         DSNU = s_dark / K,  PRNU = sqrt(s^2_bright - s^2_dark) / (mu_bright - mu_dark).
+
+    Args:
+        bright: frames of evenly lit pixels at E levels of light, from dark to beyond saturation
+            [DN]: any iterable of E arrays (n, rows, cols), n >= 2. The standard requires n = 2 and
+            at least 50 evenly spaced levels.
+        dark: frames (n, rows, cols) without light at the same exposure time, n >= 2 [DN].
+        photons: mean photons on a pixel at each level, shape (E,), above 0 and rising [photon].
+        dark_stack: L >= 2 frames (L, rows, cols) without light, for DSNU [DN].
+        bright_stack: L >= 2 frames (L, rows, cols) at half of saturation, for PRNU; needs
+            dark_stack [DN].
+        dark_series: {exposure time [s]: frames (n, rows, cols) without light}, three times or more,
+            for the dark current; the dark noise is then taken at time 0.
+        saturation_level: index of the saturated level; None is the level with the greatest
+            variance.
+
+    Returns:
+        The figures of the camera.
+
+    Raises:
+        BadData: if frames have wrong shapes or values, or the levels do not allow the fits.
+        OutOfRange: if `saturation_level` is no index of a level.
     """
-    photons = _checked(photons, "photons", 1)
+    photons = _check_array(photons, "photons", 1)
     if not (photons[0] > 0 and (np.diff(photons) > 0).all()):
-        raise BadData("photons: wanted numbers above 0, rising; darkness belongs into `dark`")
-    dark_mean, dark_variance = _temporal(dark, "dark")
+        raise BadData(
+            "photons: wanted rising numbers above 0; frames without light belong in `dark`"
+        )
+    dark_mean, dark_variance = _temporal_statistics(dark, "dark")
     shape = np.shape(dark)[1:]
     levels = np.array(
-        [_temporal(frames, f"bright[{index}]", shape) for index, frames in enumerate(bright)]
+        [
+            _temporal_statistics(frames, f"bright[{index}]", shape)
+            for index, frames in enumerate(bright)
+        ]
     )
     if len(levels) != len(photons):
-        raise BadData(f"bright has {len(levels)} levels, photons {len(photons)}: wanted as many")
+        raise BadData(
+            f"bright has {len(levels)} levels, photons {len(photons)}: wanted equal numbers"
+        )
     signal, variance = (levels - (dark_mean, dark_variance)).T
     last = _saturation(variance, saturation_level)
 
@@ -154,17 +192,15 @@ def photon_transfer(
     fit[last:] = False
     if fit.sum() < 3:
         raise BadData(
-            f"bright: {fit.sum()} levels below 70 % of saturation, bright[{last}], where the variance is "
-            "greatest; wanted 3 or more, in the order of `photons`"
+            f"bright: {fit.sum()} levels below 70 % of saturation, bright[{last}] with the greatest "
+            "variance; wanted 3 or more, in the order of `photons`"
         )
-    gain, responsivity = (
-        _through_origin(signal[fit], variance[fit]),
-        _through_origin(photons[fit], signal[fit]),
-    )
+    gain = _through_origin(signal[fit], variance[fit])
+    responsivity = _through_origin(photons[fit], signal[fit])
     if not (gain > 0 and responsivity > 0):
         raise BadData(
-            "bright: neither mean nor variance may fall as the light rises; is `dark` dark, and are the "
-            "levels in the order of `photons`?"
+            "bright: mean or variance falls as the light rises; check that `dark` is dark and that the "
+            "levels are in the order of `photons`"
         )
 
     currents = {}
@@ -183,7 +219,7 @@ def photon_transfer(
         gain=gain,
         responsivity=responsivity,
         quantum_efficiency=efficiency,
-        dark_noise=math.sqrt(noise_dn**2 - QUANTISATION) / gain,
+        dark_noise=math.sqrt(noise_dn**2 - ROUNDING) / gain,
         dark_noise_dn=noise_dn,
         quantisation_limited=limited,
         sensitivity_threshold=threshold,
@@ -201,8 +237,8 @@ def photon_transfer(
     )
 
 
-def _checked(values, name, dimensions, shape=None):
-    """Return `values` as an array of finite numbers with so many dimensions, the last of them of that shape."""
+def _check_array(values, name, dimensions, shape=None) -> np.ndarray:
+    """Return `values` as an array of finite numbers with these dimensions; shape: (rows, cols)."""
     try:
         values = np.asarray(values)
         values = values if values.dtype.kind in "iu" else values.astype(np.float64)
@@ -225,18 +261,19 @@ def _checked(values, name, dimensions, shape=None):
     return values
 
 
-def _temporal(frames, name, shape=None):
-    """Mean [DN] and temporal variance [DN^2] of frames that differ in nothing but noise.
+def _temporal_statistics(frames, name, shape=None):
+    """Return the mean [DN] and temporal variance [DN^2] of frames that differ by noise only.
 
-    The variance of each pixel, averaged over the pixels, less that of the frames' means: light that flickers is not
-    noise of the camera. For two frames this is the standard's half mean square of their difference.
+    The variance of each pixel, averaged over the pixels, less the variance of the frames' means,
+    because flicker of the light is not noise of the camera. For two frames this is the standard's
+    half mean square of their difference.
     """
-    frames = _checked(frames, name, 3, shape)
+    frames = _check_array(frames, name, 3, shape)
     return frames.mean(), frames.var(axis=0, ddof=1).mean() - frames.mean(axis=(1, 2)).var(ddof=1)
 
 
 def _saturation(variance, level):
-    """Index of the saturated level: that of the greatest temporal variance, unless given."""
+    """Return the index of the saturated level: the one with the greatest variance, unless given."""
     if level is not None:
         if level not in range(len(variance)):
             raise OutOfRange(
@@ -246,18 +283,19 @@ def _saturation(variance, level):
     level = int(variance.argmax())
     if level == len(variance) - 1:
         raise BadData(
-            "bright: the variance still grows at the last level, so saturation is not reached; wanted "
+            "bright: the variance still grows at the last level: saturation is not reached; wanted "
             "brighter levels, or saturation_level = index"
         )
     return level
 
 
 def _through_origin(x, y):
+    """Return the slope of the least-squares line through the origin."""
     return float(x @ y / (x @ x))
 
 
 def _dark_lines(series, shape):
-    """Variance at time 0 [DN^2], slope of the mean [DN/s] and of the variance [DN^2/s] over the exposure time."""
+    """Return variance at time 0 [DN^2], slope of the mean [DN/s] and of the variance [DN^2/s]."""
     if not isinstance(series, Mapping) or not all(isinstance(time, Real) for time in series):
         raise BadData("dark_series: wanted {exposure time [s]: frames}")
     times = np.array(sorted(series), np.float64)
@@ -266,7 +304,10 @@ def _dark_lines(series, shape):
             f"dark_series has the exposure times {times.tolist()} s: wanted three or more, 0 or above"
         )
     points = np.array(
-        [_temporal(series[time], f"dark_series[{time:g}]", shape) for time in sorted(series)]
+        [
+            _temporal_statistics(series[time], f"dark_series[{time:g}]", shape)
+            for time in sorted(series)
+        ]
     )
     (mean_slope, _), (variance_slope, variance) = (
         np.polyfit(times, column, 1) for column in points.T
@@ -275,7 +316,7 @@ def _dark_lines(series, shape):
 
 
 def _linearity(photons, signal, last):
-    """Relative deviations from the line that makes the sum of their squares least, 5 to 95 % of saturation [%]."""
+    """Return the deviations from the line of least relative squares, 5 to 95 % saturation [%]."""
     low, high = (part * signal[last] for part in LINEAR)
     inside = (signal >= low) & (signal <= high)
     inside[last + 1 :] = False
@@ -292,19 +333,17 @@ def _linearity(photons, signal, last):
 
 
 def _nonuniformity(dark_stack, bright_stack, gain, saturation, shape):
-    """DSNU [e-] and PRNU [%], total and by parts, as fields of the result."""
+    """Return DSNU [e-] and PRNU [%], totals and parts, as fields of the result."""
     names = "", "_row", "_column", "_pixel"
     if dark_stack is None:
         if bright_stack is not None:
-            raise BadData(
-                "bright_stack without dark_stack: PRNU is what the light adds to the dark pattern"
-            )
+            raise BadData("bright_stack without dark_stack: PRNU needs both")
         return {}
-    mean, dark = _spatial(dark_stack, "dark_stack", shape)
+    mean, dark = _spatial_statistics(dark_stack, "dark_stack", shape)
     found = {f"dsnu{name}": _root(part) / gain for name, part in zip(names, dark, strict=True)}
     if bright_stack is None:
         return found
-    bright_mean, bright = _spatial(bright_stack, "bright_stack", shape)
+    bright_mean, bright = _spatial_statistics(bright_stack, "bright_stack", shape)
     low, high = MIDDLE
     signal = bright_mean - mean
     if not low <= signal / saturation <= high:
@@ -318,13 +357,14 @@ def _nonuniformity(dark_stack, bright_stack, gain, saturation, shape):
     }
 
 
-def _spatial(stack, name, shape):
-    """Mean [DN] and spatial variances [DN^2] of L frames: total, of rows, of columns, of single pixels.
+def _spatial_statistics(stack, name, shape):
+    """Return mean [DN] and spatial variances [DN^2] of L frames: total, rows, columns, pixels.
 
-    From the mean frame, less what temporal noise leaves in it. Averages over a row of N pixels keep 1/N of the pixels'
-    variance, over a column of M pixels 1/M; the total is the sum of the three parts.
+    They come from the mean frame, less its temporal noise. Averages over a row of N pixels contain
+    1/N of the pixels' variance, over a column of M pixels 1/M; the total is the sum of the three
+    parts.
     """
-    stack = _checked(stack, name, 3, shape)
+    stack = _check_array(stack, name, 3, shape)
     count, rows, cols = stack.shape
     average = stack.mean(axis=0)
     temporal = stack.var(axis=0, ddof=1).mean() / count
@@ -336,5 +376,5 @@ def _spatial(stack, name, shape):
 
 
 def _root(variance):
-    """Standard deviation; NaN where the noise of the measurement made the variance negative."""
+    """Return the standard deviation; NaN if measurement noise made the variance negative."""
     return math.sqrt(variance) if variance >= 0 else math.nan

@@ -1,30 +1,35 @@
-"""Spatial frequency response of a camera from its picture of a slanted edge (ISO 12233, e-SFR)."""
+"""Spatial frequency response of a camera from a picture of a slanted edge (ISO 12233, e-SFR)."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
-BINS = 4  # to a pixel along the edge's normal
+BINS = 4  # per pixel along the edge's normal
 LEAST = 10  # rows and columns of a picture, and twice the pixels on each side of the edge
 FREQUENCIES = np.linspace(0, 1, 201)  # [cycle/pixel]
-PASSES = 4  # of the fit: each centres the windows on the line of the one before
-SIGNIFICANT = 5.0  # standard errors that the step must have
-MOST_ERROR = 0.1  # of the response: what is refused beyond would change MTF50 by a tenth
-INSIDE = 0.75  # part of the step that must lie in the inner half of what is read; a ramp has a half there
+PASSES = 4  # of the fit: each centres its windows on the line of the one before
+SIGNIFICANT = 5.0  # least step in standard errors
+MOST_ERROR = 0.1  # of the response; a larger one would change MTF50 by a tenth
+INSIDE = 0.75  # least part of the step in the inner half of the window; a ramp has a half there
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeResponse:
-    """What `sfr` found, F frequencies and, for several channels, one row to each of the C channels.
+    """Result of `sfr`: F frequencies, C channels.
 
-    frequencies: along the edge's normal [cycle/pixel], shape (F,). response: SFR [1], 1 at frequency 0, shape (F,) or
-    (C, F). error: estimate of the response's error up to 0.5 cycle/pixel because the picture ends, shape () or (C,).
-    angle: between edge and pixel columns, or pixel rows if it is nearer to these [rad], shape () or (C,).
-    per_mm: `frequencies` on the sensor [cycle/mm], shape (F,); None without the pitch.
+    Attributes:
+        frequencies: along the edge's normal, shape (F,) [cycle/pixel].
+        response: SFR, 1 at frequency 0, shape (F,) for one channel or (C, F) [1].
+        angle: angle between edge and the pixel columns, or rows if these are nearer, shape () or
+            (C,) [rad].
+        per_mm: `frequencies` on the sensor, shape (F,) [cycle/mm]; None without the pitch.
+        error: estimated error of the response up to 0.5 cycle/pixel because the picture ends, shape
+            () or (C,).
     """
 
     frequencies: np.ndarray
@@ -36,29 +41,51 @@ class EdgeResponse:
     __repr__ = brief
 
 
-def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> EdgeResponse:
-    """Spatial frequency response of a picture that holds one straight, slanted edge and nothing else.
+def sfr(
+    image: ArrayLike,
+    pitch: float | None = None,
+    *,
+    limits: tuple[float, float] | None = None,
+    order: int = 1,
+) -> EdgeResponse:
+    """Measure the spatial frequency response from a picture of one straight, slanted edge.
 
-    image: linear values, shape (rows, cols), or (rows, cols, C) to measure each channel by itself, any unit; the edge
-        may stand or lie and be light on either side. pitch: distance of the pixels [m], for frequencies in cycle/mm.
-    limits: lowest and highest value that can occur; a picture that reaches one is clipped and refused. Integers have
-        those of their type unless given. order: of the polynomial fitted to the edge, 1 or 2, if the lens distorts.
-    Returns EdgeResponse. Raises BadData (not finite, too small, clipped, no edge, an edge along the pixels, at 45
-    degrees, too near the border, or a blur that does not fit), OutOfRange.
+    The edge is a polynomial through the centroids of the rows' differences. Pixels of whole periods
+    of its phase are sorted by distance along the normal into quarter-pixel bins; these are
+    differenced, windowed (Hamming) and Fourier transformed. Two details differ from the standard:
+    each bin is placed at the mean distance of its pixels, which are not spread evenly in it; and
+    both boxes of a quarter pixel, difference and bin, are divided out, sinc(f / 4)^2. (The standard
+    divides by the difference's only, which leaves 2.6 % at 0.5 cycle/pixel.)
 
-    Source: ISO 12233:2014, e-SFR; Burns, "Slanted-edge MTF for digital camera and scanner analysis" (PICS 2000). The
-    edge is a polynomial through the centroids of the rows' differences; whole periods of its phase among the pixels are
-    sorted by the distance along the normal into quarter-pixel bins; these are differenced, windowed (Hamming) and
-    transformed. Where this differs: every bin stands at the mean distance of its pixels, which are not evenly in it,
-    and both boxes of a quarter pixel, difference and bin, are divided out, sinc(f / 4)^2. (The standard divides by the
-    difference's alone, which leaves 2.6 % at 0.5 cycle/pixel.)
-    Up to 0.5 cycle/pixel the response of exact edges errs by 1e-3 (5 degrees, 160 rows), by 4e-3 from 100 rows on at
-    angles whose phases nearly repeat. A diffraction-limited lens spreads light beyond what is read: the response is too
-    high by a part of 11 q / (pi^3 reach), q = wavelength times f-number over pitch, reach [pixel] on each side. `error`
-    is what half the reach changes: as much as a tail that falls as 1 / reach is still wrong by, and three times the
-    window's effect on a blur that fits (1 / reach^2); noise adds to it.
+    Up to 0.5 cycle/pixel the response of exact edges has an error of 1e-3 (5 degrees, 160 rows);
+    from 100 rows on 4e-3 at angles whose phases nearly repeat. A diffraction-limited lens spreads
+    light beyond the window: the response is too high by a part of 11 q / (pi^3 reach), q =
+    wavelength times f-number over pitch, reach [pixel] on each side. `error` is the change from
+    half the reach: this equals the remaining error of a tail that falls as 1 / reach, and three
+    times the window's effect on a blur that fits (1 / reach^2); noise adds to it.
+
+    Source: ISO 12233:2014, e-SFR; Burns, "Slanted-edge MTF for digital camera and scanner analysis"
+    (PICS 2000).
+
+    Args:
+        image: linear values in any unit, shape (rows, cols), or (rows, cols, C) to measure each
+            channel separately. The edge may be near vertical or horizontal, and light on either
+            side.
+        pitch: pixel pitch [m], for frequencies in cycle/mm.
+        limits: lowest and highest possible value; a picture that reaches one is refused as clipped.
+            None: the range of an integer type, no limits for floats.
+        order: order of the polynomial fitted to the edge: 1, or 2 if the lens distorts.
+
+    Returns:
+        The response.
+
+    Raises:
+        BadData: if the picture is too small, clipped or not finite; if it has no edge, or the edge
+            is parallel to the pixels, at 45 degrees or too near the border; or if the blur does not
+            fit.
+        OutOfRange: if `pitch` or `order` is out of range.
     """
-    planes = _checked(image, limits)
+    planes = _check_planes(image, limits)
     if pitch is not None and not 0 < pitch < np.inf:
         raise OutOfRange("pitch", f"{pitch} m", "0 < pitch < inf")
     if order not in (1, 2):
@@ -73,10 +100,21 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
 
 
 def mtf50(measured: EdgeResponse, level: float = 0.5) -> Any:
-    """Frequency at which the response first falls to `level`: [cycle/mm] if the pitch was given, else [cycle/pixel].
+    """Return the frequency at which the response first falls to `level`.
 
-    Linear between frequencies. Returns a float or, of several channels, shape (C,). Raises OutOfRange, and BadData
-    where it never falls so far.
+    Linear between frequencies.
+
+    Args:
+        measured: result of `sfr`.
+        level: response [1].
+
+    Returns:
+        Frequency in [cycle/mm] if the pitch was given, else [cycle/pixel]: a float or, for several
+        channels, an array (C,).
+
+    Raises:
+        OutOfRange: if `level` is not between 0 and 1.
+        BadData: if the response never falls to `level`.
     """
     if not 0 < level < 1:
         raise OutOfRange("level", level, "0 < level < 1")
@@ -92,8 +130,11 @@ def mtf50(measured: EdgeResponse, level: float = 0.5) -> Any:
     return float(found[0]) if measured.response.ndim == 1 else np.array(found)
 
 
-def _checked(image, limits):
-    """The picture's channels as float64 planes, (C, rows, cols) or (rows, cols); refuses what cannot hold an edge."""
+def _check_planes(image, limits):
+    """Return the channels as float64 planes, (C, rows, cols) or (rows, cols).
+
+    Raise BadData if the picture is too small, clipped or not finite.
+    """
     image = np.asarray(image)
     if image.ndim not in (2, 3) or image.dtype.kind not in "uif" or min(image.shape[:2]) < LEAST:
         raise BadData(
@@ -111,14 +152,14 @@ def _checked(image, limits):
         if clipped:
             raise BadData(
                 f"sfr: {clipped} of {values.size} values are clipped, at or beyond {low:g} or {high:g}; "
-                "expose so that both sides of the edge lie between"
+                "expose both sides of the edge between them"
             )
     return values if values.ndim == 2 else np.moveaxis(values, -1, 0)
 
 
 def _response(plane, order):
-    """SFR and angle of one plane."""
-    plane = _standing(plane)
+    """Return SFR, angle and error of one plane."""
+    plane = _turn_upright(plane)
     fit, reach = _edge(plane, order)
     rows = np.arange(len(plane))
     turns = abs(fit(rows[-1]) - fit(0)) * len(plane) / (len(plane) - 1)
@@ -127,9 +168,8 @@ def _response(plane, order):
             f"sfr: the edge shifts by {turns:.2g} pixels over the {len(plane)} rows or columns that it "
             "crosses, wanted 1 or more: turn it by about 5 degrees"
         )
-    spare = len(plane) - round(
-        len(plane) * np.floor(turns) / turns
-    )  # of whole periods; left out on both sides
+    # pixels beyond whole periods; left out on both sides
+    spare = len(plane) - round(len(plane) * np.floor(turns) / turns)
     rows = rows[spare // 2 : len(plane) - (spare - spare // 2)]
     distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / np.hypot(1, fit.deriv()(rows))[
         :, None
@@ -142,7 +182,7 @@ def _response(plane, order):
     if not count.all():
         raise BadData(
             f"sfr: the edge, {np.degrees(np.arctan(abs(fit.deriv()(rows.mean())))):.3g} degrees from the "
-            f"pixels over {len(plane)} of them, meets too few phases to fill bins of a quarter pixel; turn "
+            f"pixel axis over {len(plane)} pixels, has too few phases to fill quarter-pixel bins; turn "
             "it to about 5 degrees, or use a larger picture"
         )
     spread = np.bincount(number, plane[rows][used]) / count
@@ -159,14 +199,14 @@ def _response(plane, order):
     error = float(np.abs(narrower - response)[FREQUENCIES <= 0.5].max())
     if error > MOST_ERROR:
         raise BadData(
-            f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge give "
-            f"a response that differs by {error:.2g}, wanted {MOST_ERROR:g} or less: a larger picture"
+            f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge "
+            f"change the response by {error:.2g}, wanted {MOST_ERROR:g} or less: use a larger picture"
         )
     return response, np.arctan(abs(fit.deriv()(rows.mean()))), error
 
 
 def _transform(line, middle, reach):
-    """Response of a line spread at the places `middle` [pixel], windowed to `reach` on each side."""
+    """Return the response of a line spread at positions `middle` [pixel], windowed to `reach`."""
     line = np.where(
         np.abs(middle) <= reach, line * (0.54 + 0.46 * np.cos(np.pi * middle / reach)), 0
     )
@@ -174,8 +214,8 @@ def _transform(line, middle, reach):
     return response / np.sinc(FREQUENCIES / BINS) ** 2
 
 
-def _standing(plane):
-    """The picture turned and signed so that the edge stands and its right side is the lighter."""
+def _turn_upright(plane):
+    """Return the picture turned and signed: the edge is vertical, its right side lighter."""
     halves = [np.array_split(plane, 2, axis=axis) for axis in (0, 1)]
     down, across = (second.mean() - first.mean() for first, second in halves)
     steps, plane = (across, plane) if abs(across) >= abs(down) else (down, plane.T)
@@ -189,7 +229,7 @@ def _standing(plane):
 
 
 def _edge(plane, order):
-    """Polynomial of the column at which the edge crosses each row, and its least distance from the sides [pixel]."""
+    """Return the polynomial of the edge's column per row, and its least distance from the sides."""
     rows, slope = np.arange(len(plane)), np.diff(plane, axis=1)
     between, window = np.arange(slope.shape[1]) + 0.5, 1.0
     for _ in range(PASSES):
@@ -197,7 +237,7 @@ def _edge(plane, order):
         total = weight.sum(axis=1)
         if not (total > 0).all():
             raise BadData(
-                "sfr: no edge found in some of the rows or columns; wanted one edge that crosses them all"
+                "sfr: no edge found in some of the rows or columns; wanted one edge across all of them"
             )
         fit = np.polynomial.Polynomial.fit(
             rows, (weight * between).sum(axis=1) / total, order
@@ -206,13 +246,13 @@ def _edge(plane, order):
         if reach < LEAST / 2:
             raise BadData(
                 f"sfr: the edge comes within {max(reach, 0):.2g} pixels of the border, wanted {LEAST // 2} "
-                "or more on both sides: a larger picture, or an edge that is turned less"
+                "or more on both sides: use a larger picture, or turn the edge less"
             )
         away = (between - fit(rows)[:, None]) / reach
         window = np.where(np.abs(away) < 1, 0.54 + 0.46 * np.cos(np.pi * away), 0)
     tilt = np.abs(fit.deriv()(rows)).max()
     if tilt > 1:
         raise BadData(
-            f"sfr: the edge is {np.degrees(np.arctan(tilt)):.3g} degrees from the pixels, wanted below 45"
+            f"sfr: the edge is {np.degrees(np.arctan(tilt)):.3g} degrees from the pixel axis, wanted below 45"
         )
     return fit, reach / np.hypot(1, tilt)

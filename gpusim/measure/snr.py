@@ -1,10 +1,11 @@
-"""Signal to noise of an evenly lit patch, as numbers and as the eye sees it, and of a sensor at every exposure."""
+"""Signal-to-noise ratios: of an even patch, as visible to the eye, and of a sensor."""
 
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import light_of
@@ -12,26 +13,32 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.measure.difference import cielab, eye_filtered, shown
+from gpusim.measure.difference import blur_as_eye, cielab, xyz_and_white
 from gpusim.optics.weights import product_weights
 
-MIDDLE = 0.8  # part of rows and columns that is judged: at the border a mirrored picture's noise is less blurred
+# part of rows and columns used: noise of the mirrored picture is less blurred at borders
+MIDDLE = 0.8
 
 
-POINTS = 200  # of a curve
-DECADES = 5.0  # of light below saturation that a curve has
+POINTS = 200  # points of a curve
+DECADES = 5.0  # decades of light below saturation in a curve
 
 
 @dataclass(frozen=True, eq=False)
 class SnrCurve:
-    """What a sensor's noise leaves of even light, C channels at N exposures.
+    """Signal-to-noise ratio of a sensor in even light, C channels at N exposures.
 
-    exposure: of the sensor's surface [lx s], rising, shape (N,). electrons: mean, of the light alone [e-], shape
-    (C, N), at most what the pixel holds. snr: electrons over the standard deviation of a raw value around them [dB],
-    shape (C, N); -inf for a channel that sees nothing. saturation: exposure at which each channel saturates [lx s],
-    shape (C,), inf for such a channel. Above it electrons and snr stay what they are there, the channel's SNR_max of
-    EMVA 1288, whose curves end there as ISETCam's do: a pixel that is full has seen no more light, and the noise that
-    clipping cuts off does not make its value a better one.
+    Above saturation `electrons` and `snr` keep their value there, the channel's SNR_max of EMVA
+    1288, as the curves of the standard and of ISETCam end there: a full pixel collects no more
+    light, and clipping of the noise does not improve its value.
+
+    Attributes:
+        exposure: exposure of the sensor's surface, rising, shape (N,) [lx s].
+        electrons: mean electrons from light only, at most the pixel's capacity, shape (C, N) [e-].
+        snr: electrons over the standard deviation of a raw value, shape (C, N) [dB]; -inf for a
+            channel without sensitivity to the light.
+        saturation: exposure at which each channel saturates, shape (C,) [lx s]; inf for a channel
+            without sensitivity to the light.
     """
 
     exposure: np.ndarray
@@ -43,25 +50,39 @@ class SnrCurve:
 def snr_curve(
     sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float = 0.0, temporal: bool = False
 ) -> SnrCurve:
-    """Signal to noise ratio that is expected of each channel against the exposure, up to saturation of the last.
+    """Return the expected signal-to-noise ratio of each channel against exposure.
 
-    light: name of an illuminant, or its relative power in energy units. seconds: in which the dark current is
-    collected [s]. temporal: without the fixed patterns (PRNU, DSNU), as of the difference of two frames.
-    Source: EMVA Standard 1288, SNR = mu / sigma of `gpusim.domain.raw_noise.RawNoise`; electrons are those of the
-    sensor's quantum efficiency over its aperture. Raises UnknownName, OutOfRange, BadData.
+    The curve ends at the saturation of the last channel.
+
+    Source: EMVA Standard 1288, SNR = mu / sigma of `gpusim.domain.raw_noise.RawNoise`; electrons
+    follow from the sensor's quantum efficiency over its aperture.
+
+    Args:
+        sensor: the sensor.
+        light: name of an illuminant, or its relative power in energy units.
+        seconds: time during which dark current is collected [s].
+        temporal: leave out the fixed patterns (PRNU, DSNU), as in the difference of two frames.
+
+    Returns:
+        The curve.
+
+    Raises:
+        UnknownName: if the illuminant is unknown.
+        OutOfRange: if `seconds` is negative or not finite.
+        BadData: if the sensor does not respond to the light, or dark current fills the pixel.
     """
     if not (isinstance(seconds, Real) and 0 <= seconds < np.inf):
         raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
     light = light_of(light)
     per_exposure = electrons_per_lux_second(sensor, light)
     if not per_exposure.any():
-        raise BadData(f"snr_curve: the sensor sees nothing of {light.name or 'the light'}")
+        raise BadData(f"snr_curve: the sensor does not respond to {light.name or 'the light'}")
     dark = sensor.noise.dark_current * sensor.noise.warmth * seconds
     room = sensor.saturation - dark
     if not room > 0:
         raise BadData(
-            f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the {sensor.saturation:.4g} e- "
-            "that a pixel holds; wanted fewer seconds"
+            f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the pixel's "
+            f"{sensor.saturation:.4g} e-; wanted fewer seconds"
         )
     with np.errstate(divide="ignore"):
         saturation = room / per_exposure
@@ -80,7 +101,10 @@ def snr_curve(
 
 
 def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
-    """Electrons that 1 lx s of a light (relative power in energy units) makes in a pixel of each channel, (C,)."""
+    """Return the electrons per pixel of each channel from 1 lx s of a light, shape (C,).
+
+    light: relative power in energy units.
+    """
     nodes = np.array(
         [
             max(light.wavelengths[0], sensor.qe.wavelengths[0]),
@@ -94,12 +118,20 @@ def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
     return height * width * photons / xyz(light)[1]
 
 
-def snr(patch, second=None) -> Any:
-    """Signal to noise ratio [dB], 20 log10(mean / standard deviation); infinite without noise.
+def snr(patch: ArrayLike, second: ArrayLike | None = None) -> Any:
+    """Return the signal-to-noise ratio, 20 log10(mean / standard deviation).
 
-    patch: values of even light, proportional to it (black level taken off), shape (rows, cols) or (rows, cols, C) for
-    one ratio to each channel. second: another frame of the same, then the noise is that of their difference over
-    sqrt(2): temporal alone, without the pattern that both share. Returns a float or shape (C,). Raises BadData.
+    Args:
+        patch: values of even light, proportional to it (black level subtracted), shape (rows,
+            cols), or (rows, cols, C) for one ratio per channel.
+        second: another frame of the same patch. The noise is then taken from their difference over
+            sqrt(2): temporal noise only, without the pattern that both share.
+
+    Returns:
+        The ratio [dB], infinite without noise: a float, or an array (C,).
+
+    Raises:
+        BadData: if shapes or types do not fit, or the mean is not above 0.
     """
     patch = _numbers(patch, "patch")
     mean, noise = patch.mean(axis=(0, 1)), patch.std(axis=(0, 1), ddof=1)
@@ -110,23 +142,37 @@ def snr(patch, second=None) -> Any:
         mean = (mean + second.mean(axis=(0, 1))) / 2
         noise = (patch - second).std(axis=(0, 1), ddof=1) / np.sqrt(2)
     if not np.all(mean > 0):
-        raise BadData(f"snr: mean {np.min(mean):.4g}: wanted light, with the black level taken off")
+        raise BadData(
+            f"snr: mean {np.min(mean):.4g}: wanted a mean above 0 after subtracting the black level"
+        )
     with np.errstate(divide="ignore"):
         found = 20 * np.log10(mean / noise)
     return float(found) if found.ndim == 0 else found
 
 
-def visible_snr(patch, samples_per_degree: float, white=None) -> float:
-    """Visible SNR [1 / Delta E]: one over the standard deviation of an even patch in S-CIELAB; infinite without noise.
+def visible_snr(patch: Any, samples_per_degree: float, white: ArrayLike | None = None) -> float:
+    """Return the visible SNR: one over the standard deviation of an even patch in S-CIELAB.
 
-    patch: a frame, its exposure divided out (see `gpusim.measure.ciede2000`), or XYZ (rows, cols, 3) with white Y about
-    1, of one colour throughout. samples_per_degree: see `gpusim.measure.samples_per_degree`. white: XYZ that counts as
-    white, shape (3,); None: the display's, sRGB's where there is no frame. Raises BadData, OutOfRange.
-    Source: Farrell, Okincha, Parmar & Wandell 2010, "Using visible SNR (vSNR) to compare the image quality of pixel
-    binning and digital resizing", Proc. SPIE 7537: 1 / sqrt(var L* + var a* + var b*).
+    Source: Farrell, Okincha, Parmar & Wandell 2010, "Using visible SNR (vSNR) to compare the image
+    quality of pixel binning and digital resizing", Proc. SPIE 7537: 1 / sqrt(var L* + var a* + var
+    b*).
+
+    Args:
+        patch: patch of one colour: a frame, its exposure divided out (see
+            `gpusim.measure.ciede2000`), or XYZ (rows, cols, 3) with white Y about 1.
+        samples_per_degree: pixels per degree of visual angle, see
+            `gpusim.measure.samples_per_degree`.
+        white: XYZ of the white, shape (3,); None is the display's, sRGB's if there is no frame.
+
+    Returns:
+        Visible SNR [1 / Delta E], infinite without noise.
+
+    Raises:
+        BadData: if the patch is too small or its values are wrong.
+        OutOfRange: if `samples_per_degree` is not positive.
     """
-    xyz, white = shown(patch, white)
-    lab = cielab(eye_filtered(xyz, samples_per_degree), white)
+    xyz, white = xyz_and_white(patch, white)
+    lab = cielab(blur_as_eye(xyz, samples_per_degree), white)
     rows, cols = (round((1 - MIDDLE) / 2 * count) for count in lab.shape[:2])
     middle = lab[rows : lab.shape[0] - rows, cols : lab.shape[1] - cols]
     if middle[..., 0].size < 2:
@@ -137,7 +183,7 @@ def visible_snr(patch, samples_per_degree: float, white=None) -> float:
     return float(1 / spread) if spread > 0 else np.inf
 
 
-def _numbers(values, name):
+def _numbers(values, name) -> np.ndarray:
     values = np.asarray(values)
     if (
         values.ndim not in (2, 3)

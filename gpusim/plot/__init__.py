@@ -1,7 +1,7 @@
-"""Plots of scenes, cameras and frames, one call each; matplotlib draws them (`pip install 'gpusim[plot]'`).
+"""Plots of scenes, cameras and frames with matplotlib (`pip install 'gpusim[plot]'`).
 
-Most functions take `ax`, axes of matplotlib to draw on, and return them; None: those of a new figure. What is more than
-one picture takes `figure` and returns it.
+Most functions take `ax`, matplotlib axes to draw on, and return them; None makes a new figure.
+Functions that draw several pictures take `figure` and return it.
 """
 
 from gpusim.plot.cameras import camera, efficiency

@@ -1,4 +1,4 @@
-"""A camera at a glance: what it sees, how sharp, and with what noise."""
+"""Overview of a camera: quantum efficiency, point spread, MTF and SNR."""
 
 from typing import Any
 
@@ -11,10 +11,21 @@ from gpusim.plot.lens import mtf, psf
 from gpusim.plot.sensor import snr
 
 
-def efficiency(camera: Camera, ax=None) -> Any:
-    """Quantum efficiency of every channel, electrons per photon in the pixel's aperture, and the lens's transmission.
+def efficiency(camera: Camera, ax: Any = None) -> Any:
+    """Plot the quantum efficiency of every channel and the transmission of the lens.
 
-    Returns the axes. Raises BadData, Missing.
+    Efficiency is in electrons per photon in the pixel's aperture.
+
+    Args:
+        camera: camera to plot.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type.
+        Missing: if matplotlib is not installed.
     """
     sensor, optics = checked_camera(camera).sensor, camera.optics
     ax, wavelengths = axes_of(ax), sensor.qe.wavelengths
@@ -31,18 +42,27 @@ def efficiency(camera: Camera, ax=None) -> Any:
             linestyle="--",
             label="lens",
         )
-    seen = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
-    ax.set_xlim(wavelengths[seen[0]], wavelengths[seen[-1]])
+    sensitive = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
+    ax.set_xlim(wavelengths[sensitive[0]], wavelengths[sensitive[-1]])
     ax.set_ylim(0, 1.05 * ax.get_ylim()[1])
     return finish(
         ax, camera.name, "quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]"
     )
 
 
-def camera(camera: Camera, figure=None) -> Any:
-    """A camera at a glance: quantum efficiency, point spread, MTF and SNR. Returns the figure of matplotlib.
+def camera(camera: Camera, figure: Any = None) -> Any:
+    """Plot a camera's quantum efficiency, point spread, MTF and SNR.
 
-    Raises BadData, Missing.
+    Args:
+        camera: camera to plot.
+        figure: matplotlib figure; None makes a new one.
+
+    Returns:
+        The figure.
+
+    Raises:
+        BadData: if an argument has the wrong type.
+        Missing: if matplotlib is not installed.
     """
     checked_camera(camera)
     figure, axes = panels(figure, 2, 2, (12.0, 8.0))

@@ -1,4 +1,4 @@
-"""Axes to draw on, and the colours in which channels, wavelengths and spectra of light are drawn."""
+"""Axes to draw on, and colours for channels, wavelengths and spectra of light."""
 
 import numpy as np
 
@@ -16,29 +16,18 @@ CHANNELS = {
     "M": (0.80, 0.20, 0.65),
     "E": (0.05, 0.55, 0.45),
 }
-OTHERS = (
-    (0.90, 0.55, 0.10),
-    (0.50, 0.30, 0.65),
-    (0.55, 0.34, 0.29),
-    (0.50, 0.50, 0.13),
-)  # of letters not in it
-WITHOUT_WINDOW = (
-    "agg",
-    "cairo",
-    "pdf",
-    "pgf",
-    "ps",
-    "svg",
-    "template",
-)  # ways of matplotlib to draw
+# for other letters
+OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))
+# matplotlib backends that open no window
+WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 STYLES = ("-", "--", "-.", ":")
-LIGHTEST = 0.5  # of a line's codes on white
-BAR = 1.3  # inches of a colour bar
-QUIET = "0.55"  # grey of lines that are no data
+LIGHTEST = 0.5  # luma of the lightest line on white
+BAR = 1.3  # [inch] width of a colour bar
+QUIET = "0.55"  # grey of guide lines
 
 
 def matplotlib():
-    """The library's package of plain calls, `matplotlib.pyplot`. Raises Missing."""
+    """Return `matplotlib.pyplot`; raise Missing if matplotlib is not installed."""
     try:
         from matplotlib import pyplot
     except ImportError:
@@ -49,9 +38,10 @@ def matplotlib():
 
 
 def window(what: str, other: str):
-    """`matplotlib.pyplot` where it can open windows, or notebooks show its figures. Raises BadData, Missing.
+    """Return `matplotlib.pyplot` if it can show figures in a window or notebook.
 
-    what: that wants one, other: what to use where there is none; both for the message.
+    what: feature that needs the window. other: alternative without one; both for the message.
+    Raises BadData, Missing.
     """
     pyplot = matplotlib()
     if pyplot.get_backend().lower() in WITHOUT_WINDOW:
@@ -60,18 +50,21 @@ def window(what: str, other: str):
 
 
 def axes_of(ax, size=(6.4, 4.4)):
-    """The axes given, or those of a new figure of so many inches where that is None. Raises BadData, Missing."""
+    """Return the given axes, or axes of a new figure of `size` inches if `ax` is None.
+
+    Raises BadData, Missing.
+    """
     if ax is None:
         return matplotlib().subplots(figsize=size, layout="constrained")[1]
     if not (hasattr(ax, "plot") and hasattr(ax, "imshow")):
         raise BadData(
-            f"ax: {type(ax).__name__}, wanted axes of matplotlib, such as matplotlib.pyplot.gca()"
+            f"ax: {type(ax).__name__}, wanted axes of matplotlib, for example matplotlib.pyplot.gca()"
         )
     return ax
 
 
 def panels(figure, rows: int, cols: int, size):
-    """Axes (rows, cols) on a figure of matplotlib, or on a new one of so many inches where that is None."""
+    """Return a figure with axes (rows, cols): the given one, or a new one of `size` inches."""
     if figure is None:
         figure = matplotlib().figure(figsize=size, layout="constrained")
     if not hasattr(figure, "subplots"):
@@ -79,36 +72,52 @@ def panels(figure, rows: int, cols: int, size):
     return figure, figure.subplots(rows, cols, squeeze=False)
 
 
-def image(ax, codes, title=""):
-    """A picture (rows, cols, 3) whose pixels stay pixels, without ticks."""
-    ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
+def is_frame(what) -> bool:
+    """Return whether an object has the attributes of a frame that plots use."""
+    return all(hasattr(what, name) for name in ("raw", "linear", "camera"))
+
+
+def require_frame(frame, name: str):
+    """Raise BadData unless `frame` is a frame; name: name of the plot for the message."""
+    if not is_frame(frame):
+        raise BadData(f"{name}: {type(frame).__name__}, wanted a frame")
+
+
+def _remove_ticks(ax, title):
+    """Remove the ticks of axes with a picture, and set its title."""
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_title(title, fontsize="medium")
     return ax
 
 
-def picture_size(shape, beside: float = 0.0) -> tuple[float, float]:
-    """Inches of a figure for a picture of (rows, cols) with a title; beside: for a colour bar."""
+def image(ax, codes, title=""):
+    """Draw a picture (rows, cols, 3) without ticks; small ones with sharp pixels."""
+    ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
+    return _remove_ticks(ax, title)
+
+
+def picture_size(shape, bar: float = 0.0) -> tuple[float, float]:
+    """Return the size of a figure for a picture of (rows, cols) with a title [inch].
+
+    bar: width for a colour bar [inch].
+    """
     rows, cols = shape
     width = min(8.0, 5.0 * cols / rows)
-    return max(width, 3.5) + beside, max(width * rows / cols, 1.5) + 0.5
+    return max(width, 3.5) + bar, max(width * rows / cols, 1.5) + 0.5
 
 
 def error_map(ax, values, title, label, **colors):
-    """Numbers (rows, cols) in colours, with their bar; colors: of `imshow`."""
+    """Draw numbers (rows, cols) as colours with a colour bar; colors: arguments of `imshow`."""
     drawn = ax.imshow(values, **colors)
     ax.figure.colorbar(drawn, ax=ax, label=label, extend="both" if colors["vmin"] < 0 else "max")
-    ax.set_xticks([])
-    ax.set_yticks([])
-    ax.set_title(title, fontsize="medium")
-    return ax
+    return _remove_ticks(ax, title)
 
 
 def curve(ax, x, y, color, label, first: int = 0, **options):
-    """A line, dashed by how many of its colour there are: those of several cameras can be told apart on one axes.
+    """Draw a line; its dashes depend on how many lines have its colour on the axes.
 
-    first: number of the first one's dashes in STYLES.
+    This separates the curves of several cameras. first: index in STYLES for the first line.
     """
     before = sum(line.get_color() == color for line in ax.get_lines() if len(line.get_xdata()) > 1)
     ax.plot(
@@ -117,17 +126,17 @@ def curve(ax, x, y, color, label, first: int = 0, **options):
 
 
 def legend_once(ax, label: str) -> str:
-    """The label, or one that legends leave out where they have it already."""
+    """Return the label, or one that legends omit if they already have it."""
     return "_nolegend_" if any(line.get_label() == label for line in ax.get_lines()) else label
 
 
-def widened(ax, high: float) -> float:
-    """The right limit that shows up to `high` and what was drawn before."""
+def widen_limit(ax, high: float) -> float:
+    """Return the right limit that shows up to `high` and the earlier lines."""
     return max(high, ax.get_xlim()[1]) if ax.get_lines() else high
 
 
 def finish(ax, name, title, x, y):
-    """Title, labels of both axes, a faint grid and a legend; of axes that have another's the title without the name."""
+    """Set title, axis labels, grid and legend; axes that already have a title get no name."""
     ax.set_title(
         title[0].upper() + title[1:] if ax.get_title() or not name else f"{name}: {title}",
         fontsize="medium",
@@ -141,13 +150,13 @@ def finish(ax, name, title, x, y):
 
 
 def channel_colors(channels) -> dict:
-    """A colour for each letter of a mosaic."""
+    """Return a colour for each letter of a mosaic."""
     others = iter(OTHERS * len(channels))
     return {letter: CHANNELS.get(letter) or next(others) for letter in channels}
 
 
 def wavelength_color(nanometres: float) -> tuple:
-    """Color of light of one wavelength in sRGB, in its gamut and dark enough for a line on white; grey if unseen."""
+    """Return the sRGB colour of a wavelength, readable on white; grey if it is invisible."""
     xyz = cmf().at(nanometres)
     if not xyz.sum() > 1e-4:
         return (0.4, 0.4, 0.4) if nanometres < 550 else (0.25, 0.1, 0.1)
@@ -157,7 +166,7 @@ def wavelength_color(nanometres: float) -> tuple:
 
 
 def readable(codes) -> tuple:
-    """A colour 0 .. 1 (3,) made dark enough for a line on white."""
+    """Return a colour 0 .. 1 (3,), made dark enough for a line on white."""
     codes = np.clip(codes, 0, 1)
     return tuple(
         float(value) for value in codes * min(1.0, LIGHTEST / max(codes @ (0.3, 0.6, 0.1), 1e-9))
@@ -165,7 +174,10 @@ def readable(codes) -> tuple:
 
 
 def srgb(xyz, white=None) -> np.ndarray:
-    """Codes of sRGB, 0 .. 1 (rows, cols, 3), of XYZ (3, rows, cols), clipped; white: XYZ that become its white."""
+    """Return clipped sRGB codes 0 .. 1 (rows, cols, 3) of XYZ (3, rows, cols).
+
+    white: XYZ that become the white of sRGB.
+    """
     display = DISPLAYS["srgb"]
     matrix = display.rgb_from_xyz
     if white is not None:

@@ -1,11 +1,11 @@
-"""How far frames are from the truth, and what a plan or a frame costs and errs, cause by cause."""
+"""Errors of frames, and the time and error of a plan or frame by cause."""
 
 from typing import Any
 
 import numpy as np
 
 from gpusim.domain.errors import BadData
-from gpusim.domain.scene import checked_scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.plan_summary import Forecast
 from gpusim.judge.truth import require_truth, seen
@@ -13,7 +13,7 @@ from gpusim.pipeline.report import Error, Report
 from gpusim.pipeline.simulator import Simulator
 from gpusim.plot.canvas import BAR, CHANNELS, QUIET, axes_of, error_map, panels, picture_size
 
-HIGH = 99.9  # percentile of |error| that has full colour
+HIGH = 99.9  # percentile of |error| at full colour
 UNITS = {
     "rms": "relative rms error of the mean electrons",
     "p999_sigma": "error / noise sigma, 99.9 % of pixels",
@@ -21,11 +21,25 @@ UNITS = {
 }
 
 
-def error(simulator: Simulator, scene, ax=None) -> Any:
-    """Map of a simulator's error: mean electrons less the float64 reference's, over each pixel's own noise.
+def error(simulator: Simulator, scene: Scene, ax: Any = None) -> Any:
+    """Plot a map of a simulator's error against the float64 reference.
 
-    Of stacked pixels, that of the layer with the largest error. Returns the axes. Raises BadData (frames whose blur
-    varies and that are too large for the reference), Missing, OutOfRange, DoesNotFit.
+    The error is the difference of the mean electrons over each pixel's noise. For stacked pixels
+    the layer with the largest error is shown.
+
+    Args:
+        simulator: simulator to judge.
+        scene: scene to simulate.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or the blur varies over a frame too large for
+            the reference.
+        Missing: if matplotlib is not installed.
+        GpusimError: as raised by `Simulator.expose`.
     """
     if not isinstance(simulator, Simulator):
         raise BadData(f"error: {type(simulator).__name__}, wanted a Simulator")
@@ -33,8 +47,8 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
     mean, truth = seen(simulator, scene, simulator.expose(scene))
     if mean.ndim == 1:
         raise BadData(
-            f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels, of which the "
-            "reference computes parts alone; wanted a smaller scene"
+            f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels; the "
+            "reference computes only parts of it; wanted a smaller scene"
         )
     read = simulator.camera.sensor.read_sigma
     sigma = (mean - truth) / np.sqrt(np.maximum(truth + read**2, 1.0))
@@ -44,7 +58,7 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
     most = max(float(np.percentile(np.abs(sigma), HIGH)), 1e-12)
     words = f"rms {whole.rms:.2g}, largest {whole.max_sigma:.2g} sigma"
     if simulator.tolerance is not None:
-        words = f"{whole.nearest(simulator.tolerance)[1]} asked"
+        words = f"{whole.nearest(simulator.tolerance)[1]} allowed"
     return error_map(
         axes_of(ax, picture_size(sigma.shape, BAR)),
         sigma,
@@ -56,19 +70,27 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
     )
 
 
-def plan(what, figure=None) -> Any:
-    """Bars of a plan or of a frame: time of every stage, and error of every cause with all together.
+def plan(what: Forecast | Report, figure: Any = None) -> Any:
+    """Plot the time of every stage and the error of every cause of a plan or frame.
 
-    what: a Forecast, what `gpusim plan` prints (`gpusim.judge.plan_summary.Forecast.of(simulator, scene)`), or a
-    frame's Report. The error's figure is the one that the tolerance binds most. figure: of matplotlib, to draw on;
-    None: a new one. Returns it. Raises BadData, Missing.
+    The error shown is the one closest to its tolerance.
+
+    Args:
+        what: a Forecast, as printed by `gpusim plan`
+            (`gpusim.judge.plan_summary.Forecast.of(simulator, scene)`), or a frame's Report.
+        figure: matplotlib figure; None makes a new one.
+
+    Returns:
+        The figure.
+
+    Raises:
+        BadData: if `what` is neither a Forecast nor a Report.
+        Missing: if matplotlib is not installed.
     """
     if isinstance(what, Forecast):
         account, tolerance, ms = what.plan.account, what.plan.tolerance, what.ms
-        verdict, title = (
-            what.plan.verdict,
-            f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: ",
-        )
+        verdict = what.plan.verdict
+        title = f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: "
         title += f"about {sum(ms.values()):.3g} ms a frame, predicted"
     elif isinstance(what, Report):
         account, tolerance, verdict = what.account, what.tolerance, what.verdict
@@ -90,11 +112,11 @@ def plan(what, figure=None) -> Any:
     _bars(axes[0, 0], ms, CHANNELS["B"], "time [ms]", "{:.3g}")
     bars = _bars(axes[0, 1], errors, CHANNELS["R"], UNITS[name], "{:.2g}")
     bars[-1].set_color("0.3")
-    asked = None if tolerance is None else getattr(tolerance, name)
-    if asked:
-        axes[0, 1].axvline(asked, color=QUIET, linestyle="--", label=f"tolerance {asked:.2g}")
+    limit = None if tolerance is None else getattr(tolerance, name)
+    if limit:
+        axes[0, 1].axvline(limit, color=QUIET, linestyle="--", label=f"tolerance {limit:.2g}")
         axes[0, 1].legend(frameon=False, fontsize="small", loc="best")
-        axes[0, 1].set_xlim(right=1.2 * max(asked, *errors.values()))
+        axes[0, 1].set_xlim(right=1.2 * max(limit, *errors.values()))
     if verdict is not None:
         title += f"; tolerance {verdict.shown}"
     figure.suptitle(title, fontsize="medium")
@@ -102,7 +124,7 @@ def plan(what, figure=None) -> Any:
 
 
 def _bars(ax, values, color, label, form):
-    """Horizontal bars from the top down, each with its figure."""
+    """Draw horizontal bars from the top down, each with its value."""
     bars = ax.barh(range(len(values)), list(values.values()), color=color, height=0.7)
     ax.set_yticks(range(len(values)), list(values))
     ax.invert_yaxis()

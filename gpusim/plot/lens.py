@@ -1,5 +1,6 @@
-"""What a lens does to a point and to contrast: point spreads and transfer functions, by wavelength and by channel."""
+"""Point spread and modulation transfer functions of a lens, by wavelength and by channel."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any
@@ -22,48 +23,64 @@ from gpusim.plot.canvas import (
     legend_once,
     panels,
     wavelength_color,
-    widened,
+    widen_limit,
 )
 
-WAVELENGTHS = (450.0, 550.0, 650.0)  # [nm] drawn where none are named
-STEP = 20.0  # [nm] between the wavelengths that stand for a channel's
+WAVELENGTHS = (450.0, 550.0, 650.0)  # [nm] default
+STEP = 20.0  # [nm] between the wavelengths of a channel
 POINTS = 241  # frequencies of a curve
-ACROSS = 161  # samples along a point spread's picture
-RINGS = 5.0  # Airy radii around the middle of it
-DECADES = 4  # of a point spread's picture
+ACROSS = 161  # samples along a side of a point spread
+RINGS = 5.0  # least radius of a point spread's picture [Airy radius]
+DECADES = 4  # shown of a point spread
 
 
 def mtf(
     camera: Camera,
-    of=None,
-    ax=None,
+    of: Any = None,
+    ax: Any = None,
     *,
     direction: str = "across",
-    place=(0.0, 0.0),
-    light="D65",
+    place: Sequence[float] = (0.0, 0.0),
+    light: str | Spectrum = "D65",
     pixel: bool = False,
     label: str = "",
 ) -> Any:
-    """Modulation transfer of a camera's lens against the frequency on the sensor.
+    """Plot the modulation transfer function of a camera's lens.
 
-    of: wavelengths [nm] and letters of channels, one or several; None: 450, 550, 650 nm and every channel. A channel
-    sees the light (an illuminant's name, or a relative power in energy units) by its quantum efficiency.
-    direction: "across" (along rows) or "down". place: field point (y, x), 1 the frame's corner; lateral colour, which
-    moves the image, is left out. pixel: of lens and pixel aperture together; the aperture's own is drawn in grey.
-    label: what the legend names it by, where several cameras are drawn on one `ax`.
-    Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
+    Frequencies are on the sensor. Lateral colour, which shifts the image, is left out.
+
+    Args:
+        camera: camera to plot.
+        of: wavelengths [nm] and letters of channels, one or several; None is 450, 550, 650 nm and
+            every channel. A channel averages the wavelengths of the light by its quantum
+            efficiency.
+        ax: matplotlib axes; None makes a new figure.
+        direction: "across" (along rows) or "down".
+        place: field point (y, x); 1 is the frame's corner.
+        light: name of an illuminant, or its relative power in energy units.
+        pixel: include the pixel aperture; its own transfer function is drawn in grey.
+        label: name in the legend, for several cameras on one `ax`.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or a channel does not respond to the light.
+        Missing: if matplotlib is not installed.
+        OutOfRange: if a wavelength or place is out of range.
+        UnknownName: if the direction, a channel or an illuminant is unknown.
     """
-    of, place = _asked(checked_camera(camera), of), _field(place)
+    of, place = _check_curves(checked_camera(camera), of), _field(place)
     if direction not in ("across", "down"):
         raise UnknownName("direction", direction, ("across", "down"))
     sensor, optics = camera.sensor, camera.optics
     aperture = sensor.aperture[direction == "across"]
     nyquist = 0.5e-3 / sensor.pixel_pitch  # [cycle/mm]
-    frequencies = np.linspace(0, _most(camera, of, nyquist), POINTS)
+    frequencies = np.linspace(0, _highest_frequency(camera, of, nyquist), POINTS)
     own = np.sinc(1e3 * frequencies * aperture)
     fy, fx = (0.0, 1e3 * frequencies) if direction == "across" else (1e3 * frequencies, 0.0)
     ax, colors = axes_of(ax), channel_colors(sensor.channels)
-    right = widened(ax, frequencies[-1])
+    right = widen_limit(ax, frequencies[-1])
     for one in of:
         nodes, weights = _light_of(camera, one, light)
         response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (
@@ -78,8 +95,10 @@ def mtf(
             name,
             first=is_channel,
         )
-    alone = f"{label} pixel aperture alone".strip()
-    ax.plot(frequencies, np.abs(own), color=QUIET, linestyle=":", label=legend_once(ax, alone))
+    aperture_label = f"{label} pixel aperture only".strip()
+    ax.plot(
+        frequencies, np.abs(own), color=QUIET, linestyle=":", label=legend_once(ax, aperture_label)
+    )
     ax.axvline(nyquist, color=QUIET, linewidth=0.8)
     ax.text(nyquist, 1.0, " Nyquist", color="0.4", fontsize="small", va="top", clip_on=True)
     ax.set_xlim(0, right)
@@ -95,22 +114,46 @@ def mtf(
     )
 
 
-def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figure=None) -> Any:
-    """Point spread of a camera's lens as a picture in decades below its peak, the pixel's aperture drawn in it.
+def psf(
+    camera: Camera,
+    of: Any = None,
+    ax: Any = None,
+    *,
+    place: Sequence[float] = (0.0, 0.0),
+    light: str | Spectrum = "D65",
+    figure: Any = None,
+) -> Any:
+    """Plot the point spread function of a camera's lens, in decades below its peak.
 
-    of, place, light: see `mtf`. One wavelength or channel is drawn on `ax`; several, each beside the other, on `figure`
-    or on a new one. Returns the axes or the figure. Raises BadData (no lens, `optics.model = "none"`), Missing,
-    OutOfRange, UnknownName.
+    The outline of the pixel's aperture is drawn in it.
+
+    Args:
+        camera: camera to plot.
+        of: wavelengths and channels, see `mtf`.
+        ax: matplotlib axes for one wavelength or channel; None makes a new figure.
+        place: field point, see `mtf`.
+        light: illuminant, see `mtf`.
+        figure: matplotlib figure for several pictures next to each other; None makes a new one.
+
+    Returns:
+        The axes of one picture, the figure of several.
+
+    Raises:
+        BadData: if the camera has no lens (`optics.model = "none"`), or an argument has the wrong
+            type.
+        Missing: if matplotlib is not installed.
+        OutOfRange: if a wavelength or place is out of range.
+        UnknownName: if a channel or an illuminant is unknown.
     """
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
-    of, place = _asked(checked_camera(camera), of), _field(place)
+    of, place = _check_curves(checked_camera(camera), of), _field(place)
     if camera.optics.model == "none":
         raise BadData(
-            f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another'
+            f'psf: {camera.name} has optics.model = "none": no point spread to draw; use another model'
         )
     if several and ax is not None:
         raise BadData(
-            f"psf: {len(of)} pictures on one ax; wanted figure =, or of = one wavelength or channel"
+            f"psf: {len(of)} pictures on one ax; use figure =, or of = one wavelength or channel"
         )
     if not several:
         nodes, weights = _light_of(camera, of[0], light)
@@ -122,7 +165,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
             axes_of(ax, (4.8, 4.0)),
             f"{camera.name}: point spread, {_name(of[0])}, f/{camera.optics.f_number:g}",
         )
-        drawn.axes.figure.colorbar(drawn, ax=drawn.axes, label="irradiance over that of the peak")
+        drawn.axes.figure.colorbar(drawn, ax=drawn.axes, label="irradiance relative to the peak")
         return drawn.axes
     cols = min(len(of), 3)
     rows = -(-len(of) // cols)
@@ -137,7 +180,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
         drawn = _spread(camera, np.tensordot(weights, energy, 1), step, ax, _name(one))
     for ax in axes.flat[len(of) :]:
         ax.set_axis_off()
-    figure.colorbar(drawn, ax=axes, label="irradiance over that of the peak", shrink=0.8)
+    figure.colorbar(drawn, ax=axes, label="irradiance relative to the peak", shrink=0.8)
     figure.suptitle(
         f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}", fontsize="medium"
     )
@@ -145,6 +188,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
 
 
 def _spread(camera, energy, step, ax, title):
+    """Draw a point spread with the outline of the pixel's aperture."""
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Rectangle
 
@@ -170,10 +214,11 @@ def _spread(camera, energy, step, ax, title):
 
 
 def spread_of(camera: Camera, wavelengths, place, reach: float) -> tuple[np.ndarray, float]:
-    """Point spreads of the lens alone at wavelengths [nm], (L, rows, cols), and the distance of their samples [m].
+    """Return point spreads of the lens only, (L, rows, cols), and their sample distance [m].
 
-    Each sample is the energy of a square cell of that side, of 1 in all the image. reach: from the middle [m]; given
-    point spreads have their own.
+    wavelengths: [nm], shape (L,). reach: distance from the middle [m]; tabulated point spreads have
+    their own. Each sample is the energy of a square cell of the sample distance, 1 in all the
+    image.
     """
     optics = camera.optics
     if optics.psf is not None:
@@ -185,14 +230,14 @@ def spread_of(camera: Camera, wavelengths, place, reach: float) -> tuple[np.ndar
 
 
 def _reach(camera, wavelengths, place):
-    """How far from its middle a point spread is drawn [m]."""
+    """Return the distance from its middle up to which a point spread is drawn [m]."""
     optics, pitch = camera.optics, camera.sensor.pixel_pitch
     rays = pitch * spread_radius(optics, wavelengths, pitch, float(np.hypot(*place)))
     return max(RINGS * float(optics.airy_radius(max(wavelengths))), 0.75 * pitch, 1.5 * rays)
 
 
-def _asked(camera, of):
-    """Wavelengths and letters, checked."""
+def _check_curves(camera, of):
+    """Return wavelengths and letters of channels as a checked list."""
     channels = camera.sensor.channels
     if of is None:
         return [*WAVELENGTHS, *channels]
@@ -209,7 +254,7 @@ def _asked(camera, of):
 
 
 def _field(place):
-    """A field point, checked."""
+    """Return a checked field point (y, x)."""
     try:
         y, x = (float(one) for one in place)
     except (TypeError, ValueError):
@@ -222,7 +267,10 @@ def _field(place):
 
 
 def _light_of(camera, one, light):
-    """Wavelengths [nm] of a channel's light on the sensor, and their shares; of a wavelength, itself."""
+    """Return wavelengths of a channel's light on the sensor [nm] and their weights.
+
+    Of a wavelength, itself with weight 1.
+    """
     if not isinstance(one, str):
         return np.array([float(one)]), np.ones(1)
     sensor, spread = camera.sensor, camera.optics.psf
@@ -238,7 +286,7 @@ def _light_of(camera, one, light):
         np.inf if spread is None else spread.wavelengths[-1],
     )
     if not low < high:
-        raise BadData(f"channel {one}: sees nothing of the light {light.name} through the lens")
+        raise BadData(f"channel {one}: does not respond to the light {light.name} through the lens")
     nodes = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
     number = sensor.channels.index(one)
     curve = Spectrum(sensor.qe.wavelengths, sensor.qe.values[number])
@@ -247,16 +295,17 @@ def _light_of(camera, one, light):
         nodes, light, curve, *([through] if isinstance(through, Spectrum) else [])
     )
     if not weights.sum() > 0:
-        raise BadData(f"channel {one}: sees nothing of the light {light.name} through the lens")
+        raise BadData(f"channel {one}: does not respond to the light {light.name} through the lens")
     return nodes, weights / weights.sum()
 
 
 def _name(one):
+    """Return the name of a wavelength or channel in the plot."""
     return f"channel {one}" if isinstance(one, str) else f"{one:g} nm"
 
 
-def _most(camera, of, nyquist):
-    """Highest frequency drawn [cycle/mm]: the lens's cut-off where it has one, three times Nyquist at most."""
+def _highest_frequency(camera, of, nyquist):
+    """Return the highest frequency drawn [cycle/mm]: the lens's cut-off, at most 3 Nyquist."""
     optics = camera.optics
     if optics.model != "diffraction":
         return 3 * nyquist

@@ -1,4 +1,4 @@
-"""Pictures of light: a scene's radiance, spectra of its patches, and the irradiance behind a lens."""
+"""Pictures of light: radiance of a scene, spectra of patches, and irradiance behind a lens."""
 
 from dataclasses import replace
 from itertools import cycle
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from gpusim.backends import Device
 from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
@@ -32,13 +33,10 @@ from gpusim.optics.sampling import frame_start
 from gpusim.optics.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
-MODES = {
-    "zero": "grid-constant",
-    "edge": "nearest",
-    "reflect": "reflect",
-}  # of borders, as SciPy names them
+# SciPy's names of the border rules
+MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}
 UNSEEN = (0.4, 0.4, 0.4)
-BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
+BRIGHT = 99.5  # percentile of the luminance shown as white if the white is unknown
 QUANTITIES = {
     "radiance": "[W m⁻² sr⁻¹ nm⁻¹]",
     "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]",
@@ -46,10 +44,22 @@ QUANTITIES = {
 }
 
 
-def scene(scene: Scene, ax=None) -> Any:
-    """A scene's radiance as sRGB: a white diffuser in its light is white.
+def scene(scene: Scene, ax: Any = None) -> Any:
+    """Plot a scene's radiance in sRGB.
 
-    Where the light is not known the brightest 0.5 % of the pixels are white. Returns the axes. Raises BadData, Missing.
+    A white diffuser in the scene's light is white. If the light is unknown, the brightest 0.5 % of
+    the pixels are white.
+
+    Args:
+        scene: scene to plot.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or the light is invisible.
+        Missing: if matplotlib is not installed.
     """
     codes, white = radiance_codes(scene)
     rows, cols = scene.shape
@@ -61,11 +71,11 @@ def scene(scene: Scene, ax=None) -> Any:
 
 
 def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
-    """Codes 0 .. 1 (rows, cols, 3) in sRGB of a scene's radiance, and the luminance that is white [cd m-2].
+    """Return sRGB codes 0 .. 1 (rows, cols, 3) of a scene's radiance.
 
-    step: above 1 every so many samples are looked at, and no others.
+    Also returns the luminance of white [cd m-2]. step: above 1, only one of `step` samples is used.
     """
-    scene = _viewed(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene))
     weights, white = _eye(scene)
     if step > 1:
         window = slice(scene.margin, -scene.margin or None, step)
@@ -79,19 +89,32 @@ def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
     return srgb(xyz / bright), bright
 
 
-def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> Any:
-    """Mean spectra of a scene's patches against the wavelength, each in its own colour.
+def spectra(scene: Scene, at: Any = None, ax: Any = None, *, quantity: str = "radiance") -> Any:
+    """Plot mean spectra of a scene's patches, each in its own colour.
 
-    at: a pixel (column, row) or a region (left, top, right, bottom) of the frame, right and bottom not in it; a list of
-    them; None: all of the frame. quantity: "radiance" [W m-2 sr-1 nm-1], "photons" [photon s-1 m-2 sr-1 nm-1] or
-    "reflectance", where the light is known. Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
+    Args:
+        scene: scene to plot.
+        at: a pixel (column, row) or a region (left, top, right, bottom) of the frame, right and
+            bottom exclusive; a list of them; None is the whole frame.
+        ax: matplotlib axes; None makes a new figure.
+        quantity: "radiance" [W m-2 sr-1 nm-1], "photons" [photon s-1 m-2 sr-1 nm-1] or, if the
+            light is known, "reflectance".
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or reflectance needs a known light.
+        Missing: if matplotlib is not installed.
+        OutOfRange: if a place is outside the frame.
+        UnknownName: if the quantity is unknown.
     """
     if quantity not in QUANTITIES:
         raise UnknownName("quantity", str(quantity), QUANTITIES)
-    scene = _viewed(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene))
     if quantity == "reflectance" and not scene.light_is_known:
         raise BadData(
-            f"spectra: {scene.name} is radiance, whose light is not known; wanted another quantity than "
+            f"spectra: {scene.name} is radiance of an unknown light; wanted another quantity than "
             "reflectance"
         )
     found = [
@@ -115,9 +138,10 @@ def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> An
 
 
 def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
-    """Wavelengths [nm], mean values of a patch and its colour; see `spectra`. Raises BadData, OutOfRange.
+    """Return wavelengths [nm], mean values and the colour of a patch, see `spectra`.
 
-    Reflectances are a cubic spline between the scene's wavelengths, as everywhere, so that a lamp's lines are seen.
+    Reflectances are a cubic spline between the scene's wavelengths, as everywhere, which keeps a
+    lamp's lines visible. Raises BadData, OutOfRange.
     """
     window, every = _window(scene, place), np.eye(len(scene.wavelengths))
     content = sample_sums(scene, every, window).mean(axis=(1, 2))
@@ -139,7 +163,7 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
 
 
 def _color(scene, content):
-    """What one spectrum looks like, for its line; grey where nothing of it can be seen."""
+    """Return the line colour of a spectrum; grey if it is invisible."""
     try:
         weights, white = _eye(scene)
     except BadData:
@@ -149,19 +173,29 @@ def _color(scene, content):
 
 
 def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
-    """A scene beside the spectra of pixels that are clicked in it; a right click takes all away.
+    """Show a scene next to the spectra of the pixels that are clicked in it.
 
-    Returns the figure of matplotlib, which draws anew while its window, or a notebook's `%matplotlib widget`, is open.
-    Raises as `scene` and `spectra`.
+    A right click removes all spectra. The figure is updated while its window, or a notebook's
+    `%matplotlib widget`, is open.
+
+    Args:
+        scene: scene to show.
+        quantity: quantity of the spectra, see `spectra`.
+
+    Returns:
+        The matplotlib figure.
+
+    Raises:
+        GpusimError: as raised by `scene` and `spectra`.
     """
-    scene = _viewed(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene))
     figure, axes = panels(None, 1, 2, (11.0, 4.4))
     left, right = axes[0]
     draw_scene(scene, left)
     spectra(scene, None, right, quantity=quantity)
     places: list[tuple[int, int]] = []
 
-    def clicked(event):
+    def on_click(event):
         if event.inaxes is not left:
             return
         rows, cols = scene.shape
@@ -184,19 +218,35 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
             left.plot(col, row, "s", color=line.get_color(), markeredgecolor="w")
         figure.canvas.draw_idle()
 
-    figure.canvas.mpl_connect("button_press_event", clicked)
+    figure.canvas.mpl_connect("button_press_event", on_click)
     return figure
 
 
-draw_scene = scene  # under a name that an argument does not hide
+draw_scene = scene  # a name that no argument hides
 
 
-def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto") -> Any:
-    """The irradiance that a camera's lens makes of a scene, as sRGB: the image of a white diffuser is white.
+def optical_image(
+    camera: Camera, scene: Scene, ax: Any = None, *, device: Device | str = "auto"
+) -> Any:
+    """Plot the irradiance behind a camera's lens in sRGB.
 
-    A sensor that sees as the CIE 1931 observer takes the place of the camera's own, on the same pixels, so that blur
-    of all kinds and fall-off are in it, and nothing of the sensor but its pitch and aperture. device: see
-    `gpusim.Simulator`. Returns the axes. Raises BadData, Missing, and as `Simulator`.
+    The image of a white diffuser is white. The camera's sensor is replaced by one with the colour
+    matching functions of the CIE 1931 observer on the same pixels: the image has all blur and
+    fall-off, and of the sensor only pitch and aperture.
+
+    Args:
+        camera: camera with the lens.
+        scene: scene to image.
+        ax: matplotlib axes; None makes a new figure.
+        device: see `gpusim.Simulator`.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type.
+        Missing: if matplotlib is not installed.
+        GpusimError: as raised by `Simulator`.
     """
     codes, lux = irradiance_codes(camera, scene, device)
     rows, cols = codes.shape[:2]
@@ -208,15 +258,20 @@ def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto") -> An
     )
 
 
-def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.ndarray, float]:
-    """Codes 0 .. 1 (rows, cols, 3) in sRGB of the irradiance behind a lens, and the illuminance that is white [lx]."""
+def irradiance_codes(
+    camera: Camera, scene: Scene, device: Device | str = "auto"
+) -> tuple[np.ndarray, float]:
+    """Return sRGB codes 0 .. 1 (rows, cols, 3) of the irradiance behind a lens.
+
+    Also returns the illuminance of white [lx].
+    """
     from gpusim.pipeline.simulator import Simulator
 
     camera, scene = checked_camera(camera), checked_scene(scene)
     eye = energy_from_photons(cmf())
     peak = float(eye.values.max())
     edge = np.array([[0.0]] * 3)
-    seen = Spectrum(
+    observer = Spectrum(
         np.concatenate(
             [
                 [SHORTEST],
@@ -232,7 +287,7 @@ def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.nd
     own = camera.sensor
     sensor = replace(
         own,
-        qe=seen,
+        qe=observer,
         channels=tuple("XYZ"),
         cfa=("XYZ",),
         stacked=True,
@@ -269,7 +324,10 @@ def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.nd
 
 
 def _eye(scene):
-    """Weights of a scene's wavelengths for XYZ [cd m-2], and the white of its light over its luminance, or None."""
+    """Return weights of a scene's wavelengths for XYZ [cd m-2], and the white of its light.
+
+    The white has luminance 1; it is None if the light is unknown.
+    """
     weights = LUMINOUS_EFFICACY * product_weights(
         scene.wavelengths, energy_from_photons(cmf()), scene.illuminant
     )
@@ -277,12 +335,12 @@ def _eye(scene):
         return weights, None
     white = weights.sum(1)
     if not white[1] > 0:
-        raise BadData(f"{scene.name}: its light cannot be seen; wanted some within 360 .. 830 nm")
+        raise BadData(f"{scene.name}: its light is invisible; wanted light within 360 .. 830 nm")
     return weights, white / white[1]
 
 
 def _places(scene, at):
-    """Patches that were asked for, and what they are called."""
+    """Return the patches and their names."""
     if at is None:
         return [(0, 0, *scene.shape[::-1])], ["all of the frame"]
     places = (
@@ -297,7 +355,7 @@ def _places(scene, at):
 
 
 def _window(scene, place):
-    """Samples of a pixel or a region of the frame, as slices of the content's rows and columns."""
+    """Return the samples of a pixel or region as slices of the content's rows and columns."""
     try:
         numbers = [index(one) for one in place]
     except TypeError:
@@ -305,7 +363,7 @@ def _window(scene, place):
     if len(numbers) not in (2, 4):
         raise BadData(
             f"at = {shown(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
-            "list of such"
+            "list of them"
         )
     left, top = numbers[:2]
     right, bottom = numbers[2:] or (left + 1, top + 1)
@@ -328,8 +386,8 @@ def _window(scene, place):
     return tuple(window)
 
 
-def _viewed(scene) -> Scene:
-    """The scene that a view shows, between its samples a spline of the fifth order; itself where it is plain.
+def _apply_view(scene) -> Scene:
+    """Return the scene as seen in its view, resampled by splines of fifth order.
 
     Source: Thevenaz, Blu and Unser, Interpolation revisited, IEEE Trans. Med. Imaging 19 (2000).
     """

@@ -1,4 +1,4 @@
-"""What a window and a notebook show of frames, scenes, cameras and reports: plots, PNG and HTML."""
+"""Displays of frames, scenes, cameras and reports in windows and notebooks: plots, PNG, HTML."""
 
 import io
 from html import escape
@@ -17,21 +17,24 @@ from gpusim.plot.light import inspect, radiance_codes
 from gpusim.plot.pictures import picture
 
 PLOTS = {Frame: picture, Scene: inspect, Camera: camera_plot, Report: plan}
-LEAST, MOST = 256, 1024  # pixels along the longer side of a notebook's picture
+LEAST, MOST = 256, 1024  # [pixel] longer side of a notebook's picture
 
 
 def show(what):
-    """The plot of a frame, scene, camera or report in a window; returns the figure. Raises BadData, Missing."""
-    pyplot = window(f"{type(what).__name__}.show()", "gs.plot, whose figures have savefig")
+    """Show the plot of a frame, scene, camera or report in a window; return the figure.
+
+    Raises BadData, Missing.
+    """
+    pyplot = window(f"{type(what).__name__}.show()", "gs.plot and savefig of its figures")
     drawn = next(plot for kind, plot in PLOTS.items() if isinstance(what, kind))(what)
     pyplot.show()
     return getattr(drawn, "figure", None) or drawn
 
 
 def png(what) -> bytes | None:
-    """A frame's picture or a scene's radiance as PNG, of some of the pixels where they are many.
+    """Return a frame's picture or a scene's radiance as PNG, subsampled if it is large.
 
-    None where it has none, which notebooks take for that: a scene whose light cannot be seen.
+    Returns None, which notebooks accept, for a scene whose light is invisible.
     """
     from PIL import Image
 
@@ -60,7 +63,7 @@ def _radiance(scene, step):
 
 
 def html(what) -> str:
-    """A camera's or a report's table."""
+    """Return the table of a camera or report as HTML."""
     return _camera(what) if isinstance(what, Camera) else _report(what)
 
 
@@ -136,7 +139,7 @@ def _report(report):
 
 
 def _table(title, rows):
-    """A table with its title, the first column its rows' names."""
+    """Return an HTML table with its title; the first column has the names of the rows."""
     body = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         + "".join(f"<td style='text-align:left'>{escape(cell)}</td>" for cell in cells)

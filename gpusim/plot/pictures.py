@@ -1,10 +1,11 @@
-"""What a camera's pictures are worth: the pictures, their response to an edge, and their colours."""
+"""Quality of a camera's pictures: the pictures, their edge response and their colours."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.data.charts import chart
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
@@ -12,7 +13,7 @@ from gpusim.domain.scene import Scene
 from gpusim.measure.checker import checker_of
 from gpusim.measure.difference import ciede2000
 from gpusim.measure.sfr import EdgeResponse, mtf50
-from gpusim.measure.sfr import sfr as measured
+from gpusim.measure.sfr import sfr as measure_sfr
 from gpusim.plot.canvas import (
     BAR,
     QUIET,
@@ -22,26 +23,47 @@ from gpusim.plot.canvas import (
     error_map,
     finish,
     image,
+    is_frame,
     panels,
     picture_size,
+    require_frame,
     srgb,
-    widened,
+    widen_limit,
 )
 
-EDGE = (320, 240)  # pixels of the slanted edge that a camera is shown
-FRAMES = 16  # of it whose mean is measured
-HIGH = 99.5  # percentile of a map of errors that has its brightest colour
-FINE = 2  # samples of it along a pixel, so that the chart's own blur is small
+EDGE = (320, 240)  # pixels of the slanted edge for a camera
+FRAMES = 16  # frames of it whose mean is measured
+HIGH = 99.5  # percentile of the error at the brightest colour
+FINE = 2  # samples of it along a pixel, which keeps the chart's own blur small
 
 
-def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
-    """Spatial frequency response by a slanted edge (ISO 12233), MTF50 of each channel marked.
+def sfr(
+    what: Any,
+    ax: Any = None,
+    *,
+    seed: int = 0,
+    device: Device | str = "auto",
+    label: str = "",
+) -> Any:
+    """Plot the spatial frequency response of a slanted edge (ISO 12233) with each channel's MTF50.
 
-    what: a Camera, which is shown the chart "slanted-edge", exposed automatically, and of 16 frames of it the mean is
-    measured; a frame of one such edge; or an EdgeResponse of `gpusim.measure.sfr`. Frequencies of a camera are in
-    cycle/mm, unless its pixels are binned to oblongs; a frame does not tell how it was binned: its own are in
-    cycle/pixel. seed, device: by which a camera takes them. label: what the legend names it by, where several are
-    drawn on one `ax`. Returns the axes. Raises BadData, Missing.
+    Frequencies of a camera are in cycle/mm, unless its pixels are binned to rectangles. Frequencies
+    of a frame are in cycle/pixel, because a frame does not report its binning.
+
+    Args:
+        what: a Camera, measured with the mean of 16 automatically exposed frames of the chart
+            "slanted-edge"; a frame of one such edge; or an EdgeResponse of `gpusim.measure.sfr`.
+        ax: matplotlib axes; None makes a new figure.
+        seed: seed of a camera's frames.
+        device: device for a camera's frames, see `gpusim.Simulator`.
+        label: name in the legend, for several curves on one `ax`.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or the edge cannot be measured.
+        Missing: if matplotlib is not installed.
     """
     found, letters, camera, pitch = _response(what, seed, device)
     ax, responses = axes_of(ax), np.atleast_2d(found.response)
@@ -49,7 +71,7 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
         (found.frequencies, "cycle/pixel") if found.per_mm is None else (found.per_mm, "cycle/mm")
     )
     colors = channel_colors(letters)
-    right, top = widened(ax, frequencies[-1]), ax.get_ylim()[1] if ax.get_lines() else 1.05
+    right, top = widen_limit(ax, frequencies[-1]), ax.get_ylim()[1] if ax.get_lines() else 1.05
     for letter, response, half in zip(letters, responses, np.atleast_1d(mtf50(found)), strict=True):
         name = f"{label} {letter}".strip()
         curve(
@@ -75,9 +97,21 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
     )
 
 
-def picture(frame, ax=None) -> Any:
-    """A frame's picture, its display codes. Returns the axes. Raises BadData, Missing."""
-    _require_frame(frame, "picture")
+def picture(frame: Any, ax: Any = None) -> Any:
+    """Plot a frame's picture, its display codes.
+
+    Args:
+        frame: frame to plot.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type.
+        Missing: if matplotlib is not installed.
+    """
+    require_frame(frame, "picture")
     codes = frame.rgb
     rows, cols = codes.shape[:2]
     return image(
@@ -87,12 +121,24 @@ def picture(frame, ax=None) -> Any:
     )
 
 
-def delta_e(frame, reference, ax=None) -> Any:
-    """CIEDE2000 of every pixel of a frame against a reference, most often the Scene it is of: see `measure.ciede2000`.
+def delta_e(frame: Any, reference: Any, ax: Any = None) -> Any:
+    """Plot the CIEDE2000 of every pixel of a frame against a reference.
 
-    Returns the axes. Raises BadData, Missing.
+    See `measure.ciede2000`.
+
+    Args:
+        frame: frame to plot.
+        reference: usually the frame's Scene; see `measure.ciede2000`.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type or shape.
+        Missing: if matplotlib is not installed.
     """
-    _require_frame(frame, "delta_e")
+    require_frame(frame, "delta_e")
     found = ciede2000(frame, reference)
     title = (
         f"{frame.camera.name}: colour error, mean {found.mean():.2f}, 95 % below "
@@ -109,13 +155,26 @@ def delta_e(frame, reference, ax=None) -> Any:
     )
 
 
-def color_checker(frame, scene, ax=None) -> Any:
-    """CIEDE2000 of the 24 patches of the chart "colorchecker", a bar of the patch's own colour each.
+def color_checker(frame: Any, scene: Scene, ax: Any = None) -> Any:
+    """Plot the CIEDE2000 of the 24 patches of the chart "colorchecker".
 
-    frame: of `scene`, the chart. Means of the patches are compared: noise is no part of it, but for its bias. Returns
-    the axes. Raises BadData, Missing.
+    Each bar has the colour of its patch. Means of the patches are compared: noise contributes only
+    through its bias.
+
+    Args:
+        frame: frame of `scene`.
+        scene: the chart.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if the frame and scene are not of the chart in a known light, or the frame is
+            binned.
+        Missing: if matplotlib is not installed.
     """
-    _require_frame(frame, "color_checker")
+    require_frame(frame, "color_checker")
     checker = checker_of(scene) if isinstance(scene, Scene) else None
     if checker is None or frame.linear.shape[:2] != scene.shape:
         raise BadData(
@@ -151,12 +210,22 @@ def color_checker(frame, scene, ax=None) -> Any:
     return ax
 
 
-def colors(frame, scene, figure=None) -> Any:
-    """A frame's colour errors: `delta_e` against its scene and, of a ColorChecker, `color_checker` beside it.
+def colors(frame: Any, scene: Scene, figure: Any = None) -> Any:
+    """Plot a frame's colour errors: `delta_e` and, for a ColorChecker, `color_checker`.
 
-    Returns the figure of matplotlib. Raises BadData, Missing.
+    Args:
+        frame: frame of `scene`.
+        scene: the frame's scene.
+        figure: matplotlib figure; None makes a new one.
+
+    Returns:
+        The figure.
+
+    Raises:
+        BadData: if an argument has the wrong type or shape.
+        Missing: if matplotlib is not installed.
     """
-    _require_frame(frame, "colors")
+    require_frame(frame, "colors")
     has_patches = (
         isinstance(scene, Scene)
         and checker_of(scene) is not None
@@ -170,7 +239,7 @@ def colors(frame, scene, figure=None) -> Any:
 
 
 def _response(what, seed, device):
-    """Edge response, letters of its planes, a name and the pixels' pitch [m]."""
+    """Return the edge response, letters of its planes, a name and the pixel pitch [m]."""
     if isinstance(what, EdgeResponse):
         letters = (
             "RGB"
@@ -188,7 +257,7 @@ def _response(what, seed, device):
         camera = replace(what, sensor=replace(what.sensor, exposure_time=None))
         edge = chart("slanted-edge", size=EDGE, samples_per_pixel=FINE)
         frames = list(Simulator(camera, device=device).frames(edge, FRAMES, seed=seed))
-    elif _is_frame(what):
+    elif is_frame(what):
         frames = [what]
     else:
         raise BadData(
@@ -197,13 +266,4 @@ def _response(what, seed, device):
     sensor = frames[0].camera.sensor
     linear = np.mean([frame.linear for frame in frames], axis=0)
     linear, letters = (linear[..., 0], sensor.channels) if sensor.is_monochrome else (linear, "RGB")
-    return measured(linear, pitch=pitch), letters, frames[0].camera.name, pitch
-
-
-def _is_frame(what):
-    return hasattr(what, "linear") and hasattr(what, "camera")
-
-
-def _require_frame(frame, name):
-    if not _is_frame(frame):
-        raise BadData(f"{name}: {type(frame).__name__}, wanted a frame")
+    return measure_sfr(linear, pitch=pitch), letters, frames[0].camera.name, pitch

@@ -1,4 +1,4 @@
-"""What a sensor makes of light: its raw mosaic, its noise, and its signal over its noise."""
+"""Plots of a sensor: raw mosaic, noise, signal-to-noise ratio and photon transfer."""
 
 from dataclasses import replace
 from numbers import Real
@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
-from gpusim.measure.mosaic import colored
+from gpusim.domain.spectrum import Spectrum
+from gpusim.measure.mosaic import colored, tile
 from gpusim.measure.photon_transfer import PhotonTransfer
-from gpusim.measure.photon_transfer import photon_transfer as measured
+from gpusim.measure.photon_transfer import photon_transfer as measure_photon_transfer
 from gpusim.measure.snr import snr_curve
 from gpusim.pipeline.readout import Readout
 from gpusim.plot.canvas import (
@@ -25,23 +27,35 @@ from gpusim.plot.canvas import (
     image,
     legend_once,
     picture_size,
+    require_frame,
 )
 
-RAW_GAMMA = 2.2  # of the mosaic's picture
-SPREAD, CUT = (
-    5.0,
-    4.0,
-)  # sigmas of a histogram, and from black or saturation within which noise is cut off
-FLAT = (96, 96)  # pixels of the frames of which a photon transfer curve is measured
-LOWEST = -10.0  # SNR that is drawn [dB]
+RAW_GAMMA = 2.2  # gamma of the mosaic's picture
+# range of the histogram, and distance from black or saturation with clipped noise [sigma]
+SPREAD, CUT = 5.0, 4.0
+FLAT = (96, 96)  # pixels of the frames for a photon transfer curve
+LOWEST = -10.0  # lowest SNR drawn [dB]
 
 
-def raw(frame, ax=None, *, gamma: float = RAW_GAMMA) -> Any:
-    """A frame's raw mosaic, each pixel in its filter's colour: black at the black level, full at the white level.
+def raw(frame: Any, ax: Any = None, *, gamma: float = RAW_GAMMA) -> Any:
+    """Plot a frame's raw mosaic, each pixel in its filter's colour.
 
-    gamma: (signal / white)^(1 / gamma) is shown. Returns the axes. Raises BadData, Missing, OutOfRange.
+    The black level is black, the white level has full colour.
+
+    Args:
+        frame: frame to plot.
+        ax: matplotlib axes; None makes a new figure.
+        gamma: (signal / white)^(1 / gamma) is shown.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type.
+        Missing: if matplotlib is not installed.
+        OutOfRange: if gamma is not positive and finite.
     """
-    _require_frame(frame, "raw")
+    require_frame(frame, "raw")
     if not (isinstance(gamma, Real) and 0 < gamma < np.inf):
         raise OutOfRange("gamma", gamma, "0 < gamma < inf")
     sensor = frame.camera.sensor
@@ -56,7 +70,7 @@ def raw(frame, ax=None, *, gamma: float = RAW_GAMMA) -> Any:
 
 
 def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
-    """uint8 (rows, cols, 3) of raw values (rows, cols), or of stacked pixels (C, rows, cols) [DN]."""
+    """Return uint8 (rows, cols, 3) of raw values [DN], (rows, cols) or stacked (C, rows, cols)."""
     black, white = sensor.dark_level, sensor.white_level
     values = np.clip(
         (np.asarray(raw, np.float32) - np.float32(black)) / np.float32(white - black), 0, 1
@@ -65,13 +79,34 @@ def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
 
 
 def snr(
-    camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False, label: str = ""
+    camera: Camera | Sensor,
+    ax: Any = None,
+    *,
+    light: str | Spectrum = "D65",
+    seconds: float = 0.0,
+    temporal: bool = False,
+    label: str = "",
 ) -> Any:
-    """Signal to noise ratio of each channel against the exposure of the sensor, up to saturation.
+    """Plot the signal-to-noise ratio of each channel against exposure, up to saturation.
 
-    camera: a Camera or a Sensor. light, seconds, temporal: see `gpusim.measure.snr_curve`. The grey line has the
-    photons' noise alone, of the channel that sees most light. label: what the legend names it by, where several are
-    drawn on one `ax`. Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
+    The grey line is the limit by photon noise only, for the channel with the highest response.
+
+    Args:
+        camera: a Camera or a Sensor.
+        ax: matplotlib axes; None makes a new figure.
+        light: light, see `gpusim.measure.snr_curve`.
+        seconds: time of the dark current, see `gpusim.measure.snr_curve` [s].
+        temporal: leave out fixed patterns, see `gpusim.measure.snr_curve`.
+        label: name in the legend, for several sensors on one `ax`.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or the sensor has no noise.
+        Missing: if matplotlib is not installed.
+        OutOfRange: if `seconds` is negative or not finite.
+        UnknownName: if the illuminant is unknown.
     """
     if not isinstance(camera, (Camera, Sensor)):
         raise BadData(f"snr: {type(camera).__name__}, wanted a Camera or a Sensor")
@@ -79,15 +114,13 @@ def snr(
     found = snr_curve(sensor, light, seconds=seconds, temporal=temporal)
     if np.isposinf(found.snr).any():
         raise BadData(
-            "snr: the sensor has no noise, so its ratio is infinite; wanted some, if only of photons"
+            "snr: the sensor has no noise, so its ratio is infinite; set a noise, at least photon noise"
         )
     ax = axes_of(ax)
-    left, lowest = (
-        ax.get_xlim()[0] if ax.get_lines() else np.inf,
-        max(LOWEST, float(found.snr.min())),
-    )
+    left = ax.get_xlim()[0] if ax.get_lines() else np.inf
+    lowest = max(LOWEST, float(found.snr.min()))
     most = int(found.saturation.argmin())
-    seen = found.exposure <= found.saturation[most]
+    below_saturation = found.exposure <= found.saturation[most]
     for (letter, color), values, full in zip(
         channel_colors(sensor.channels).items(), found.snr, found.saturation, strict=True
     ):
@@ -96,19 +129,19 @@ def snr(
         curve(ax, found.exposure, below, color, f"{label} channel {letter}{best}".strip())
         if np.isfinite(full):
             ax.plot([full], values[found.exposure == full], "o", color=color, markersize=4)
-    alone = f"{label} photons alone, channel {sensor.channels[most]}".strip()
+    limit = f"{label} photon noise only, channel {sensor.channels[most]}".strip()
     ax.plot(
-        found.exposure[seen],
-        10 * np.log10(found.electrons[most, seen]),
+        found.exposure[below_saturation],
+        10 * np.log10(found.electrons[most, below_saturation]),
         color=QUIET,
         linestyle="--",
         zorder=0.5,
-        label=legend_once(ax, alone),
+        label=legend_once(ax, limit),
     )
     ax.set_xscale("log")
     ax.set_ylim(bottom=lowest)
     ax.set_xlim(left=min(left, found.exposure[found.snr.max(axis=0) >= lowest][0]))
-    named = light if isinstance(light, str) else light.name or "the light given"
+    named = light if isinstance(light, str) else light.name or "the given light"
     name = camera.name if isinstance(camera, Camera) else ""
     return finish(
         ax,
@@ -119,12 +152,23 @@ def snr(
     )
 
 
-def noise(frame, ax=None) -> Any:
-    """Histogram of a frame's noise: raw values less those expected without noise, over the sigma that is expected.
+def noise(frame: Any, ax: Any = None) -> Any:
+    """Plot a histogram of a frame's noise relative to the expected standard deviation.
 
-    Of all that makes a raw value other than its mean, fixed patterns included, each channel by itself; pixels near
-    black or saturation, whose noise is cut off, are left out. The dashed line is the normal distribution.
-    Returns the axes. Raises BadData, Missing.
+    It shows raw values less the expected ones without noise, over the expected sigma of all noise
+    including fixed patterns, for each channel. Pixels near black or saturation, whose noise is
+    clipped, are left out. The dashed line is the normal distribution.
+
+    Args:
+        frame: frame of one exposure.
+        ax: matplotlib axes; None makes a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or no pixel can be used.
+        Missing: if matplotlib is not installed.
     """
     deviations = noise_of(frame)
     ax, edges = axes_of(ax), np.linspace(-SPREAD, SPREAD, 41)
@@ -159,11 +203,14 @@ def noise(frame, ax=None) -> Any:
 
 
 def noise_of(frame) -> dict[str, np.ndarray]:
-    """Raw values less the expected ones over the expected sigma, of each channel's pixels that are not cut off [1]."""
-    _require_frame(frame, "noise")
+    """Return deviations of the raw values over the expected sigma by channel [1].
+
+    Pixels whose noise is clipped are left out.
+    """
+    require_frame(frame, "noise")
     if frame.averaged is None:
         raise BadData(
-            "noise: a picture of several exposures, whose noise is of no one gain; wanted a frame of one"
+            "noise: a picture merged from several exposures has no single gain; wanted a frame of one exposure"
         )
     sensor = frame.camera.sensor
     own, gain = sensor.noise, sensor.gain_dn_per_electron
@@ -181,7 +228,7 @@ def noise_of(frame) -> dict[str, np.ndarray]:
     inside &= np.isfinite(found)
     if not inside.any():
         raise BadData(
-            "noise: all pixels are near black or saturation, where noise is cut off, or have no noise; "
+            "noise: all pixels are near black or saturation, where noise is clipped, or have no noise; "
             "wanted another exposure"
         )
     if found.ndim == 3:
@@ -189,32 +236,45 @@ def noise_of(frame) -> dict[str, np.ndarray]:
             letter: one[use]
             for letter, one, use in zip(sensor.channels, found, inside, strict=True)
         }
-    (rows, cols), cfa = found.shape, sensor.cfa_indices
-    tiled = np.tile(cfa, (-(-rows // cfa.shape[0]), -(-cols // cfa.shape[1])))[:rows, :cols]
+    tiled = tile(sensor.cfa_indices, found.shape)
     return {
         letter: found[inside & (tiled == number)] for number, letter in enumerate(sensor.channels)
     }
 
 
-def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
-    """Photon transfer curve: temporal noise against signal, both in digital numbers, with what is read from it.
+def photon_transfer(
+    what: Any, ax: Any = None, *, seed: int = 0, device: Device | str = "auto"
+) -> Any:
+    """Plot the photon transfer curve: temporal noise against signal, with fitted figures.
 
-    what: a PhotonTransfer of `gs.photon_transfer`; or a Camera or a Sensor, which is then measured by simulated frames
-    of even light, from 1e-4 of saturation to beyond it. seed, device: of these. Returns the axes. Raises BadData,
-    Missing.
+    Both are in digital numbers.
+
+    Args:
+        what: a PhotonTransfer of `gs.photon_transfer`; or a Camera or a Sensor, measured by
+            simulated frames of even light from 1e-4 of saturation to above it.
+        ax: matplotlib axes; None makes a new figure.
+        seed: seed of the simulated frames.
+        device: device for the simulated frames, see `gpusim.Simulator`.
+
+    Returns:
+        The axes.
+
+    Raises:
+        BadData: if an argument has the wrong type, or the sensor cannot be measured.
+        Missing: if matplotlib is not installed.
     """
     name = what.name if isinstance(what, Camera) else ""
     if isinstance(what, (Camera, Sensor)):
-        what = measured_transfer(what.sensor if isinstance(what, Camera) else what, seed, device)
+        what = measure_transfer(what.sensor if isinstance(what, Camera) else what, seed, device)
     if not isinstance(what, PhotonTransfer):
         raise BadData(
             f"photon_transfer: {type(what).__name__}, wanted a PhotonTransfer, a Camera or a Sensor"
         )
     ax, floor = axes_of(ax), what.dark_noise_dn
     signal, total = what.signal, np.sqrt(np.maximum(what.variance, 0) + floor**2)
-    seen = signal > 0
-    ax.plot(signal[seen], total[seen], "o", color="0.2", markersize=4, label="frames")
-    line = np.geomspace(signal[seen].min(), signal[what.saturation_level], 100)
+    lit = signal > 0
+    ax.plot(signal[lit], total[lit], "o", color="0.2", markersize=4, label="frames")
+    line = np.geomspace(signal[lit].min(), signal[what.saturation_level], 100)
     ax.plot(
         line,
         np.sqrt(what.gain * line),
@@ -236,7 +296,7 @@ def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     )
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.set_ylim(bottom=0.5 * min(floor, total[seen].min()))
+    ax.set_ylim(bottom=0.5 * min(floor, total[lit].min()))
     return finish(
         ax,
         name,
@@ -246,10 +306,12 @@ def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     )
 
 
-def measured_transfer(sensor: Sensor, seed: int = 0, device="auto") -> PhotonTransfer:
-    """Photon transfer of a sensor by simulated frames of even light at the wavelength that it sees best, unbinned.
+def measure_transfer(
+    sensor: Sensor, seed: int = 0, device: Device | str = "auto"
+) -> PhotonTransfer:
+    """Measure the photon transfer of an unbinned sensor by simulated frames of even light.
 
-    Raises BadData.
+    The light has the wavelength of highest quantum efficiency. Raises BadData.
     """
     sensor = replace(sensor, binning=(1, 1), stacked=False)
     readout = Readout(sensor, device)
@@ -266,9 +328,6 @@ def measured_transfer(sensor: Sensor, seed: int = 0, device="auto") -> PhotonTra
         frames(np.float32(part * sensor.saturation), 1 + number)
         for number, part in enumerate(parts)
     )
-    return measured(levels, frames(np.float32(0), 0), parts * sensor.saturation / efficiency)
-
-
-def _require_frame(frame, name):
-    if not hasattr(frame, "raw") or not hasattr(frame, "camera"):
-        raise BadData(f"{name}: {type(frame).__name__}, wanted a frame")
+    return measure_photon_transfer(
+        levels, frames(np.float32(0), 0), parts * sensor.saturation / efficiency
+    )

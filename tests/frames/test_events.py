@@ -237,11 +237,11 @@ def test_dim_light_is_followed_slowly():
         front = Photoreceptor(sensor, np.random.default_rng(0))
         light = np.full(1, np.log(first * 1e12))
         front.begin(light)
-        for _ in front.seen(light + 0.01, 1e-9):
+        for _ in front.advance(light + 0.01, 1e-9):
             pass
         seen = [
             (part * 0.3, float(output[0] - light[0]) / 0.01)
-            for part, output in front.seen(light + 0.01, 0.3)
+            for part, output in front.advance(light + 0.01, 0.3)
         ]
         time, response = np.array(seen).T
         slow, fast = np.exp(-first * time), np.exp(-follower * time)
@@ -326,7 +326,7 @@ def test_bad_times_and_rates():
     for times, rates, words in (
         ([0.0], [flat], "two or more"),
         ([0.0, 0.0], [flat] * 2, "rising"),
-        ([0.0, 1.0, 2.0], [flat, flat], "2, wanted one for each of 3"),
+        ([0.0, 1.0, 2.0], [flat, flat], "2 for 3 instants"),
         ([0.0, 1.0], [flat, -flat], "finite light"),
         ([0.0, 1.0], [flat, flat.T], "as before"),
     ):

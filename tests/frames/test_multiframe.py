@@ -762,7 +762,7 @@ def test_bad_input_is_refused():
         for wrong, text in (
             (frames[:1], "1 frame"),
             ([], "0 frame"),
-            ([frames[0], small], "all like frame 0"),
+            ([frames[0], small], "of the shape of frame 0"),
         ):
             with pytest.raises(BadData, match=text):
                 together(simulate, wrong)
@@ -814,7 +814,7 @@ def test_bad_input_is_refused():
     with pytest.raises(BadData, match="NaN"):
         broken = dataclasses.replace(frames[1], linear=np.full((3, 40, 40), np.nan, np.float32))
         merge_flash(simulate, frames[0], broken)
-    with pytest.raises(BadData, match="all like frame 0"):
+    with pytest.raises(BadData, match="of the shape of frame 0"):
         merge_flash(simulate, frames[0], small)
     for wrong in (
         {"radius": 0},

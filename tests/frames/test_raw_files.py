@@ -314,6 +314,6 @@ def test_filters_that_give_other_planes(tmp_path):
     processor = replace(camera.processor)
     object.__setattr__(processor, "table", Table)
     with pytest.raises(
-        OutOfRange, match=r"processor\.table with a \.dng output = filters that give X, Y, Z"
+        OutOfRange, match=r"processor\.table with a \.dng output = filters with the outputs X, Y, Z"
     ):
         replace(frame, camera=replace(camera, processor=processor)).save(tmp_path / "a.dng")

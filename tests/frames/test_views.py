@@ -268,9 +268,9 @@ def test_views_that_cannot_be_are_refused(planes, tmp_path):
     with pytest.raises(BadData, match="wanted a View"):
         scene_of(planes).viewed((1, 0))
     moved = scene_of(planes, view=gs.View((0.5, 0)))
-    with pytest.raises(BadFile, match="a view of"):
+    with pytest.raises(BadFile, match="has a view"):
         write_npz(tmp_path / "a.npz", moved)
-    with pytest.raises(BadData, match="a view of"):
+    with pytest.raises(BadData, match="has a view"):
         ideal(moved)
     for wrong in ({"shake": -1}, {"zooming": 0}, {"zoom": 0.5}):
         with pytest.raises(OutOfRange):

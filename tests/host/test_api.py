@@ -159,8 +159,8 @@ def test_an_empty_file_is_the_phone(tmp_path):
     [
         ("base = 3", "base = 3: wanted a camera's name or file"),
         ('base = "nope"', "base = 'nope': no such camera or file; cameras are figure8, "),
-        ('base = "a.toml"', "base = 'a.toml': is based on this file itself"),
-        ('base = "b.toml"', "base = 'a.toml': is based on this file itself"),
+        ('base = "a.toml"', "base = 'a.toml': the bases form a loop"),
+        ('base = "b.toml"', "base = 'a.toml': the bases form a loop"),
         ('base = "phone"\noptics = 3', "optics = 3: wanted a section"),
         ('base = "phone"\n[optics]\nf_numbr = 3', "unknown key 'f_numbr' in .optics."),
     ],
@@ -331,9 +331,9 @@ def test_pictures_are_those_of_files(tmp_path):
     "given, options, words",
     [
         ((VALUES, NODES[:-1]), {}, r"array of shape \(5, 6, 7\) for 4 wavelengths, wanted"),
-        ((np.ones((5, 6, 5)), NODES), {}, "both ends have 5 samples; say axis = 0 or axis = -1"),
+        ((np.ones((5, 6, 5)), NODES), {}, "both ends have 5 samples; give axis = 0 or axis = -1"),
         ((VALUES, NODES), {"axis": 1}, "axis = 1 of shape"),
-        ((VALUES, NODES), {"linear": True}, "linear = True of a cube"),
+        ((VALUES, NODES), {"linear": True}, "linear = True is for pictures only"),
         ((VALUES, NODES), {"unit": "lumen"}, "unknown unit 'lumen'"),
         ((-VALUES, NODES), {}, "negative samples"),
         ((VALUES,), {}, r"wanted \(rows, cols, 3\)"),
@@ -518,7 +518,7 @@ def test_a_users_script_passes_a_strict_type_checker(tmp_path):
     assert not faults, f"{len(faults)} faults:\n" + "\n".join(faults)
     assert "user.py" not in checked and "Found 1 error in 1 file" in checked, checked
     for type_ in (
-        "def (name_or_path: Any) -> gpusim.domain.camera.Camera",
+        "def (name_or_path: str | os.PathLike[Any]) -> gpusim.domain.camera.Camera",
         '"gpusim.pipeline.frame.Frame"',
         'Iterator[gpusim.pipeline.frame.Frame]"',
         'list[gpusim.pipeline.frame.Frame]"',

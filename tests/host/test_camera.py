@@ -1027,7 +1027,7 @@ def test_efficiency_from_csv(tmp_path):
         (
             '"mt9v024"',
             "{wavelengths_nm = [400, 700], R = [0.1], G = [0.1, 0.2], B = [0.1, 0.2]}",
-            "equally many numbers",
+            "numbers with equal lengths",
         ),
         (
             '"mt9v024"',

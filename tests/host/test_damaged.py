@@ -162,5 +162,5 @@ def test_damaged_scans_of_jpegs_are_noted(tmp_path):
 
 @pytest.mark.parametrize("value", [np.zeros((3, 4, 5)), None, 3, [1, 2]])
 def test_what_is_no_name_of_a_scene(value):
-    with refused("wanted a chart's name or a file; gpusim.scene_from makes", error=BadData):
+    with refused("wanted a chart's name or a file; use gpusim.scene_from", error=BadData):
         gs.open_scene(value)

@@ -182,7 +182,7 @@ def test_the_header_of_data_is_said(tmp_path):
     (tmp_path / "b").write_bytes(b"")
     (tmp_path / "b.hdr").write_bytes(b"")
     for name in ("a.raw", "b"):
-        with refused(name, f"open its header, {name[0]}.hdr", error=BadFile):
+        with refused(name, f"open its header {name[0]}.hdr", error=BadFile):
             gs.open_scene(tmp_path / name)
 
 
@@ -231,7 +231,7 @@ def test_bands_out_of_order_and_bad_ones(tmp_path):
     scene = gs.open_scene(path)
     np.testing.assert_array_equal(scene.wavelengths, [400, 500, 700])
     np.testing.assert_array_equal(scene.content.values, CUBE[[3, 1, 0]] / 100)
-    assert scene.notes == ("bands left out that bbl calls bad: 1 of 4",)
+    assert scene.notes == ("bands marked bad by bbl are left out: 1 of 4",)
     # bands that overlap are told apart only by leaving one out
     np.testing.assert_array_equal(
         values(write(path, CUBE, wavelength="{700, 500, 500, 400}", bbl="{1, 1, 0, 1}"), scale=1),
@@ -394,10 +394,10 @@ def test_more_data_than_the_header_says(tmp_path):
         ({"wavelength": "{400, 500, 500, 700}"}, "all different"),
         ({"wavelength": "{400, 500"}, "has no end"),
         ({"wavelength_units": "Wavenumber"}, "wavelength units"),
-        ({"wavelength_units": "um"}, "cannot be right"),
+        ({"wavelength_units": "um"}, "not plausible"),
         ({"bbl": "{0, 0, 0, 0}"}, "0 bands"),
         ({"bbl": "{1}"}, "wanted 4"),
-        ({"Lines": 7}, "says 'lines' twice"),
+        ({"Lines": 7}, "two different values for 'lines'"),
         ({"reflectance_scale_factor": 0}, "stands for 1"),
         ({"reflectance_scale_factor": "x"}, "wanted a number"),
         ({"data_ignore_value": "x"}, "wanted a number"),

@@ -339,7 +339,7 @@ def test_arguments_that_do_not_apply(tmp_path):
         open_scene(path, size=(4, 4))
     with fails(OutOfRange, "bands", ".exr"):
         open_scene(path, bands={"a": 500})
-    with fails(BadFile, path, "light 'A'", "its own light is not known"):
+    with fails(BadFile, path, "light 'A'", "whose light is unknown"):
         open_scene(path, light="A")
     with fails(UnknownName, "border", "edge"):
         open_scene(path, border="edges")
@@ -862,7 +862,7 @@ def test_dng_of_one_pixel_holds_it(tmp_path):
         ({"raw": np.zeros((4, 4))}, BadData, "uint16"),
         ({"raw": np.zeros((0, 4), np.uint16)}, BadData, "(0, 4)"),
         ({"cfa": ("RG", "BW")}, BadData, "letters R, G, B"),
-        ({"cfa": ("RG", "B")}, BadData, "equally long"),
+        ({"cfa": ("RG", "B")}, BadData, "equal length"),
         (
             {"cfa": ("RG", "NB"), "channels": "RGNB"},
             OutOfRange,
@@ -885,7 +885,7 @@ def test_dng_of_one_pixel_holds_it(tmp_path):
         ({"matrices": {"D65": (MATRIX, np.eye(2))}}, BadData, "forward matrix of D65"),
         ({"matrices": None}, OutOfRange, "one or two of A, B"),
         ({"matrices": {"FL2": (MATRIX, None)}}, OutOfRange, "FL2"),
-        ({"matrices": {"A": (MATRIX * np.nan, None)}}, BadData, "color matrix of A must be finite"),
+        ({"matrices": {"A": (MATRIX * np.nan, None)}}, BadData, "color matrix of A: wanted finite"),
         ({"noise": (0.0, 1.0)}, OutOfRange, "S > 0"),
         ({"noise": (1e-3, -1.0)}, OutOfRange, "O >= 0"),
         ({"as_shot_neutral": [1, 0, 1]}, OutOfRange, "as_shot_neutral"),

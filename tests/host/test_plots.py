@@ -65,7 +65,7 @@ def test_mtf_of_wavelengths_is_that_of_diffraction(ax):
         np.testing.assert_allclose(
             response, diffraction(f * 1e3 * nanometres * 1e-9 * 2.8), atol=1e-9
         )
-    f, own = drawn["pixel aperture alone"]
+    f, own = drawn["pixel aperture only"]
     pitch = camera.sensor.pixel_pitch
     np.testing.assert_allclose(
         own, np.abs(np.sinc(1e3 * f * pitch * camera.sensor.fill_factor**0.5)), atol=1e-12
@@ -171,8 +171,8 @@ def test_snr_has_the_noise_of_frames(ax):
     exposure, snr = next(data for label, data in found.items() if label.startswith("channel G"))
     readout, at = gs.Readout(sensor, "numpy"), np.searchsorted(snr, 20.0)
     per_exposure = (
-        10 ** (lines(ax)["photons alone, channel G"][1] / 10)
-        / exposure[: len(exposure)][: len(lines(ax)["photons alone, channel G"][1])]
+        10 ** (lines(ax)["photon noise only, channel G"][1] / 10)
+        / exposure[: len(exposure)][: len(lines(ax)["photon noise only, channel G"][1])]
     )
     electrons = per_exposure[0] * exposure[at]
     raws = readout.draw_electrons(
@@ -503,7 +503,7 @@ def test_picture_and_efficiency_are_the_camera_s(checker):
         (
             lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))),
             BadData,
-            "no lens that blurs",
+            "no point spread to draw",
         ),
         (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
         (

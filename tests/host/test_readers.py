@@ -453,7 +453,7 @@ def test_letters_that_are_none(tmp_path):
         path = archive(tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES)
         with zipfile.ZipFile(path, "a") as file:
             file.writestr("name.npy", buffer.getvalue() + data)
-        with refused(path, "letters that are none", error=BadFile):
+        with refused(path, "invalid characters", error=BadFile):
             open_scene(path)
 
 
@@ -481,5 +481,5 @@ def test_an_array_that_says_more_than_its_file_holds_is_refused(tmp_path):
     at = data.index(b"PK\x01\x02") + 24
     data[at : at + 4] = struct.pack("<I", 2**31)
     path.write_bytes(data)
-    with refused("cannot come of", error=BadFile), takes(SMALL):
+    with refused("cannot come from", error=BadFile), takes(SMALL):
         read_psf(path)

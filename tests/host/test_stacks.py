@@ -120,8 +120,8 @@ def test_arrays_that_end_early_and_no_arrays(tmp_path):
     stack(path, CUBE / 128)
     data = path.read_bytes()
     for damaged, said in (
-        (data[:-1], "480 bytes of numbers are wanted, 479"),
-        (data + b"x", "481 are there"),
+        (data[:-1], "480 bytes of numbers expected, 479"),
+        (data + b"x", "481 present"),
         (data[:20], "truncated"),
         (b"", "truncated"),
         (b"PK" + data, "not a NumPy array"),
@@ -129,7 +129,7 @@ def test_arrays_that_end_early_and_no_arrays(tmp_path):
         path.write_bytes(damaged)
         with refused(path, said, error=BadFile):
             gs.open_scene(path, wavelengths=WAVES)
-    with refused(path, "does not say its wavelengths", "--wavelengths", error=BadFile):
+    with refused(path, "has no wavelengths", "--wavelengths", error=BadFile):
         gs.open_scene(path)
 
 
@@ -279,7 +279,7 @@ def test_kinds_and_scales_of_tables(tmp_path):
         ("nm,a\n400,1\n500,\n", "spectrum 1 at 500 nm"),
         ("nm,a\n400,1\n500\n", "lines of 1 to 2 cells"),
         ("nm,a\n400,1\n400,2\n", "wavelengths"),
-        ("nm,a\n400,1\n500,nan\n", "no number"),
+        ("nm,a\n400,1\n500,nan\n", "not a number"),
         ("nm,a\n400,1\n500,-1\n", "negative"),
         ("nm,a\n0.4,1\n0.5,1\n", "wavelengths"),
         ("nm,a\n4x0,1\n500,1\n600,1\n", "wavelengths"),

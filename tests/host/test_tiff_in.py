@@ -184,7 +184,7 @@ def test_refusals(tmp_path):
     tifffile.imwrite(path, np.zeros((3, 7, 9), np.uint8), photometric="minisblack")
     with refused(path, "3 pages", "--wavelengths", error=BadFile):
         open_scene(path)
-    with refused(path, "3 planes, but 2 wavelengths", error=BadFile):
+    with refused(path, "3 planes for 2 wavelengths", error=BadFile):
         open_scene(path, wavelengths=[400, 500])
     for waves in (
         [],
@@ -272,7 +272,7 @@ def test_pages_that_go_in_a_circle(tmp_path):
             break
     struct.pack_into("<I", data, link, first)
     (tmp_path / "a.tif").write_bytes(data)
-    with refused("a.tif", "page 3 is one of those before it", error=BadFile):
+    with refused("a.tif", "page 3 repeats an earlier one", error=BadFile):
         open_scene(tmp_path / "a.tif", wavelengths=[500, 550, 600])
 
 
@@ -292,7 +292,7 @@ def test_a_file_that_says_it_is_huge_is_refused_before_it_is_read(tmp_path):
         )
         data[at + 2 : at + 12] = struct.pack("<HII", 4, 1, 2**20)
     path.write_bytes(data)
-    with refused(path, "1048576 x 1048576", "cannot come of", error=BadFile), takes(SMALL):
+    with refused(path, "1048576 x 1048576", "cannot come from", error=BadFile), takes(SMALL):
         open_scene(path)
 
 

@@ -595,7 +595,7 @@ def test_derived_figures_may_be_given_too():
 @pytest.mark.parametrize(
     ("changed", "wanted"),
     [
-        ({"quantum_efficiency": 60}, "a data sheet's 60 % are 0.6"),
+        ({"quantum_efficiency": 60}, "60 % of a data sheet as 0.6"),
         ({"quantum_efficiency": math.nan}, "nan"),
         ({"quantum_efficiency": "60 %"}, "wanted a number"),
         ({"wavelength": None}, "wavelength = ..."),
@@ -674,8 +674,8 @@ def test_contradictions_of_a_data_sheet_are_refused(changed, wanted):
             "is not reached",
         ),
         ({"bright": exact_measurement()["bright"][::-1]}, "in the order of"),
-        ({"dark": exact_frames(10, 5000)}, "is `dark` dark"),
-        ({"dark": exact_frames(3000, 9)}, "is `dark` dark"),
+        ({"dark": exact_frames(10, 5000)}, "`dark` is dark"),
+        ({"dark": exact_frames(3000, 9)}, "`dark` is dark"),
         ({"bright_stack": exact_frames(500, 1000)}, "without dark_stack"),
         (
             {"dark_stack": exact_frames(10, 9), "bright_stack": exact_frames(1000, 9)},

@@ -109,12 +109,12 @@ def test_coma_points_where_rays_go(triplet, traced, number):
     Both are equal by Ehrenfest's theorem but for the light beyond the square, which the diffraction puts out of it:
     half of the asymmetric light at the corner, whose rays reach 60 um of the square's 66.
     """
-    from gpusim.io.camera.optiland import _chief, _field
+    from gpusim.io.camera.optiland import _chief, _find_field
 
     n = traced.values.shape[-1]
     steps = (np.arange(n) - (n - 1) / 2) * traced.spacing * 1e6
     for index, height in enumerate(traced.heights):
-        field = _field(triplet, height * 12e-3, 550.0)
+        field = _find_field(triplet, height * 12e-3, 550.0)
         chief = _chief(triplet, field, 550.0)
         assert abs(chief[1]) == pytest.approx(
             height * 12e-3, abs=1e-9

@@ -1,1 +1,1 @@
-"""Readers of cameras: camera files, calibrations, profiles, point spreads."""
+"""Readers of cameras: camera files, calibrations, noise profiles, point spread functions."""

@@ -1,29 +1,20 @@
-"""Calibrations as other programs write them: ROS's camera_info, Kalibr's camchain, OpenCV's files (YAML, JSON, XML)."""
+"""Camera calibrations from ROS (camera_info), Kalibr (camchain) and OpenCV (YAML, JSON, XML)."""
 
 import re
+from os import PathLike
 
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.errors import BadData, BadFile, UnknownName, shown
-from gpusim.io.files import named, read_text, reading
+from gpusim.io.files import name_in_errors, read_text, reading
 
-LONGEST = (
-    2**16
-)  # [byte]; what is sensible has two thousand, and a parser in Python takes a second for these
+# [byte]; real files have two thousand, and Python's parser takes a second for this many
+LONGEST = 2**16
 WHAT = "YAML, JSON or XML of a calibration"
-# what files call the models, and whether that is the fisheye's
-MODELS = {
-    "plumb_bob": False,
-    "rational_polynomial": False,
-    "thin_prism": False,
-    "radtan": False,
-    "none": False,
-    "radial-tangential": False,
-    "pinhole": False,
-    "equidistant": True,
-    "equi": True,
-    "fisheye": True,
-}
-KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections that are no pinhole's
+# names of the models in files, and whether they are fisheye models
+MODELS = dict.fromkeys("plumb_bob rational_polynomial thin_prism radtan none".split(), False)
+MODELS |= {"radial-tangential": False, "pinhole": False}
+MODELS |= {"equidistant": True, "equi": True, "fisheye": True}
+KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections other than pinhole
 MATRIX = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "mtx")
 COEFFICIENTS = (
     "distortion_coefficients",
@@ -36,16 +27,25 @@ COEFFICIENTS = (
 SIZES = (("image_width", "image_height"), ("width", "height"))
 
 
-def read_calibration(path, camera: str | None = None) -> Calibration:
+def read_calibration(path: str | PathLike, camera: str | None = None) -> Calibration:
     """Read a camera's calibration from a file of ROS, Kalibr or OpenCV.
 
-    ROS: the `camera_info` file of camera_calibration (.yaml) or a printed sensor_msgs/CameraInfo. Kalibr: a camchain
-    (pinhole-radtan, pinhole-equi), of which `camera` names one, "cam0"; it may be left out where there is but one.
-    OpenCV: what cv2.FileStorage and its calibration samples write, in YAML, JSON or XML.
-    Raises BadFile, naming file and key; where PyYAML is not installed and the file is no XML it says how to get it.
+    ROS: the `camera_info` file of camera_calibration (.yaml) or a printed sensor_msgs/CameraInfo.
+    Kalibr: a camchain (pinhole-radtan, pinhole-equi). OpenCV: files of cv2.FileStorage and its
+    calibration samples, in YAML, JSON or XML.
+
+    Args:
+        path: file to read.
+        camera: camera of a camchain, for example "cam0"; None if there is only one.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        BadFile: if the file cannot be used, naming file and key, or PyYAML is missing.
     """
-    table = _parsed(path)
-    with named(path):
+    table = _parse(path)
+    with name_in_errors(path):
         if type(table) is not dict:
             raise BadData(f"not {WHAT}: wanted keys and values")
         chain = {
@@ -56,12 +56,12 @@ def read_calibration(path, camera: str | None = None) -> Calibration:
         if "intrinsics" in table:  # one camera of a chain, or the sensor.yaml of a data set
             return _kalibr(table)
         if chain:
-            return _kalibr(chain[_chosen(chain, camera)])
+            return _kalibr(chain[_select_camera(chain, camera)])
         return _matrix_file(table)
 
 
-def _parsed(path):
-    """What the file holds: dictionaries, lists, numbers and texts."""
+def _parse(path):
+    """Return the parsed file: dictionaries, lists, numbers and texts."""
     text = read_text(path, WHAT, LONGEST)
     if text.lstrip().startswith("<"):
         from xml.etree import ElementTree
@@ -74,20 +74,20 @@ def _parsed(path):
         raise BadFile(path, "needs PyYAML: pip install 'gpusim[calibration]'") from None
 
     class Loader(yaml.SafeLoader):
-        """Takes OpenCV's matrices for what they hold."""
+        """YAML loader that reads OpenCV's matrices as dictionaries."""
 
     Loader.add_multi_constructor(
         "tag:yaml.org,2002:opencv-",
         lambda loader, _, node: loader.construct_mapping(node, deep=True),
     )
-    text = re.sub(r"\A%YAML:.*\n", "", text)  # OpenCV's first line, which is not YAML's
+    text = re.sub(r"\A%YAML:.*\n", "", text)  # OpenCV's first line is not valid YAML
     with reading(path, WHAT):
         # A printed message ends in ---; its first document is the message.
         return next(yaml.load_all(text, Loader), None)
 
 
 def _element(item):
-    """A number, a text, or a matrix of OpenCV's XML."""
+    """Return a number, a text, or a matrix of OpenCV's XML."""
     if len(item):
         return {part.tag: _element(part) for part in item}
     words = (item.text or "").split()
@@ -98,8 +98,8 @@ def _element(item):
     return numbers[0] if len(numbers) == 1 and item.tag != "data" else numbers
 
 
-def _chosen(chain, camera):
-    """The name of one camera of a chain."""
+def _select_camera(chain, camera):
+    """Return the name of one camera of a chain."""
     if camera is None and len(chain) == 1:
         return next(iter(chain))
     if camera is None:
@@ -113,7 +113,7 @@ def _chosen(chain, camera):
 
 
 def _kalibr(table):
-    """The calibration of one camera of Kalibr's, whose intrinsics are fx, fy, cx, cy."""
+    """Return the calibration of one Kalibr camera with intrinsics fx, fy, cx, cy."""
     model = table.get("camera_model", "pinhole")
     if model in KALIBR_OTHERS:
         raise BadData(
@@ -125,16 +125,14 @@ def _kalibr(table):
     intrinsics = _numbers(table, "intrinsics", 4)
     size = _numbers(table, "resolution", 2)
     key = "distortion_coeffs" if "distortion_coeffs" in table else "distortion_coefficients"
-    return _made([*size], intrinsics, _numbers(table, key), table.get("distortion_model"))
+    return _calibration_of([*size], intrinsics, _numbers(table, key), table.get("distortion_model"))
 
 
 def _matrix_file(table):
-    """The calibration of ROS's and OpenCV's files, with a camera matrix."""
+    """Return the calibration of a ROS or OpenCV file with a camera matrix."""
     key = next((key for key in MATRIX if key in table), None)
     if key is None:
-        raise BadData(
-            "has no camera_matrix (or K) as of ROS and OpenCV, nor intrinsics as of Kalibr"
-        )
+        raise BadData("no camera_matrix (or K) of ROS or OpenCV, and no intrinsics of Kalibr")
     matrix = _numbers(table, key, 9)
     if matrix[1] or matrix[3] or matrix[6:] != [0, 0, 1]:
         raise BadData(f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {shown(matrix)}")
@@ -148,7 +146,7 @@ def _matrix_file(table):
     model = table.get("distortion_model") or (
         "fisheye" if table.get("fisheye_model") else "pinhole"
     )
-    return _made(
+    return _calibration_of(
         [_number(table, key) for key in sizes],
         [matrix[0], matrix[4], matrix[2], matrix[5]],
         [] if found is None else _numbers(table, found),
@@ -157,7 +155,7 @@ def _matrix_file(table):
 
 
 def _require_whole_frame(table):
-    """Refuse a printed message of a part of the frame, or of binned pixels: its matrix is that of the whole one."""
+    """Raise BadData if a message has a region or binning: its matrix is of the whole frame."""
     roi = table.get("roi") if type(table.get("roi")) is dict else {}
     if any(roi.get(key) for key in ("x_offset", "y_offset", "width", "height")):
         raise BadData("roi: wanted the whole frame, a region of 0 x 0")
@@ -166,8 +164,8 @@ def _require_whole_frame(table):
             raise BadData(f"{key}: {shown(table[key])}: wanted pixels that are not binned, 0 or 1")
 
 
-def _made(size, intrinsics, coefficients, model):
-    """A calibration of numbers and of the name that the file has for its model."""
+def _calibration_of(size, intrinsics, coefficients, model):
+    """Return a calibration from numbers and the file's name of its model."""
     if type(model) is not str or model not in MODELS:
         raise BadData(f"distortion_model: {shown(model)}: wanted one of {', '.join(MODELS)}")
     if model == "none" and any(coefficients):
@@ -179,7 +177,7 @@ def _made(size, intrinsics, coefficients, model):
 
 
 def _numbers(table, key, count=None):
-    """A list of numbers, or the data of a matrix, flat."""
+    """Return a list of numbers, or the data of a matrix, as a flat list."""
     if key not in table:
         raise BadData(f"lacks {key}")
     value = table[key]

@@ -1,4 +1,4 @@
-"""Cameras: the built-in ones, and camera files (TOML), whose keys are those of `camera_keys`."""
+"""Cameras: built-in ones, and camera files (TOML) with the keys of `camera_keys`."""
 
 import dataclasses
 import os
@@ -40,14 +40,14 @@ from gpusim.io.camera.calibration import read_calibration
 from gpusim.io.camera.learned import read_table
 from gpusim.io.camera.noise_profile import read_noise_profile
 from gpusim.io.camera.psf import read_psf
-from gpusim.io.files import named, read_cells, read_text, reading
+from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
-BASE = "phone"  # what an empty file is
-DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there is one
+BASE = "phone"  # camera of an empty file
+DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] that exclude each other
 LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
-LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
-# A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
+LONGEST_INTEGER = 2**64  # above all whole numbers of a camera file; seeds are below
+# A key of more than 16 parts, a.b.c ...: tomllib's time grows with the square of their number.
 _DEEP_KEY = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII
 )
@@ -55,17 +55,31 @@ _KEY = re.compile(r"\[(\w+)\] (\w+)")  # in an error of a camera file
 
 
 def camera_names() -> list[str]:
-    """Names of the built-in cameras, sorted."""
+    """Return the names of the built-in cameras.
+
+    Returns:
+        The names, sorted.
+    """
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
-def open_camera(name_or_path) -> Camera:
-    """Open a built-in camera by its name, or a camera file (TOML).
+def open_camera(name_or_path: str | os.PathLike) -> Camera:
+    """Open a built-in camera by name, or a camera file (TOML).
 
-    A file's keys are the fields of Optics, Sensor, Processor and Display; a key that has a unit ends in it, such as
-    `pixel_pitch_um`. With `base`, a built-in camera's name or a file beside it, all keys that it does not have are
-    those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
-    name that is neither.
+    A file's keys are the fields of Optics, Sensor, Processor and Display; keys with a unit end in
+    it, for example `pixel_pitch_um`. With `base`, the name of a built-in camera or a file in the
+    same folder, all missing keys are taken from that camera; an empty file is the camera BASE.
+
+    Args:
+        name_or_path: name of a built-in camera, or path of a camera file.
+
+    Returns:
+        The camera.
+
+    Raises:
+        BadData: if `name_or_path` is neither a text nor a path.
+        BadFile: if the file cannot be used, naming file and key.
+        UnknownName: if there is no camera of this name.
     """
     if not isinstance(name_or_path, str | os.PathLike):
         raise BadData(f"camera: {type(name_or_path).__name__}, wanted a name or a file's path")
@@ -90,16 +104,19 @@ def open_camera(name_or_path) -> Camera:
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
-    """A camera's file, and its keys, with those of its base. Raises as `open_camera`."""
+    """Return a camera's file and its keys, including its base's keys.
+
+    Raises as `open_camera`.
+    """
     (path, table), *bases = _chain(name_or_path)
     name = table.pop("name", path.stem)
     for file, below in bases:
-        table = _over(anchored(file, below), table)
+        table = _merge_keys(anchored(file, below), table)
     return path, {**table, "name": name}
 
 
 def _chain(name_or_path):
-    """A camera's file, and those that it is based on, one on the other, each with the keys that it has itself."""
+    """Yield a camera's file, its base, the base of that ..., each with its own keys."""
     path, table = _file_table(name_or_path)
     files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
     yield path, table
@@ -121,14 +138,14 @@ def _chain(name_or_path):
             )
         path, table = _file_table(place)
         if path.resolve() in files:
-            raise BadFile(files[-1], f"base = {shown(base)}: is based on this file itself")
+            raise BadFile(files[-1], f"base = {shown(base)}: the bases form a loop")
         files.append(path.resolve())
         base = table.pop("base", None)
         yield path, table
 
 
 def anchored(path: Path, table: dict) -> dict:
-    """A table whose files, beside the camera's file `path`, are named from anywhere."""
+    """Return a table with absolute paths for files next to the camera's file `path`."""
     return {
         section: {
             key: str((path.parent / value).resolve()) if _is_file(path, value) else value
@@ -144,8 +161,8 @@ def _is_file(path, value):
     return isinstance(value, str) and Path(value).suffix and os.path.isfile(path.parent / value)
 
 
-def _over(below, table):
-    """The keys of a table over those of the camera that it is based on, section by section."""
+def _merge_keys(below, table):
+    """Return a base's table with the keys of `table` replaced, section by section."""
     merged = {
         section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()
     }
@@ -161,14 +178,13 @@ def _over(below, table):
 
 
 def _file_table(name_or_path):
-    """A camera's file, and its keys as they are written there."""
+    """Return a camera's file and its keys as written there."""
     if name_or_path in camera_names():
         path = _FOLDER / f"{name_or_path}.toml"
     else:
         path = Path(name_or_path)
-        if path.suffix != ".toml" and not os.path.exists(
-            path
-        ):  # Path.exists raises for a name that is too long
+        # Path.exists raises for a name that is too long
+        if path.suffix != ".toml" and not os.path.exists(path):
             raise UnknownName("camera", str(name_or_path), camera_names())
     text = read_text(path, "TOML")
     deep = _DEEP_KEY.search(text)
@@ -178,17 +194,15 @@ def _file_table(name_or_path):
     with reading(path, "TOML"):
         try:
             table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:  # it says the line
+        except tomllib.TOMLDecodeError as error:  # names the line
             raise BadFile(path, f"not TOML: {error}") from None
         _require_short_integers(path, table)
     return path, table
 
 
 def camera_of(path: Path, table: dict) -> Camera:
-    """The camera of a file's keys, or of changed ones. path: its file, which errors name. Raises as `open_camera`."""
-    with named(
-        path
-    ):  # the domain's own checks know a field but not the file, and not the key in its unit
+    """Return the camera of a table of keys; path: its file for errors. Raises as `open_camera`."""
+    with name_in_errors(path):  # the domain's checks know neither file nor key and unit
         try:
             return _camera(path, dict(table))
         except (BadData, OutOfRange, UnknownName) as error:
@@ -197,8 +211,8 @@ def camera_of(path: Path, table: dict) -> Camera:
 
 
 @contextmanager
-def _named_by(path, label):
-    """While what a key names is looked up or read: errors say the camera's file and the key as well."""
+def _name_key_in_errors(path, label):
+    """Add the camera's file and the key to errors of a lookup or read."""
     try:
         yield
     except DoesNotFit:
@@ -208,9 +222,9 @@ def _named_by(path, label):
 
 
 def _require_short_integers(path, value):
-    """Refuse whole numbers that no field takes: beyond 4300 digits Python does not even print them."""
+    """Raise BadFile for integers beyond 64 bits; Python cannot print more than 4300 digits."""
     if isinstance(value, int) and abs(value) >= LONGEST_INTEGER:
-        raise BadFile(path, "has a whole number of more than 64 bits: wanted a smaller number")
+        raise BadFile(path, "has a whole number of more than 64 bits; wanted a smaller number")
     for item in (
         value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     ):
@@ -227,17 +241,15 @@ def _camera(path, table):
                 path,
                 f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}",
             )
-    optics, sensor = (
-        section_fields(path, table, "optics", Optics),
-        section_fields(path, table, "sensor", Sensor),
-    )
+    optics = section_fields(path, table, "optics", Optics)
+    sensor = section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
-    optics = _lens(path, _calibrated(path, optics, sensor))
+    optics = _lens(path, _apply_calibration(path, optics, sensor))
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     noise = section_fields(path, table, "noise")
     if "profile" in sensor:
-        _profile(path, sensor, noise)
+        _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
     return Camera(
         name,
@@ -249,36 +261,36 @@ def _camera(path, table):
 
 
 def _processor(path, fields):
-    """Processor of its fields, with its filter table read; names are looked up while the file is known."""
+    """Return the processor of its fields, with its filter table read and names checked."""
     if "table" in fields:
-        with _named_by(path, "[processor] table"):
+        with _name_key_in_errors(path, "[processor] table"):
             fields["table"] = read_table(path.parent / fields["table"])
     processor = Processor(**fields)
-    with _named_by(path, "[processor] training"):
+    with _name_key_in_errors(path, "[processor] training"):
         reflectances(processor.training)
-    with _named_by(path, "[processor] target"):
+    with _name_key_in_errors(path, "[processor] target"):
         illuminant(processor.target)
     return processor
 
 
 def _display(path, fields):
-    """A display by its name, or of its own primaries, white and curve."""
+    """Return a display by name, or with custom primaries, white and curve."""
     name = fields.pop("name", None)
     if not fields:
-        with _named_by(path, "[display] name"):
+        with _name_key_in_errors(path, "[display] name"):
             return open_display(name or "srgb")
     if name in display_names():
         raise BadFile(
             path,
             f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
-            "give it another name",
+            "use another name",
         )
     return Display(name or path.stem, **fields)
 
 
-def _profile(path, sensor, noise):
-    """Put what a DNG's noise profile tells into the fields of sensor and noise."""
-    with _named_by(path, "[sensor] noise_profile"):
+def _apply_profile(path, sensor, noise):
+    """Move the values of a DNG's noise profile into the fields of sensor and noise."""
+    with _name_key_in_errors(path, "[sensor] noise_profile"):
         profile = read_noise_profile(path.parent / sensor.pop("profile"))
     own = [
         *(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"})
@@ -294,11 +306,10 @@ def _profile(path, sensor, noise):
 
 
 def _noise(path, fields, sensor):
-    """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
+    """Return the noise of its fields, with the capacitor's reset noise for reset "kTC"."""
     if fields.get("reset") == "kTC":
-        noise = Noise(
-            **{key: value for key, value in fields.items() if key != "reset"}
-        )  # its checks first
+        # run its checks first
+        noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})
         if "conversion_gain" not in sensor:
             raise BadFile(
                 path,
@@ -308,21 +319,20 @@ def _noise(path, fields, sensor):
     return Noise(**fields)
 
 
-def _calibrated(path, fields, sensor):
-    """Fields of the lens with its calibration as its distortion, and as its focal length where none is given."""
+def _apply_calibration(path, fields, sensor):
+    """Return the lens's fields with its calibration as distortion and default focal length."""
     calibration = fields.pop("calibration", None)
     if calibration is None:
         return fields
     if "distortion" in fields:
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
-        with _named_by(path, "[optics] calibration"):
+        with _name_key_in_errors(path, "[optics] calibration"):
             calibration = read_calibration(
                 path.parent / calibration["file"], calibration.get("camera")
             )
-    if (
-        "focal_length" not in fields
-    ):  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
+    # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
+    if "focal_length" not in fields:
         image_distance = calibration.fx * sensor["pixel_pitch"]
         fields["focal_length"] = image_distance / (
             1 + image_distance / fields.get("object_distance", np.inf)
@@ -331,7 +341,7 @@ def _calibrated(path, fields, sensor):
 
 
 def _lens(path, fields):
-    """Optics of its fields and of those that are parts of its wavefront or another measure of its defocus."""
+    """Return the optics of its fields, with their wavefront and defocus."""
     diopters = fields.pop("diopters", None)
     if diopters is not None and "defocus" in fields:
         raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
@@ -347,7 +357,7 @@ def _lens(path, fields):
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:
-        with _named_by(path, "[optics] psf"):
+        with _name_key_in_errors(path, "[optics] psf"):
             fields["psf"] = read_psf(path.parent / fields["psf"])
         fields.setdefault("model", "measured")
     optics = Optics(**fields, wavefront=Wavefront(**aberrations))
@@ -359,9 +369,10 @@ def _lens(path, fields):
 
 
 def _efficiency(path, sensor):
-    """Return colour filter x photodetector x infrared cut, and the letters of its curves; takes them out of `sensor`.
+    """Return filter x photodetector x infrared cut, and its letters; remove them from `sensor`.
 
-    Only the curves whose letters the mosaic uses are kept: red, green and blue first, then in the table's order.
+    Only curves of letters in the mosaic are kept: red, green and blue first, then in the order of
+    the table.
     """
     spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
     used = set("".join(sensor.get("cfa", Sensor.cfa)))
@@ -385,13 +396,16 @@ def _efficiency(path, sensor):
     elif ends is not None:
         raise BadFile(
             path,
-            f'[sensor] qe_ends = {shown(ends)}: wanted "zero": no light is counted outside the table',
+            f'[sensor] qe_ends = {shown(ends)}: wanted "zero" (no light outside the table) or leave it out',
         )
     return product, channels
 
 
 def _product(path, first, second):
-    """Product of two tables at the nodes of both, where both are defined; `first` may hold several functions."""
+    """Return the product of two tables at the nodes of both in their common range.
+
+    `first` may hold several functions.
+    """
     nodes = np.union1d(first.wavelengths, second.wavelengths)
     low = max(first.wavelengths[0], second.wavelengths[0])
     high = min(first.wavelengths[-1], second.wavelengths[-1])
@@ -404,7 +418,7 @@ def _product(path, first, second):
 
 
 def _single(path, label, value):
-    """Read a curve that is one function of wavelength."""
+    """Return a curve that is one function of wavelength."""
     spectrum, _ = _curves(path, label, value)
     if len(spectrum.values) != 1:
         raise BadFile(path, f"{label}: wanted one curve, got {len(spectrum.values)}")
@@ -412,7 +426,7 @@ def _single(path, label, value):
 
 
 def _curves(path, label, value):
-    """Read a named table, a .csv file beside the camera file or an inline table: Spectrum (C, L) and C letters."""
+    """Return a named table, .csv file or inline table as Spectrum (C, L) and C letters."""
     if type(value) is dict:
         columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
         if "wavelengths_nm" not in value or not columns:
@@ -423,7 +437,7 @@ def _curves(path, label, value):
             wavelengths = np.array(value["wavelengths_nm"], np.float64)
             values = np.array(list(columns.values()), np.float64)
         except (TypeError, ValueError):
-            raise BadFile(path, f"{label}: wanted lists of equally many numbers") from None
+            raise BadFile(path, f"{label}: wanted lists of numbers with equal lengths") from None
         return Spectrum(wavelengths, values, label), tuple(columns)
     if type(value) is not str:
         raise BadFile(
@@ -432,9 +446,9 @@ def _curves(path, label, value):
             "wavelengths_nm and values",
         )
     if value.endswith(".csv"):
-        with _named_by(path, label):
+        with _name_key_in_errors(path, label):
             return _read_csv(path.parent / value)
-    with _named_by(path, label):
+    with _name_key_in_errors(path, label):
         spectrum = curve(value)
     return (
         Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value),
@@ -443,13 +457,13 @@ def _curves(path, label, value):
 
 
 def _read_csv(path):
-    """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers.
+    """Read a .csv with a first line of the form `wavelength_nm,R,G,B`, then numbers.
 
-    Dividers, decimal commas and comments are those of `read_cells`.
+    Separators, decimal commas and comments are as in `read_cells`.
     """
     lines = read_cells(path, LONGEST_TABLE)
     if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
-        raise BadFile(path, "the first line must be wavelength_nm,R,G,B or the like")
+        raise BadFile(path, "wanted a first line of the form wavelength_nm,R,G,B")
     try:
         table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
     except ValueError:

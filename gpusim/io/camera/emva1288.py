@@ -9,10 +9,12 @@ from scipy.special import ndtr
 
 from gpusim.domain.errors import BadData, OutOfRange, shown
 from gpusim.domain.noise import Noise
+from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 
-QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
+# arguments that are no plain figures
+_OTHERS = ("quantum_efficiency", "wavelength", "response", "channels", "cfa", "seed")
 _OPTIONAL = {
     "dark_noise",
     "dark_noise_dn",
@@ -20,7 +22,7 @@ _OPTIONAL = {
     "dynamic_range_db",
     "sensitivity_threshold",
 }
-_LIMITS = {  # unit, least, most; `Sensor` and `Noise` check what is theirs
+_LIMITS = {  # unit, least, most; `Sensor` and `Noise` check the others
     "gain": ("DN/e-", 1e-12, 1e12),
     "saturation_capacity": ("e-", 1, 1e9),
     "dark_noise": ("e-", 0, 1e12),
@@ -32,7 +34,7 @@ _LIMITS = {  # unit, least, most; `Sensor` and `Noise` check what is theirs
     **{f"dsnu{part}": ("e-", 0, 1e12) for part in ("", "_row", "_column")},
     **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")},
 }
-LARGEST = 1e300  # of figures that `Sensor` and `Noise` check: what a float holds
+LARGEST = 1e300  # limit of floats, for figures that `Sensor` and `Noise` check
 HALF_BAND = 25.0  # [nm]; the standard's light has a full width at half maximum below 50 nm
 
 
@@ -61,52 +63,58 @@ def sensor_from_emva1288(
     dynamic_range_db: float | None = None,
     sensitivity_threshold: float | None = None,
     rounding: float = 0.03,
-    channels=("Y",),
-    cfa=("Y",),
+    channels: tuple[str, ...] = ("Y",),
+    cfa: tuple[str, ...] = ("Y",),
     seed: int = 0,
 ) -> Sensor:
-    """Build the sensor that an EMVA 1288 data sheet describes.
+    """Return the sensor of an EMVA 1288 data sheet.
 
-    pixel_pitch: [m].
-    quantum_efficiency: eta [e-/photon], a part of 1, counting all photons on the pixel; a number at `wavelength` [nm],
-        or curves over wavelength, shape (L,) or (len(channels), L). A number alone says nothing of other wavelengths:
-        the sensor then knows `wavelength` +- 25 nm only, the widest band that the standard measures with, unless
-        `response` gives the shape of the curve, shape (L,) in any unit, which is scaled to the number.
-    gain: K [DN/e-]. bits, black_level [DN], channels, cfa: as in `Sensor`; monochrome unless given.
-    saturation_capacity: mu_e.sat [e-], the mean charge at which the temporal variance is greatest. Photon noise is cut
-        off already below the full well, so the well is a little above: by three standard deviations at 1e4 e-.
-    dark_noise: sigma_d [e-], referred to the input, without quantisation; or dark_noise_dn: sigma_y.dark [DN], with it.
-    dsnu: DSNU1288 [e-], prnu: PRNU1288 [%], both in total; *_row, *_column: the parts of release 4 in them.
-    dark_current: mu_I [e-/s] at dark_current_temperature [deg C], doubling every dark_current_doubling [K].
-    snr_max_db: SNR_max [dB], dynamic_range_db: DR [dB], sensitivity_threshold: mu_p.min [photon]: follow from the
-        others and are only compared with them. rounding: by which part of itself a figure may be off [1].
-    seed: names the one chip whose fixed patterns are drawn.
-    The light, exposure time and temperature of a frame are the user's: `dataclasses.replace` sets them.
-    Raises BadData for figures that are missing or contradict each other, OutOfRange.
+    Light, exposure time and temperature of a frame are set by the user with `dataclasses.replace`.
+
     Source: EMVA Standard 1288, Release 4.0 Linear (2021) and 3.1 (2016), the linear camera model.
+
+    Args:
+        pixel_pitch: pixel pitch [m].
+        quantum_efficiency: eta [e-/photon], 0 .. 1, for all photons on the pixel: a number at
+            `wavelength`, or curves over wavelength, shape (L,) or (len(channels), L). A number is
+            used for `wavelength` +- 25 nm only, the widest band of the standard's measurement,
+            unless `response` has the shape of the curve.
+        wavelength: wavelength of the measurement [nm].
+        response: spectral response in any unit, shape (L,), scaled to a `quantum_efficiency` that
+            is a number.
+        gain: K [DN/e-].
+        saturation_capacity: mu_e.sat [e-], the mean charge with the greatest temporal variance.
+            Photon noise is clipped below the full well already, so the well is a little larger: by
+            three standard deviations at 1e4 e-.
+        bits: bits of the converter, see `Sensor`.
+        dark_noise: sigma_d referred to the input, without quantisation [e-]; or give dark_noise_dn.
+        dark_noise_dn: sigma_y.dark, with quantisation [DN].
+        black_level: black level, see `Sensor` [DN].
+        dsnu: total DSNU1288 [e-].
+        dsnu_row: row part of it in release 4 [e-].
+        dsnu_column: column part of it in release 4 [e-].
+        prnu: total PRNU1288 [%].
+        prnu_row: row part of it in release 4 [%].
+        prnu_column: column part of it in release 4 [%].
+        dark_current: mu_I at dark_current_temperature [e-/s].
+        dark_current_temperature: temperature of the dark current [deg C].
+        dark_current_doubling: temperature difference that doubles the dark current [K].
+        snr_max_db: SNR_max [dB]; compared with the other figures only.
+        dynamic_range_db: DR [dB]; compared with the other figures only.
+        sensitivity_threshold: mu_p.min [photon]; compared with the other figures only.
+        rounding: relative rounding error allowed in that comparison [1].
+        channels: letters of the channels, see `Sensor`; monochrome by default.
+        cfa: period of the mosaic, see `Sensor`; monochrome by default.
+        seed: seed of the chip's fixed patterns.
+
+    Returns:
+        The sensor.
+
+    Raises:
+        BadData: if figures are missing or contradict each other.
+        OutOfRange: if a figure is out of range.
     """
-    figures = {
-        "gain": gain,
-        "saturation_capacity": saturation_capacity,
-        "dark_noise": dark_noise,
-        "dsnu": dsnu,
-        "dark_noise_dn": dark_noise_dn,
-        "dsnu_row": dsnu_row,
-        "dsnu_column": dsnu_column,
-        "prnu": prnu,
-        "prnu_row": prnu_row,
-        "prnu_column": prnu_column,
-        "snr_max_db": snr_max_db,
-        "rounding": rounding,
-        "dynamic_range_db": dynamic_range_db,
-        "sensitivity_threshold": sensitivity_threshold,
-        "pixel_pitch": pixel_pitch,
-        "bits": bits,
-        "black_level": black_level,
-        "dark_current": dark_current,
-        "dark_current_temperature": dark_current_temperature,
-        "dark_current_doubling": dark_current_doubling,
-    }
+    figures = {name: value for name, value in locals().items() if name not in _OTHERS}
     _check_figures(figures)
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
@@ -140,7 +148,7 @@ def sensor_from_emva1288(
             f"gain x saturation_capacity = {gain * saturation_capacity:.6g} DN: {bits} bits above a black "
             f"level of {black_level} hold {highest} DN; check bits, black_level and the unit of gain, DN/e-"
         )
-    threshold = math.sqrt(noise_squared + QUANTISATION / gain**2) + 0.5  # [e-]
+    threshold = math.sqrt(noise_squared + ROUNDING / gain**2) + 0.5  # [e-]
     _compare(
         "snr_max_db",
         snr_max_db,
@@ -172,13 +180,14 @@ def sensor_from_emva1288(
 
 
 def full_well(saturation_capacity: float, prnu: float = 0.0) -> float:
-    """Charge at which a pixel must saturate [e-] so that the photon transfer curve peaks at saturation_capacity [e-].
+    """Return the full well [e-] whose photon transfer curve peaks at saturation_capacity [e-].
 
-    Photons at a mean m, normally distributed and cut off at the well W, have the variance m v(a), a = (W - m) / sqrt(m)
-    and v(a) the variance of min(z, a), z standard normal. W is where its average over the pixels, whose means are
-    spread by prnu [1], has its maximum. (The normal distribution is good to about 1 e- here.)
+    Photons with mean m, normally distributed and clipped at the well W, have the variance m v(a), a
+    = (W - m) / sqrt(m), where v(a) is the variance of min(z, a) for standard normal z. W is the
+    value whose average of this over the pixels, with means spread by prnu [1], has its maximum.
+    (The normal distribution is accurate to about 1 e- here.)
     """
-    # pixels lie closer together than half a deviation of the photon noise
+    # steps of less than half a standard deviation of the photon noise
     z = np.linspace(-6, 6, 601 + round(24 * prnu * math.sqrt(saturation_capacity)))
     share = np.exp(-(z**2) / 2) * (1 + prnu * z > 0)
     factor = np.maximum(1 + prnu * z, 1e-9)
@@ -186,14 +195,14 @@ def full_well(saturation_capacity: float, prnu: float = 0.0) -> float:
     root = np.sqrt(mean)
 
     def slope(well):
-        """Derivative of the mean variance by saturation_capacity, up to a factor."""
+        """Return the derivative of the mean variance by saturation_capacity, up to a factor."""
         a = (well - mean) / root
         beyond, density = ndtr(-a), np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
         first = a * beyond - density  # E min(z, a)
         variance = 1 - beyond - a * density + a**2 * beyond - first**2
         return share @ (factor * (variance - 2 * beyond * (a - first) * (root + a / 2)))
 
-    # beyond 8 deviations of either kind no pixel is cut off
+    # beyond 8 deviations of either kind no pixel is clipped
     return brentq(
         slope,
         saturation_capacity,
@@ -210,17 +219,17 @@ def _check_figures(figures):
         unit, low, high = _LIMITS.get(name, ("", -LARGEST, LARGEST))
         if not low <= value <= high:
             raise OutOfRange(
-                name, f"{_short(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}"
+                name, f"{_number_text(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}"
             )
 
 
-def _short(value):
-    """A number as a message shows it: whole ones may be larger than a float."""
+def _number_text(value):
+    """Return a number for a message; integers may exceed the range of floats."""
     return shown(value) if isinstance(value, int) else f"{float(value):.6g}"
 
 
 def _efficiency(quantum_efficiency, wavelength, response):
-    """Return curves (C, L) and the efficiency at the wavelength, that of the best channel; None without wavelength."""
+    """Return curves (C, L), and the best channel's efficiency at the wavelength or None."""
     if wavelength is not None and not (
         isinstance(wavelength, Real) and 10 + HALF_BAND < wavelength < 1e5 - HALF_BAND
     ):
@@ -239,13 +248,12 @@ def _efficiency(quantum_efficiency, wavelength, response):
         if not 0 < quantum_efficiency <= 1:
             raise OutOfRange(
                 "quantum_efficiency",
-                _short(quantum_efficiency),
-                "0 < quantum_efficiency <= 1; a data sheet's 60 % are 0.6",
+                _number_text(quantum_efficiency),
+                "0 < quantum_efficiency <= 1; write 60 % of a data sheet as 0.6",
             )
         if wavelength is None:
             raise BadData(
-                "quantum_efficiency is one number: wanted the wavelength it belongs to, wavelength = ... "
-                "[nm], or a curve"
+                "quantum_efficiency is one number: wanted its wavelength, wavelength = ... [nm], or a curve"
             )
         if response is None:
             band = np.array([wavelength - HALF_BAND, wavelength + HALF_BAND])
@@ -267,25 +275,25 @@ def _efficiency(quantum_efficiency, wavelength, response):
 
 
 def _dark_noise_squared(electrons, numbers, gain, rounding):
-    """sigma_d^2 [e-^2] of the one or the other figure."""
+    """Return sigma_d^2 [e-^2] from either figure."""
     if electrons is None and numbers is None:
         raise BadData("wanted dark_noise [e-] or dark_noise_dn [DN]")
     if numbers is None:
         return electrons**2
-    squared = (numbers**2 - QUANTISATION) / gain**2
+    squared = (numbers**2 - ROUNDING) / gain**2
     if squared < 0:
         raise OutOfRange(
             "dark_noise_dn",
             f"{numbers:.6g} DN",
-            f"{math.sqrt(QUANTISATION):.3f} or more, which rounding "
-            "alone gives; dark noise without quantisation is dark_noise, in e-",
+            f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding; "
+            "give dark noise without quantisation as dark_noise [e-]",
         )
     if electrons is None:
         return squared
     _compare(
         "dark_noise_dn",
         numbers,
-        math.sqrt(gain**2 * electrons**2 + QUANTISATION),
+        math.sqrt(gain**2 * electrons**2 + ROUNDING),
         rounding,
         "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)",
     )
@@ -293,19 +301,19 @@ def _dark_noise_squared(electrons, numbers, gain, rounding):
 
 
 def _pixel_part(name, figures, rounding, unit):
-    """What a total nonuniformity leaves to pixels beside the parts of rows and columns: their squares add."""
+    """Return a total nonuniformity less its row and column parts, in squares."""
     total, row, column = (figures[key] for key in (name, f"{name}_row", f"{name}_column"))
     both = math.hypot(row, column)
     if both > total * (1 + rounding):
         raise BadData(
             f"{name}_row = {row:g} {unit} and {name}_column = {column:g} {unit} are {both:.4g} {unit} "
-            f"together: more than {name} = {total:g} {unit}, which includes them"
+            f"together: more than {name} = {total:g} {unit}, their total"
         )
     return math.sqrt(max(total**2 - both**2, 0.0))
 
 
 def _compare(name, stated, derived, rounding, formula, decibels=False):
-    """Refuse a stated figure that differs from what the others give by more than `rounding`."""
+    """Raise BadData if a stated figure differs from the derived one by more than `rounding`."""
     if stated is None:
         return
     ratio = (10 ** (stated / 20) if decibels else stated) / derived

@@ -1,7 +1,8 @@
-"""Tables of learned filters that come with the program, and their files.
+"""Tables of learned filters: files, and the built-in table.
 
-A file is a NumPy archive with the fields of `Layout` and `FilterTable` under their names; `contrast_0`, `contrast_1`
-and `detail_0`, `detail_1` are the weights along columns and rows. What may be None is missing then.
+A file is a NumPy archive with the fields of `Layout` and `FilterTable` under their names;
+`contrast_0`, `contrast_1` and `detail_0`, `detail_1` are the weights along columns and rows. Fields
+that are None are missing.
 """
 
 import functools
@@ -11,24 +12,23 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.domain.learned import FilterTable, Layout
-from gpusim.io.archive import TEXT, WHOLE, open_archive
-from gpusim.io.atomic import atomic_path
-from gpusim.io.files import named
+from gpusim.io.archive import TEXT, WHOLE, open_archive, write_archive
+from gpusim.io.files import name_in_errors
 
 ARRAYS = ("taps", "groups", "ratios", "shares", "noise", "floor", "strengths", "levels")
 CONTRAST, DETAIL = (tuple(f"{name}_{axis}" for axis in (0, 1)) for name in ("contrast", "detail"))
 TEXTS = {"mosaic": (None,), "outputs": (None,), "domain": (), "provenance": ()}  # names and shapes
-COPIES = 2.0  # of the numbers, as the types that are kept, and whether each is finite
+COPIES = 2.0  # of the numbers: in their final types, and whether each is finite
 
 
 @functools.cache
 def bayer_table() -> FilterTable:
-    """The table for Bayer mosaics, camera red, green and blue out; `provenance` says what it was made from."""
+    """Return the table for Bayer mosaics with camera RGB as output; see its `provenance`."""
     return read_table(Path(str(resources.files("gpusim.data")), "learned", "bayer.npz"))
 
 
 def write_table(path, table: FilterTable):
-    """Write a table; `read_table` gives the same back. The path ends in .npz. Raises BadFile."""
+    """Write a table for `read_table`. The path ends in .npz. Raises BadFile."""
     layout = table.layout
     arrays: dict = {
         name: np.array(getattr(layout, name))
@@ -41,14 +41,15 @@ def write_table(path, table: FilterTable):
         }
     if table.offsets is not None:
         arrays["offsets"] = table.offsets
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_archive(path, arrays)
 
 
-@np.errstate(invalid="ignore", over="ignore")  # of damaged files; what is then no number is refused
+@np.errstate(
+    invalid="ignore", over="ignore"
+)  # damaged files; numbers that are not finite are refused
 def read_table(path) -> FilterTable:
     """Read a table. Raises BadFile and DoesNotFit."""
-    with open_archive(path) as stored, named(path):
+    with open_archive(path) as stored, name_in_errors(path):
         detail = DETAIL if DETAIL[0] in stored else ()
         numbers = (*ARRAYS, *CONTRAST, *detail, "filters")
         stored.require((*TEXTS, *numbers, "box"))

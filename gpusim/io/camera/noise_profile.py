@@ -1,33 +1,42 @@
-"""Gain and read noise from the noise profile of a raw photograph (DNG's tag 51041)."""
+"""Gain and read noise from the noise profile of a raw photograph (DNG tag 51041)."""
 
-import logging
 import math
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.sensor import Sensor
-from gpusim.io.files import named, open_file, reading
+from gpusim.io.files import name_in_errors, open_file, reading, silence
 
 CFA, LINEAR_RAW = 32803, 34892  # TIFF's codes of raw pictures
 PHOTOMETRIC, BITS, SUBFILE = 262, 258, 254
 BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE = 50714, 50717, 51041
 RATIONAL = (5, 10)  # TIFF's types of fractions
-SPREAD = 1.25  # of the planes' factors: a sensor has one gain
+SPREAD = 1.25  # allowed ratio of the planes' factors: a sensor has one gain
 WHAT = "a DNG"
 
 
 @dataclass(frozen=True)
 class NoiseProfile:
-    """Variance of raw values, scale x + offset, x the mean from 0 at black_level to 1 at white_level [DN].
+    """Variance of raw values as scale x + offset, x from 0 at black_level to 1 at white_level.
 
-    Of N electrons, a gain of K [DN/e-] and read noise of r [e-], x = K N / (W - B) has the variance
-    K^2 (N + r^2 + 1 / (12 K^2)) / (W - B)^2, the last for rounding. So K = scale (W - B), white is at 1 / scale
-    electrons, and r^2 = (offset - 1 / (12 (W - B)^2)) / scale^2.
-    Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0, NoiseProfile. Raises OutOfRange.
+    For N electrons, a gain of K [DN/e-] and read noise r [e-], x = K N / (W - B) has the variance
+    K^2 (N + r^2 + 1 / (12 K^2)) / (W - B)^2; the last term is rounding. So K = scale (W - B), white
+    is 1 / scale electrons, and r^2 = (offset - 1 / (12 (W - B)^2)) / scale^2.
+
+    Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0, NoiseProfile.
+
+    Attributes:
+        scale: S of the profile [1].
+        offset: O of the profile [1].
+        black_level: black level B [DN].
+        white_level: white level W [DN].
+
+    Raises:
+        OutOfRange: if a value is out of range.
     """
 
     scale: float
@@ -58,14 +67,15 @@ class NoiseProfile:
 
     @property
     def read(self) -> float:
-        """Read noise without rounding [e-], 0 where the profile has less than rounding makes."""
+        """Read noise without rounding [e-]; 0 if the profile has less noise than rounding."""
         rounding = ROUNDING / (self.white_level - self.black_level) ** 2
         return math.sqrt(max(self.offset - rounding, 0.0)) / self.scale
 
     def applied(self, sensor: Sensor) -> Sensor:
-        """The sensor with this gain, these levels, saturation at the white level, and all noise of reading as `read`.
+        """Return the sensor with this gain, these levels, this saturation and this read noise.
 
-        Fixed patterns, dark current and the rest stay: a profile does not know them.
+        `read` replaces all noise of reading. Fixed patterns, dark current and the rest stay,
+        because a profile does not have them.
         """
         noise = replace(sensor.noise, read=self.read, reset=0.0, adc=0.0, row=0.0, column=0.0)
         return replace(
@@ -80,7 +90,7 @@ class NoiseProfile:
 
     @property
     def fields(self) -> dict:
-        """What of `Sensor` it tells."""
+        """Fields of `Sensor` that the profile determines."""
         return {
             "gain": self.gain,
             "full_well": 1 / self.scale,
@@ -89,13 +99,22 @@ class NoiseProfile:
         }
 
 
-def read_noise_profile(path) -> NoiseProfile:
-    """Read the noise profile of a DNG and the levels that it refers to. Raises BadFile.
+def read_noise_profile(path: str | PathLike) -> NoiseProfile:
+    """Read the noise profile of a DNG and its black and white levels.
 
-    Planes of a profile are averaged; those whose factors differ by more than a quarter are refused.
+    Planes of a profile are averaged; it is refused if their factors differ by more than a quarter.
+
+    Args:
+        path: DNG file.
+
+    Returns:
+        The profile.
+
+    Raises:
+        BadFile: if the file cannot be read or has no usable profile.
     """
     tags = _tags(path)
-    with named(path):
+    with name_in_errors(path):
         if NOISE_PROFILE not in tags:
             raise BadData(
                 "has no NoiseProfile (tag 51041); Android's camera and Adobe's DNG Converter write one"
@@ -122,12 +141,12 @@ def read_noise_profile(path) -> NoiseProfile:
 
 
 def _tags(path):
-    """The numbers of the raw picture's tags, and of the first picture's where the raw one has none."""
+    """Return the raw picture's tags, and the first picture's NoiseProfile if the raw has none."""
     import tifffile
 
     with (
         open_file(path) as file,
-        _silent("tifffile"),
+        silence("tifffile"),
         reading(path, WHAT),
         tifffile.TiffFile(file) as tiff,
     ):
@@ -158,20 +177,9 @@ def _tags(path):
 
 
 def _values(page, code):
-    """Numbers of a tag, fractions as one number each."""
+    """Return the numbers of a tag, fractions as one number each."""
     tag = page.tags[code]
     values = np.array(tag.value, np.float64).ravel()
     if tag.dtype in RATIONAL:
         values = values[::2] / np.where(values[1::2] == 0, np.nan, values[1::2])
     return values if code in (BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE) else values.astype(int)
-
-
-@contextmanager
-def _silent(name):
-    """While a library would print what is wrong with a file, which is said as one error."""
-    logger = logging.getLogger(name)
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before

@@ -1,45 +1,62 @@
-"""Point spreads of a lens of Optiland, an optical design program in Python."""
+"""Point spread functions of lenses in Optiland, an optical design program in Python."""
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.psf import PointSpread
 from gpusim.io.camera.traced import Traced, spread_of
 
 HEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-MARGIN = 0.95  # of the coarsest spacing that tells all of the irradiance, lambda N / 2
+MARGIN = 0.95  # of the Nyquist spacing of the irradiance, lambda N / 2
 SAMPLES = 65
-FIELDS = 41  # chief rays from which the field of an image height is interpolated
-FIELD_STEPS = (
-    4  # of the secant's search, which converges with the third power of the distance of the fields
-)
+FIELDS = 41  # chief rays for the interpolation of the field from the image height
+# steps of the secant search, which converges with the third power of the fields' distance
+FIELD_STEPS = 4
 
 
 def optiland_psf(
-    optic,
-    wavelengths,
+    optic: Any,
+    wavelengths: ArrayLike,
     corner: float,
-    heights=HEIGHTS,
+    heights: ArrayLike = HEIGHTS,
     *,
     spacing: float | None = None,
     samples: int = SAMPLES,
     rays: int = 128,
     reference: float | None = None,
 ) -> PointSpread:
-    """Huygens point spreads of an `optiland.optic.Optic`, a round lens, over wavelength and field.
+    """Return Huygens point spread functions of a lens over wavelength and field.
 
-    wavelengths: [nm]; all light of the scenes must lie between them. corner: distance of the frame's corner from the
-    axis [m]. heights: of the image points, 1 at the corner, rising from 0; (0,) for the same blur all over the frame.
-    spacing: of the samples [m], lambda N / 2 of the shortest wavelength less 5 % by default. samples: along an edge,
-    odd; the light beyond is lost, so let them cover all rays and some rings. rays: across the pupil. reference:
-    wavelength whose chief ray makes the ideal image point [nm], the middle one by default; lateral color is relative to
-    it.
-    Raises BadData, OutOfRange.
+    The lens is an `optiland.optic.Optic` with rotational symmetry. Write the result once and name
+    it in the camera's file:
 
-    Write it once and name it in the camera's file:
-        gs.write_psf("lens.npz", gs.optiland_psf(CookeTriplet(), range(400, 701, 50), corner=3e-3))
+            gs.write_psf("lens.npz", gs.optiland_psf(CookeTriplet(), range(400, 701, 50), corner=3e-3))
+
+    Args:
+        optic: the lens.
+        wavelengths: wavelengths [nm]; all light of the scenes must lie between them.
+        corner: distance of the frame's corner from the axis [m].
+        heights: image heights, 1 at the corner, rising from 0; (0,) is the same blur all over the
+            frame.
+        spacing: distance of the samples [m]; None is lambda N / 2 of the shortest wavelength less 5
+            %.
+        samples: samples along an edge, odd. Light beyond them is lost: include all rays and some
+            diffraction rings.
+        rays: rays across the pupil.
+        reference: wavelength whose chief ray defines the ideal image point [nm]; None is the middle
+            one. Lateral colour is relative to it.
+
+    Returns:
+        The point spread functions.
+
+    Raises:
+        BadData: if wavelengths, heights or corner are wrong, or a chief ray does not reach the
+            image.
+        OutOfRange: if a count, a height or the reference is out of range.
     """
     wavelengths = np.unique(np.asarray(wavelengths, np.float64).ravel())
     heights = np.unique(np.asarray(heights, np.float64).ravel())
@@ -52,16 +69,16 @@ def optiland_psf(
         or not 0 < corner < math.inf
     ):
         raise BadData(
-            "optiland_psf: wanted heights from 0 on, 1 at the frame's corner, and corner > 0 [m]"
+            "optiland_psf: wanted heights rising from 0, 1 at the frame's corner, and corner > 0 [m]"
         )
     if reference is None:
         reference = float(wavelengths[len(wavelengths) // 2])
     if spacing is None:
         spacing = MARGIN * wavelengths[0] * 1e-9 * abs(float(np.squeeze(optic.paraxial.FNO()))) / 2
-    fields = [_field(optic, height * corner, reference) for height in heights]
+    fields = [_find_field(optic, height * corner, reference) for height in heights]
     return spread_of(
         [
-            _traced(optic, field, wavelength, spacing, samples | 1, rays)
+            _trace_psf(optic, field, wavelength, spacing, samples | 1, rays)
             for field in fields
             for wavelength in wavelengths
         ],
@@ -71,7 +88,7 @@ def optiland_psf(
 
 
 def _chief(optic, field, wavelength):
-    """Where the chief ray of a field along y, 1 the largest, meets the image: (x, y) [m]."""
+    """Return the image point (x, y) [m] of a field's chief ray; field: along y, 1 the largest."""
     rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
     found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
     if not np.isfinite(found).all():
@@ -81,8 +98,8 @@ def _chief(optic, field, wavelength):
     return found
 
 
-def _field(optic, height, wavelength):
-    """The field along y, 1 the largest, whose chief ray meets the image at a distance of `height` [m]."""
+def _find_field(optic, height, wavelength):
+    """Return the field along y, 1 the largest, with the image height `height` [m]."""
     if height == 0:
         return 0.0
     fields = np.linspace(0, 1, FIELDS)
@@ -91,7 +108,7 @@ def _field(optic, height, wavelength):
         raise OutOfRange(
             "optiland_psf: image height",
             f"{height * 1e3:.4g} mm",
-            f"up to {found.max() * 1e3:.4g} mm, which the lens's largest field reaches",
+            f"up to {found.max() * 1e3:.4g} mm, the image height of the lens's largest field",
         )
     field = float(np.interp(height, found, fields))
     for _ in range(FIELD_STEPS):
@@ -102,11 +119,14 @@ def _field(optic, height, wavelength):
     return field
 
 
-def _traced(optic, field, wavelength, spacing, samples, rays):
-    """Optiland's own point spread. Its rows and columns go along y and x, about the rays' mean, from edge to edge."""
+def _trace_psf(optic, field, wavelength, spacing, samples, rays):
+    """Return Optiland's point spread function.
+
+    Its rows and columns go along y and x about the mean of the rays, from edge to edge.
+    """
     from optiland.psf import HuygensPSF
 
-    # n samples at an extent of n pitches from the first to the last: they are n / (n - 1) pitches apart
+    # HuygensPSF spreads n samples over n pitches, so they are n / (n - 1) pitches apart
     found = HuygensPSF(
         optic,
         (0, field),

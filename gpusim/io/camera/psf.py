@@ -1,16 +1,16 @@
-"""Point spreads as NumPy archives: wavelengths_nm (L,), psf (L, rows, cols), spacing_um; integrated (optional).
+"""Point spread functions as NumPy archives.
 
-Over the field: heights (H,) with psf (H, L, rows, cols), or grid_y (Y,), grid_x (X,) with psf (Y, X, L, rows, cols).
-Rows go down and columns to the right in the upright picture.
+Keys: wavelengths_nm (L,), psf (L, rows, cols), spacing_um; integrated (optional). Over the field:
+heights (H,) with psf (H, L, rows, cols), or grid_y (Y,), grid_x (X,) with psf (Y, X, L, rows,
+cols). Rows go down and columns to the right in the upright picture.
 """
 
-import numpy as np
+from os import PathLike
 
 from gpusim.domain.errors import BadFile
 from gpusim.domain.psf import PointSpread
-from gpusim.io.archive import NUMBERS, open_archive
-from gpusim.io.atomic import atomic_path
-from gpusim.io.files import named
+from gpusim.io.archive import NUMBERS, open_archive, write_archive
+from gpusim.io.files import name_in_errors
 
 SHAPES = {
     "wavelengths_nm": (None,),
@@ -24,15 +24,26 @@ SHAPES = {
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 
-def read_psf(path) -> PointSpread:
-    """Read a stack of point spreads, one per wavelength. Raises BadFile, naming file and problem, and DoesNotFit."""
-    with open_archive(path) as archive, named(path):
+def read_psf(path: str | PathLike) -> PointSpread:
+    """Read point spread functions, one per wavelength.
+
+    Args:
+        path: NumPy archive, see this module.
+
+    Returns:
+        The point spread functions.
+
+    Raises:
+        BadFile: if the file cannot be used, naming file and problem.
+        DoesNotFit: if it does not fit into memory.
+    """
+    with open_archive(path) as archive, name_in_errors(path):
         archive.require(("wavelengths_nm", "psf", "spacing_um"))
         for key in SHAPES.keys() & archive.keys():
             archive.shape(key, NUMBERS + "b" * (key == "integrated"), wanted=SHAPES[key])
         axes = [key for key in ("grid_y", "grid_x") if key in archive]
         if len(axes) == 1:
-            raise BadFile(path, f"has {axes[0]} alone; wanted grid_y and grid_x")
+            raise BadFile(path, f"has only {axes[0]}; wanted grid_y and grid_x")
         archive.require_memory(COPIES)
         integrated = bool(archive["integrated"]) if "integrated" in archive else False
         heights = archive["heights"] if "heights" in archive else None
@@ -46,8 +57,16 @@ def read_psf(path) -> PointSpread:
         )
 
 
-def write_psf(path, spread: PointSpread) -> None:
-    """Write point spreads; `read_psf` gives the same back. Raises BadFile."""
+def write_psf(path: str | PathLike, spread: PointSpread) -> None:
+    """Write point spread functions for `read_psf`.
+
+    Args:
+        path: file to write.
+        spread: the point spread functions.
+
+    Raises:
+        BadFile: if the file cannot be written.
+    """
     arrays: dict = {
         "wavelengths_nm": spread.wavelengths,
         "psf": spread.values,
@@ -58,5 +77,4 @@ def write_psf(path, spread: PointSpread) -> None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:
         arrays["grid_y"], arrays["grid_x"] = spread.grid
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_archive(path, arrays)

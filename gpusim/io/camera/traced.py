@@ -1,4 +1,4 @@
-"""Point spreads that lens design programs trace, put together to those of a camera."""
+"""Point spread functions from lens design programs, combined into a camera's."""
 
 from typing import NamedTuple
 
@@ -7,18 +7,18 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.psf import PointSpread
 
-ON_AXIS = 1e-6  # of the frame's corner
+ON_AXIS = 1e-6  # height relative to the corner that counts as on axis
 
 
 class Traced(NamedTuple):
-    """A point spread of one wavelength and field point, as a lens design program computes it.
+    """Point spread function of one wavelength and field point from a lens design program.
 
-    wavelength: [nm]. values: irradiance (rows, cols), of places that grow along x with the columns and along y with the
-    rows; x and y of the image plane, z along the light, right-handed. spacing: [m]. middle: (row, column) of the image
-    point `centre`, (x, y) [m]. field: names the field point.
+    wavelength: [nm]. values: irradiance (rows, cols); columns go along x, rows along y of the image
+    plane, z along the light, right-handed. spacing: [m]. middle: (row, column) of the image point
+    `centre`, (x, y) [m]. field: name of the field point.
 
-    In the upright picture these rows go down and these columns to the right: with y up and z ahead, x points to the
-    left, and a lens turns its image by half a turn.
+    In the upright picture these rows go down and these columns to the right: with y up and z ahead,
+    x points to the left, and a lens turns its image by half a turn.
     """
 
     wavelength: float
@@ -32,13 +32,15 @@ class Traced(NamedTuple):
 def spread_of(
     traced: list[Traced], corner: float | None = None, reference: float | None = None
 ) -> PointSpread:
-    """Point spreads of one field point, the same all over the frame, or of several, of a lens that is round.
+    """Return the camera's point spread functions: of one field point, or several of a round lens.
 
-    corner: distance of the frame's corner from the axis [m], needed for several field points, which lie on one line
-    from the axis along x or y. reference: wavelength whose image point is the ideal one [nm], the middle one by
-    default; how far others lie from it, lateral color, stays in the point spreads.
-    All are sampled as the finest is, by the sampling theorem, over the square that all cover.
-    Raises BadData, OutOfRange.
+    One field point holds for the whole frame. All are resampled as the finest is, with sinc
+    interpolation, over the square that all cover.
+
+    corner: distance of the frame's corner from the axis [m], required for several field points,
+    which lie on one line from the axis along x or y. reference: wavelength whose image point is the
+    ideal one [nm]; None is the middle one. Offsets of other wavelengths, lateral colour, stay in
+    the point spread functions. Raises BadData, OutOfRange.
     """
     wavelengths = sorted({one.wavelength for one in traced})
     fields = list(dict.fromkeys(one.field for one in traced))
@@ -61,9 +63,9 @@ def spread_of(
                 "axis [m]"
             )
         fields.sort(key=lambda field: np.hypot(*ideal[field]))
-    values, spacing = _sampled(
+    values, spacing = _resample_all(
         [
-            _outward(table[field, wavelength], ideal[field], corner)
+            _turn_outward(table[field, wavelength], ideal[field], corner)
             for field in fields
             for wavelength in wavelengths
         ]
@@ -83,8 +85,8 @@ def spread_of(
     return PointSpread(np.array(wavelengths), values, spacing, heights=heights)
 
 
-def _outward(traced, ideal, corner):
-    """Values, turned so that the axis lies at smaller columns, spacing, and the index of the ideal image point."""
+def _turn_outward(traced, ideal, corner):
+    """Return values with the axis at smaller columns, spacing, and the index of the ideal point."""
     values, (row, col) = traced.values, traced.middle
     row -= (traced.centre[1] - ideal[1]) / traced.spacing
     col -= (traced.centre[0] - ideal[0]) / traced.spacing
@@ -97,15 +99,16 @@ def _outward(traced, ideal, corner):
             f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y"
         )
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
-        values, (row, col) = (
-            np.rot90(values),
-            (values.shape[1] - 1 - col, row),
-        )  # what is below comes to the right
+        # values from below come to the right
+        values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)
     return values, traced.spacing, (row, col)
 
 
-def _sampled(parts):
-    """All on one square grid about their ideal points, (n, size, size), size odd, and its spacing."""
+def _resample_all(parts):
+    """Return all on one square grid about their ideal points, (n, size, size), and its spacing.
+
+    size is odd.
+    """
     spacing = min(part[1] for part in parts)
     reach = min(
         min(middle, size - 1 - middle) * own / spacing
@@ -115,11 +118,11 @@ def _sampled(parts):
     half = int(reach + 1e-6)
     if half < 1:
         raise BadData("the image point lies outside its point spread")
-    return np.stack([_resampled(*part, spacing, half) for part in parts]), spacing
+    return np.stack([_resample(*part, spacing, half) for part in parts]), spacing
 
 
-def _resampled(values, own, place, spacing, half):
-    """Values about `place` at 2 half + 1 steps of `spacing`, band-limited; what rings below 0 is cut off."""
+def _resample(values, own, place, spacing, half):
+    """Return values about `place` at 2 half + 1 band-limited steps of `spacing`, clipped at 0."""
     steps = np.arange(-half, half + 1) * (spacing / own)
     lines = [
         np.sinc(np.round(middle + steps, 9)[:, None] - np.arange(size))

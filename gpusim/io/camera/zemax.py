@@ -1,32 +1,26 @@
-"""Point spreads from text listings of Zemax OpticStudio: Huygens PSF and FFT PSF."""
+"""Point spread functions from text listings of Zemax OpticStudio: Huygens PSF and FFT PSF."""
 
 import re
 from collections.abc import Iterable
+from os import PathLike
 
 import numpy as np
 
 from gpusim.domain.errors import BadData, shown
 from gpusim.domain.psf import PointSpread
 from gpusim.io.camera.traced import Traced, spread_of
-from gpusim.io.files import named, read_text, reading
+from gpusim.io.files import name_in_errors, read_text, reading
 
 WHAT = "a text listing of Zemax's Huygens PSF or FFT PSF"
 LONGEST = 2**26  # [byte]: a grid of 2048 x 2048
-COST = 12  # [byte] per byte of text: its letters, its words, their numbers
+COST = 12  # [byte] memory per byte of text: letters, words, numbers
 UNITS = {
-    "µm": 1e-6,
-    "μm": 1e-6,
-    "um": 1e-6,
-    "micrometers": 1e-6,
+    **dict.fromkeys(("µm", "μm", "um", "micrometers"), 1e-6),
     "nm": 1e-9,
-    "mm": 1e-3,
-    "millimeters": 1e-3,
-    "cm": 1e-2,
-    "centimeters": 1e-2,
-    "in": 0.0254,
-    "inches": 0.0254,
-    "m": 1.0,
-    "meters": 1.0,
+    **dict.fromkeys(("mm", "millimeters"), 1e-3),
+    **dict.fromkeys(("cm", "centimeters"), 1e-2),
+    **dict.fromkeys(("in", "inches"), 0.0254),
+    **dict.fromkeys(("m", "meters"), 1.0),
 }
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 UNIT = r"([^\s\d.,()]+)"
@@ -38,53 +32,68 @@ CENTRE = re.compile(
     rf"^(?:Center|Reference) coordinates *: *{NUMBER}, *{NUMBER}(?:[ \t]+{UNIT})?", re.M | re.I
 )
 VALUES = re.compile(r"^Values are .*$", re.M)
-WAVELENGTHS, SPACINGS, PLACES = (1e-7, 1e-4), (1e-10, 1e-2), (-10.0, 10.0)  # [m] that are believed
-FINEST = 1e-9  # relative, of spacings and wavelengths that are printed
+WAVELENGTHS, SPACINGS, PLACES = (1e-7, 1e-4), (1e-10, 1e-2), (-10.0, 10.0)  # [m] plausible limits
+FINEST = 1e-9  # relative precision of printed wavelengths
 
 
 def read_zemax_psf(
-    paths, corner: float | None = None, reference: float | None = None
+    paths: str | PathLike | Iterable[str | PathLike],
+    corner: float | None = None,
+    reference: float | None = None,
 ) -> PointSpread:
-    """Read the text listings of one lens, one for each wavelength and field point, as point spreads of the camera.
+    """Read the text listings of one lens, one per wavelength and field point.
 
-    paths: of one file or a list. Each is of a single wavelength, linear, on axis or at a field point along x or y.
-    corner: distance of the frame's corner from the axis [m], needed for several field points; they are taken for those
-    of a round lens. Heights are those of the image points (the listings' coordinates, in mm unless they say otherwise).
-    reference: see `gpusim.io.camera.traced.spread_of`. The first line of a listing's grid is the top one, of the
-    largest y, as OpticStudio draws it. Energies are scaled to 1: what lies beyond the grid is lost, so let it be wide.
-    Raises BadFile, naming the file, and BadData for files that do not go together.
+    The first line of a listing's grid is the top one, of the largest y, as OpticStudio draws it.
+    Energies are scaled to 1: light beyond the grid is lost, so use a wide grid.
+
+    Args:
+        paths: one file or several. Each is of a single wavelength, linear, on axis or at a field
+            point along x or y.
+        corner: distance of the frame's corner from the axis [m], required for several field points.
+            The lens is taken as round; heights are distances of the image points (the listings'
+            coordinates, in mm unless they have a unit).
+        reference: see `gpusim.io.camera.traced.spread_of`.
+
+    Returns:
+        The camera's point spread functions.
+
+    Raises:
+        BadFile: if a file cannot be used, naming it.
+        BadData: if the files do not fit together.
+        OutOfRange: if the reference or the field points are out of range.
     """
     several = isinstance(paths, Iterable) and not isinstance(paths, str)
-    return spread_of(
-        [_listing(path) for path in (paths if several else [paths])], corner, reference
-    )
+    files: Iterable = paths if several else [paths]  # type: ignore[assignment]
+    return spread_of([_read_listing(path) for path in files], corner, reference)
 
 
-def _listing(path) -> Traced:
+def _read_listing(path) -> Traced:
     text = read_text(path, WHAT, LONGEST, older=True, cost=COST).replace("\r\n", "\n")
-    with named(path):
+    with name_in_errors(path):
         if not re.search(r"(?:Huygens|FFT) PSF", text[:2000], re.I):
             raise BadData(f"not {WHAT}")
         start = VALUES.search(text)
         if start is None:
             raise BadData(f'not {WHAT}: no line "Values are ..." before the values')
         head = text[: start.start()]
-        rows, cols = map(int, _found(GRID, head, "Image grid size").groups())
-        values = _values(path, text[start.end() :], rows, cols)
-        first, last, unit, field = _found(LIGHT, head, "wavelength and field").groups()
+        rows, cols = map(int, _match(GRID, head, "Image grid size").groups())
+        values = _parse_values(path, text[start.end() :], rows, cols)
+        first, last, unit, field = _match(LIGHT, head, "wavelength and field").groups()
         if last is not None and abs(float(last) / max(float(first), 1e-30) - 1) > FINEST:
             raise BadData(
                 f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
             )
-        wavelength = _within("wavelength", first, unit, WAVELENGTHS)
-        size, its = _found(SPACING, head, "Data spacing").groups()
-        spacing = _within("Data spacing", size, its, SPACINGS)
+        wavelength = _parse_length("wavelength", first, unit, WAVELENGTHS)
+        size, spacing_unit = _match(SPACING, head, "Data spacing").groups()
+        spacing = _parse_length("Data spacing", size, spacing_unit, SPACINGS)
         middle = MIDDLE.search(head)
         row, col = (int(item) - 1 for item in middle.groups()) if middle else (rows // 2, cols // 2)
         if not (0 <= row < rows and 0 <= col < cols):
             raise BadData(f"Center point is row {row + 1}, column {col + 1} of {rows} x {cols}")
         x, y, length = centre.groups() if (centre := CENTRE.search(head)) else (0, 0, None)
-        x, y = (_within("Center coordinates", item, length or "mm", PLACES) for item in (x, y))
+        x, y = (
+            _parse_length("Center coordinates", item, length or "mm", PLACES) for item in (x, y)
+        )
         # the first line is the top one
         return Traced(
             round(wavelength * 1e9, 6),
@@ -96,15 +105,15 @@ def _listing(path) -> Traced:
         )
 
 
-def _found(pattern, head, what):
+def _match(pattern, head, what):
     found = pattern.search(head)
     if found is None:
         raise BadData(f"not {WHAT}: no {what} in it")
     return found
 
 
-def _within(what, number, unit, limits):
-    """A length [m] that is believed."""
+def _parse_length(what, number, unit, limits):
+    """Return a length [m] within plausible limits."""
     if unit.lower().rstrip(".") not in UNITS:
         raise BadData(f"unit {shown(unit)}: wanted one of {', '.join(UNITS)}")
     length, (low, high) = float(number) * UNITS[unit.lower().rstrip(".")], limits
@@ -113,20 +122,19 @@ def _within(what, number, unit, limits):
     return length
 
 
-def _values(path, text, rows, cols):
+def _parse_values(path, text, rows, cols):
     if not rows * cols:
         raise BadData(f"Image grid size of {rows} by {cols}: wanted a point spread")
     words = text.split()
     if len(words) != rows * cols:
-        raise BadData(f"{len(words)} values, {rows} x {cols} were announced; is it truncated?")
-    if (
-        not text[-1].isspace() and len(set(map(len, words))) > 1
-    ):  # OpticStudio's are all of one length
+        raise BadData(f"{len(words)} values instead of {rows} x {cols}; is it truncated?")
+    # all numbers of OpticStudio have the same length
+    if not text[-1].isspace() and len(set(map(len, words))) > 1:
         raise BadData(f"no line ends after the last value, {shown(words[-1])}; is it truncated?")
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():
         raise BadData(
-            "has values that are negative or no numbers: wanted a linear listing, not a logarithmic one"
+            "has values that are negative or not finite: wanted a linear listing, not a logarithmic one"
         )
     return values

@@ -1,1 +1,1 @@
-"""Writers of frames."""
+"""Writers of frames: pictures, raw files, events."""

@@ -1,4 +1,4 @@
-"""Raw files: Adobe's DNG."""
+"""Raw files in Adobe's DNG format."""
 
 import math
 from fractions import Fraction
@@ -8,37 +8,32 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.io.atomic import atomic_path
 
-LIGHTS = {
-    "A": 17,
-    "B": 18,
-    "C": 19,
-    "D55": 20,
-    "D65": 21,
-    "D75": 22,
-    "D50": 23,
-}  # EXIF codes, LightSource
-FILTERS = (
-    "RGBCMYW"  # by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
-)
-PLANES = (1, 3, 4)  # that colour matrices, and the programs that read them, know
+# EXIF codes, LightSource
+LIGHTS = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}
+# index is the code in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+FILTERS = "RGBCMYW"
+PLANES = (1, 3, 4)  # channels that colour matrices and other programs support
 LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
 
 def check_dng(cfa, channels):
-    """Raise OutOfRange unless a DNG can tell these filters. cfa: one period, () without a mosaic. channels: letters."""
+    """Raise OutOfRange unless a DNG can store these filters.
+
+    cfa: one period of the mosaic, () without. channels: letters of the channels.
+    """
     if len(channels) not in PLANES:
         raise OutOfRange(
             "channels of a DNG",
             f"{len(channels)} ({', '.join(channels)})",
-            "1, 3 or 4: colour matrices have no other; .npz holds any",
+            "1, 3 or 4, because of the colour matrices; .npz holds any",
         )
     strange = [letter for letter in channels if letter not in FILTERS] if cfa else []
     if strange:
         raise OutOfRange(
             "filters of a DNG",
             ", ".join(strange),
-            f"{', '.join(FILTERS)}: DNG has no other names; .npz holds any",
+            f"{', '.join(FILTERS)}; .npz holds any",
         )
 
 
@@ -55,18 +50,21 @@ def write_dng(
     noise=None,
     camera_name="gpusim",
 ):
-    """Write sensor values as a DNG (version 1.4, one uncompressed strip), exactly as they are.
+    """Write raw values as a DNG (version 1.4, one uncompressed strip) without changing them.
 
-    raw: uint16 or float32 [DN], shape (rows, cols); of stacked pixels (C, rows, cols).
-    cfa: one period of the mosaic as rows of letters of R, G, B, C, M, Y and W, such as ("RG", "GB"); () without.
-    black_level, white_level: [DN]; black_level may be one for each place of the mosaic's period.
-    channels: the letters in the order in which the following have them; all four are not used of one channel.
-    matrices: {light: (color, forward)} of one or two lights, names in LIGHTS: XYZ to camera, shape (C, 3), and camera
-    values over those of white to XYZ in D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape
-    (C,), largest about 1.
-    noise: (S, O), the variance of x = (raw - black) / (white - black) is S x + O; None: is not told.
-    LibRaw, and so many programs, opens no picture smaller than 22 x 22, and no mosaics but of 2 x 2, and X-Trans.
-    Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0.
+    raw: uint16 or float32 [DN], shape (rows, cols), or (C, rows, cols) of stacked pixels. cfa: one
+    period of the mosaic as rows of letters of R, G, B, C, M, Y and W, for example ("RG", "GB"); ()
+    without. black_level, white_level: [DN]; black_level may have one value per position in the
+    mosaic's period. channels: letters in the order of the following arguments, which are not used
+    for one channel. matrices: {light: (color, forward)} of one or two lights, names in LIGHTS:
+    color from XYZ to camera, shape (C, 3); forward from camera values relative to white to XYZ in
+    D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape (C,), largest about
+    1. noise: (S, O) if x = (raw - black) / (white - black) has the variance S x + O; None is
+    unknown.
+
+    LibRaw, which many programs use, opens only pictures of 22 x 22 or more, and only mosaics of 2 x
+    2 and X-Trans. Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG)
+    Specification", 1.4.0.0.
     """
     import tifffile
 
@@ -88,7 +86,7 @@ def write_dng(
         raise BadData(f"{path}: {samples} layers of raw values for {planes} channels")
     oldest = (1, 4, 0, 0) if raw.dtype == np.float32 else (1, 1, 0, 0)
     tags = [
-        (274, "H", 1, 1, False),  # Orientation: as it is
+        (274, "H", 1, 1, False),  # Orientation: not turned
         (50706, "B", 4, (1, 4, 0, 0), False),  # DNGVersion
         (50707, "B", 4, oldest, False),  # DNGBackwardVersion
         (50708, "s", 0, camera_name, False),  # UniqueCameraModel
@@ -101,9 +99,8 @@ def write_dng(
     if noise is not None:
         if not (len(noise) == 2 and noise[0] > 0 and noise[1] >= 0 and np.isfinite(noise).all()):
             raise OutOfRange("noise of a DNG", noise, "S > 0 and O >= 0")
-        tags.append(
-            (51041, "d", 2, tuple(map(float, noise)), False)
-        )  # NoiseProfile, one for all planes
+        # NoiseProfile, one for all planes
+        tags.append((51041, "d", 2, tuple(map(float, noise)), False))
     with atomic_path(path) as temporary:
         tifffile.imwrite(
             temporary,
@@ -116,14 +113,13 @@ def write_dng(
             extratags=tags,
         )
         if not cfa:
-            with tifffile.TiffFile(
-                temporary, mode="r+b"
-            ) as file:  # tifffile itself writes it for three samples only
+            # tifffile writes it for three samples only
+            with tifffile.TiffFile(temporary, mode="r+b") as file:
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
 
 
 def _levels(cfa, samples, black_level, white_level):
-    """Tags of the black and white levels; black as a rational number where it is not whole."""
+    """Return tags of the black and white levels; black is rational if it is not whole."""
     black = np.asarray(black_level, np.float64)
     period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
     if black.shape not in ((), period):
@@ -149,32 +145,22 @@ def _levels(cfa, samples, black_level, white_level):
 
 
 def _mosaic(path, cfa, channels):
+    """Return tags of the colour filter array."""
     if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
         raise BadData(
-            f"{path}: cfa {cfa} wanted equally long rows of the letters {', '.join(channels)}"
+            f"{path}: cfa {cfa}: wanted rows of equal length with the letters {', '.join(channels)}"
         )
+    pattern, planes = (bytes(map(FILTERS.index, letters)) for letters in ("".join(cfa), channels))
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
-        (
-            33422,
-            "B",
-            len("".join(cfa)),
-            bytes(FILTERS.index(letter) for letter in "".join(cfa)),
-            False,
-        ),  # CFAPattern
-        (
-            50710,
-            "B",
-            len(channels),
-            bytes(FILTERS.index(letter) for letter in channels),
-            False,
-        ),  # CFAPlaneColor
+        (33422, "B", len(pattern), pattern, False),  # CFAPattern
+        (50710, "B", len(planes), planes, False),  # CFAPlaneColor
         (50711, "H", 1, 1, False),  # CFALayout: rows and columns
     ]
 
 
 def _colors(path, planes, matrices, as_shot_neutral):
-    """Tags by which a raw converter balances white and finds colours."""
+    """Return tags of white balance and colours for raw converters."""
     if not 1 <= len(matrices) <= 2 or not set(matrices) <= set(LIGHTS):
         raise OutOfRange(
             "matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}"
@@ -185,33 +171,27 @@ def _colors(path, planes, matrices, as_shot_neutral):
     tags = [(50728, "2I", planes, _fractions(neutral), False)]  # AsShotNeutral
     for place, (light, (color, forward)) in enumerate(matrices.items()):
         color = _finite(path, f"color matrix of {light}", color, (planes, 3))
+        values = _fractions(color.ravel())
         tags += [
-            (
-                50721 + place,
-                "2i",
-                3 * planes,
-                _fractions(color.ravel()),
-                False,
-            ),  # ColorMatrix1, ColorMatrix2
-            (50778 + place, "H", 1, LIGHTS[light], False),
-        ]  # CalibrationIlluminant1, CalibrationIlluminant2
+            (50721 + place, "2i", 3 * planes, values, False),  # ColorMatrix1, ColorMatrix2
+            (50778 + place, "H", 1, LIGHTS[light], False),  # CalibrationIlluminant1, 2
+        ]
         if forward is not None:
             forward = _finite(path, f"forward matrix of {light}", forward, (3, planes))
-            tags.append(
-                (50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False)
-            )  # ForwardMatrix1, 2
+            # ForwardMatrix1, 2
+            tags.append((50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False))
     return tags
 
 
 def _finite(path, key, values, shape):
     values = np.asarray(values, np.float64) if values is not None else np.empty(0)
     if values.shape != shape or not np.isfinite(values).all():
-        raise BadData(f"{path}: {key} must be finite numbers of shape {shape}")
+        raise BadData(f"{path}: {key}: wanted finite numbers of shape {shape}")
     return values
 
 
 def _fractions(values):
-    """Numerators and denominators in turn, as TIFF stores rational numbers: whole ones of 31 bits; to 1e-9 of 1."""
+    """Return numerators and denominators for TIFF: whole numbers of 31 bits, accurate to 1e-9."""
     fractions = [
         Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1))
         for value in values

@@ -1,13 +1,21 @@
-"""Events of event cameras as files."""
+"""Files of events from event cameras."""
+
+from os import PathLike
 
 import numpy as np
 
-from gpusim.io.atomic import atomic_path
+from gpusim.io.archive import write_archive
 
 
-def write_events(path, events: np.ndarray, shape: tuple[int, int]) -> None:
-    """Write events as .npz: t [s], x, y, p, and rows and columns of the sensor as `shape`. Raises BadFile."""
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(
-            file, shape=np.array(shape), t=events["t"], x=events["x"], y=events["y"], p=events["p"]
-        )
+def write_events(path: str | PathLike, events: np.ndarray, shape: tuple[int, int]) -> None:
+    """Write events as .npz: t [s], x, y, p, and rows and columns of the sensor as `shape`.
+
+    Args:
+        path: file to write.
+        events: array of EVENT, see `EventSensor.events`.
+        shape: rows and columns of the sensor.
+
+    Raises:
+        BadFile: if the file cannot be written.
+    """
+    write_archive(path, {"shape": np.array(shape), **{key: events[key] for key in "txyp"}})

@@ -1,4 +1,4 @@
-"""Simulated frames as files."""
+"""Files of simulated frames."""
 
 from pathlib import Path
 
@@ -7,22 +7,18 @@ import numpy as np
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.io.atomic import atomic_path
+from gpusim.io.archive import write_archive
 from gpusim.io.exr import write_rgb_exr
 from gpusim.io.frame.dng import check_dng, write_dng
 from gpusim.io.frame.images import write_png, write_tiff
 
-BITS = {
-    ".png": (8, 16),
-    ".tif": (16, 8, 32),
-    ".tiff": (16, 8, 32),
-    ".exr": (32, 16),
-}  # the first is the default
+# the first is the default
+BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}
 FORMATS = (*BITS, ".dng", ".npz")
 
 
 def frame_format(path) -> str:
-    """Return the format that the path's suffix stands for. Raises UnknownName."""
+    """Return the output format of a path's suffix. Raises UnknownName."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise UnknownName("output format", suffix or str(path), FORMATS)
@@ -30,9 +26,9 @@ def frame_format(path) -> str:
 
 
 def check_format(path, camera, bits=None):
-    """Raise OutOfRange unless the path's format can hold what `camera` takes, and in these bits; UnknownName.
+    """Raise OutOfRange unless the path's format can hold the camera's frames in these bits.
 
-    camera: as operated, its sensor binned.
+    camera: with binning applied to its sensor. Raises UnknownName for an unknown suffix.
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
@@ -46,21 +42,24 @@ def check_format(path, camera, bits=None):
     if not sensor.is_monochrome and table is not None and table.layout.outputs != sensor.channels:
         raise OutOfRange(
             "processor.table with a .dng output",
-            f"filters that give {', '.join(table.layout.outputs)}",
-            "those that give the camera's channels: a raw converter needs their white",
+            f"filters with the outputs {', '.join(table.layout.outputs)}",
+            "filters with the camera's channels as outputs: a raw converter needs their white",
         )
 
 
 def write_frame(path, frame, bits=None):
     """Write one frame (gpusim.pipeline.simulator.Frame) in the format of the path's suffix.
 
-    .png: display codes of 8 bits, or of 16. .tif: the same, 16 unless told otherwise, or, of 32 bits, linear display
-    RGB as floats. Both say what display they are for. .exr: linear display RGB, floats of 32 bits or of 16, with the
-    display's chromaticities. .dng: digital numbers with what a raw converter needs, see `_write_raw`.
-    .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]), both (rows, cols) or, of
-    stacked pixels, (C, rows, cols), `exposure_time_s`, `black_level`, `white_level`, `gain_dn_per_e`, `cfa`,
-    `channels`. bits: has no meaning for the last two. Raises UnknownName, BadFile and, for what a format cannot hold,
-    OutOfRange.
+    - .png: display codes of 8 bits, or of 16, tagged with the display.
+    - .tif: the same, 16 bits by default; 32 bits are linear display RGB as floats.
+    - .exr: linear display RGB, floats of 32 bits or of 16, with the display's chromaticities.
+    - .dng: digital numbers with the tags for raw converters, see `_write_raw`.
+    - .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]),
+      both (rows, cols) or, of stacked pixels, (C, rows, cols), `exposure_time_s`, `black_level`,
+      `white_level`, `gain_dn_per_e`, `cfa`, `channels`.
+
+    bits: bits of a sample, not used for .dng and .npz; None is the first of BITS. Raises
+    UnknownName, BadFile, and OutOfRange if the format cannot hold the frame.
     """
     check_format(path, frame.camera, bits)
     suffix, sensor, display = frame_format(path), frame.camera.sensor, frame.camera.display
@@ -74,26 +73,25 @@ def write_frame(path, frame, bits=None):
     elif suffix == ".dng":
         _write_raw(path, frame)
     else:
-        with atomic_path(path) as temporary:
-            np.savez_compressed(
-                temporary,
-                electrons=frame.mean,
-                dn=frame.raw,
-                cfa=np.array(sensor.cfa),
-                channels=np.array(sensor.channels),
-                exposure_time_s=frame.exposure_time,
-                black_level=sensor.dark_level,
-                white_level=sensor.white_level,
-                gain_dn_per_e=sensor.gain_dn_per_electron,
-            )
+        arrays = {
+            "electrons": frame.mean,
+            "dn": frame.raw,
+            "cfa": np.array(sensor.cfa),
+            "channels": np.array(sensor.channels),
+            "exposure_time_s": frame.exposure_time,
+            "black_level": sensor.dark_level,
+            "white_level": sensor.white_level,
+            "gain_dn_per_e": sensor.gain_dn_per_electron,
+        }
+        write_archive(path, arrays)
 
 
 def _write_raw(path, frame):
-    """Digital numbers as a DNG.
+    """Write digital numbers as a DNG.
 
-    Black is the mean without light or dark current; white is where values end: at the full well or the converter. The
-    matrices are those of `gpusim.color.camera_profile`. The noise is what differs from frame to frame, in the unit of
-    black 0, white 1: photons and dark current, and the noise of reading.
+    Black is the mean without light or dark current; white is the lowest of full well and converter
+    limit. The matrices come from `gpusim.color.camera_profile`. The noise is the part that changes
+    from frame to frame, in units with black 0 and white 1: photons, dark current and read noise.
     """
     sensor = frame.camera.sensor
     gain, black = sensor.gain_dn_per_electron, sensor.dark_level
@@ -101,9 +99,8 @@ def _write_raw(path, frame):
     if sensor.bits != FLOAT_BITS:
         white = min(white, round(black + gain * sensor.saturation))
     noise = None
-    if (
-        frame.averaged is not None and sensor.noise.photon != "none"
-    ):  # else no S > 0, which a DNG wants
+    # else S is not above 0, as a DNG requires
+    if frame.averaged is not None and sensor.noise.photon != "none":
         noise = RawNoise.of(sensor, frame.averaged).profile((white - black) / gain)
     colors = (
         (None, None) if sensor.is_monochrome else (frame.color_profile, frame.rendering.neutral)

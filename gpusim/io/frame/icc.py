@@ -1,6 +1,7 @@
-"""ICC profiles of displays: what the numbers of a picture mean, for programs that manage colours.
+"""ICC profiles of displays, for programs with colour management.
 
-Source: ICC.1:2010 (profile version 4.3.0.0; ISO 15076-1:2010): header 7.2, tags 9.2, their types 10.
+Source: ICC.1:2010 (profile version 4.3.0.0; ISO 15076-1:2010): header 7.2, tags 9.2, their types
+10.
 """
 
 import struct
@@ -11,14 +12,16 @@ from gpusim.data.colorimetry import adaptation
 from gpusim.domain.display import Display
 
 VERSION = 0x04300000
-D50 = (
-    np.array([0xF6D6, 0x10000, 0xD32D]) / 65536
-)  # XYZ of the profile connection space's white, 7.2.16
-DATE = (2026, 1, 1, 0, 0, 0)  # the same profile for the same display
+# XYZ of the profile connection space's white, 7.2.16
+D50 = np.array([0xF6D6, 0x10000, 0xD32D]) / 65536
+DATE = (2026, 1, 1, 0, 0, 0)  # fixed: a display always has the same profile
 
 
 def icc_profile(display: Display, linear: bool = False) -> bytes:
-    """The profile of a display with three primaries and one curve; linear: of numbers proportional to light."""
+    """Return the profile of a display with three primaries and one curve.
+
+    linear: for numbers proportional to light.
+    """
     white = display.xyz_from_rgb.sum(axis=1)
     adapt = adaptation(white, D50)
     colorants = adapt @ display.xyz_from_rgb
@@ -28,7 +31,7 @@ def icc_profile(display: Display, linear: bool = False) -> bytes:
         b"desc": _text(name),
         b"cprt": _text("No copyright, use freely"),
         b"wtpt": _xyz(D50),
-        b"chad": b"sf32\0\0\0\0" + _fixed(adapt.ravel()),
+        b"chad": b"sf32\0\0\0\0" + _fixed_point(adapt.ravel()),
         b"lumi": _xyz((0, display.luminance, 0)),
     }
     tags |= {
@@ -45,19 +48,19 @@ def icc_profile(display: Display, linear: bool = False) -> bytes:
 
 
 def _header(size):
-    """Of a display's profile with relative colorimetric intent; neither its maker nor its program are named."""
+    """Return the header of a display's profile, relative colorimetric intent, no maker named."""
     start = struct.pack(
         ">III4s4s4s6H4s24xI", size, 0, VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp", 1
     )
-    return start + _fixed(D50) + bytes(48)
+    return start + _fixed_point(D50) + bytes(48)
 
 
-def _fixed(values):
+def _fixed_point(values):
     return b"".join(struct.pack(">i", round(65536 * float(value))) for value in values)
 
 
 def _xyz(values):
-    return b"XYZ \0\0\0\0" + _fixed(values)
+    return b"XYZ \0\0\0\0" + _fixed_point(values)
 
 
 def _text(words):
@@ -66,9 +69,9 @@ def _text(words):
 
 
 def _curve(curve):
-    """A parametric curve: type 3 with IEC 61966-2-1's numbers, or type 0, an exponent."""
+    """Return a parametric curve: type 3 with IEC 61966-2-1's numbers, or type 0, an exponent."""
     if curve == "srgb":
-        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed(
+        return struct.pack(">4sIHH", b"para", 0, 3, 0) + _fixed_point(
             (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
         )
-    return struct.pack(">4sIHH", b"para", 0, 0, 0) + _fixed((curve,))
+    return struct.pack(">4sIHH", b"para", 0, 0, 0) + _fixed_point((curve,))

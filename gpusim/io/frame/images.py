@@ -1,4 +1,4 @@
-"""PNG and TIFF: pictures for display, that say what their numbers mean."""
+"""PNG and TIFF pictures for display, tagged with their colour space."""
 
 import io
 import struct
@@ -26,7 +26,7 @@ def write_png(path, image, display=DISPLAYS["srgb"]):
 
 
 def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
-    """The same as bytes; name: what an error says. Raises BadData."""
+    """Return the PNG as bytes, see `write_png`; name: for errors. Raises BadData."""
     image = np.ascontiguousarray(image)
     if (
         image.dtype not in (np.uint8, np.uint16)
@@ -50,15 +50,16 @@ def _png8(image, chunks):
         if kind != b"iCCP":
             tags.add(kind, body)
     profile = {"icc_profile": chunks[b"iCCP"]} if b"iCCP" in chunks else {}
-    # level 6 takes six times as long for noise that does not compress
+    # level 6 takes six times longer for noise that does not compress
     Image.fromarray(image).save(file, format="PNG", compress_level=1, pnginfo=tags, **profile)
     return file.getvalue()
 
 
 def _png16(image, chunks):
-    """Of 16 bits, which Pillow has no RGB pictures of: every byte as its difference from the same of the pixel before.
+    """Return a PNG of 16 bits, which Pillow cannot write in RGB.
 
-    Source: PNG, third edition (W3C 2025), 9.2, filter type 1.
+    Every byte is stored as its difference from the same byte of the pixel before. Source: PNG,
+    third edition (W3C 2025), 9.2, filter type 1.
     """
     rows, cols, channels = (*image.shape, 1)[:3]
     lines = image.astype(">u2").view(np.uint8).reshape(rows, -1)
@@ -72,7 +73,10 @@ def _png16(image, chunks):
 
 
 def _chunks(display, has_color):
-    """The chunks that say what the codes mean, iCCP not yet compressed: PNG, third edition (W3C 2025), 11.3.2."""
+    """Return the chunks that define the codes, iCCP not yet compressed.
+
+    Source: PNG, third edition (W3C 2025), 11.3.2.
+    """
     exponent = 2.2 if display.curve == "srgb" else display.curve
     chunks = {
         b"gAMA": struct.pack(">I", round(1e5 / exponent)),
@@ -85,14 +89,15 @@ def _chunks(display, has_color):
     if display.encodes_like(DISPLAYS["display-p3"]):
         # code points of ITU-T H.273: P3 primaries, sRGB curve, RGB, full range
         chunks[b"cICP"] = bytes([12, 13, 0, 1])
-    # a profile of three colours is none for grey
+    # a profile of three colours does not apply to grey
     return chunks | ({b"iCCP": icc_profile(display)} if has_color else {})
 
 
 def write_tiff(path, image, display=DISPLAYS["srgb"]):
     """Write one uncompressed RGB picture, shape (rows, cols, 3).
 
-    image: codes of the display, uint8 or uint16, or linear display RGB, white 1, float32. Raises BadData and BadFile.
+    image: codes of the display, uint8 or uint16, or linear display RGB, white 1, float32. Raises
+    BadData and BadFile.
     """
     import tifffile
 

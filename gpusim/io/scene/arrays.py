@@ -1,6 +1,9 @@
-"""A scene of an array, in one call."""
+"""Scenes from arrays."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import NUMBERS, Cube
@@ -16,8 +19,8 @@ UNITS = ("photon", "energy")
 
 
 def scene_from(
-    array,
-    wavelengths=None,
+    array: Any,
+    wavelengths: ArrayLike | None = None,
     *,
     light: str | None = None,
     luminance: float = LUMINANCE,
@@ -25,20 +28,34 @@ def scene_from(
     axis: int | None = None,
     unit: str = "photon",
     name: str = "scene",
-    **options,
+    **options: Any,
 ) -> Scene:
-    """A scene of an array: a cube of reflectances or radiances, or an sRGB picture.
+    """Return a scene from an array: a cube of reflectances or radiances, or an sRGB picture.
 
-    array: with `wavelengths` [nm], shape (L,), a cube (L, rows, cols) or (rows, cols, L): the axis of L samples is that
-        of the spectra; say `axis` 0 or -1 where both have L. Without them a picture in sRGB, (rows, cols, 3), or grey,
-        (rows, cols): codes of uint8 or uint16, or numbers of which white is 1.
-    light: name for `illuminant`. A cube with it is reflectance [1], and white in it has `luminance` [cd m-2]; a cube
-        without it is radiance. A picture is reflectance in any case, in D65 by default.
-    unit: of radiance: "photon" [photon s-1 m-2 sr-1 nm-1] or "energy" [W m-2 sr-1 nm-1].
-    linear: whether the numbers of a picture are linear light; by default they are encoded, as in a file.
-    options: as in Scene, such as border, depth or samples_per_pixel. An array of a device, or of another library, stays
-        there where it is a cube by bands, (L, rows, cols), of reflectances or photons, or a picture of codes.
-    Raises BadData, UnknownName, OutOfRange.
+    A device array, or one of another library, stays on its device if it is a band-major cube (L,
+    rows, cols) of reflectances or photons, or a picture of codes.
+
+    Args:
+        array: with `wavelengths` a cube, (L, rows, cols) or (rows, cols, L). Without them a picture
+            in sRGB, (rows, cols, 3) or grey (rows, cols): codes of uint8 or uint16, or numbers with
+            white 1.
+        wavelengths: wavelengths of the cube, shape (L,) [nm]; None for a picture.
+        light: name of an `illuminant`. A cube with it is reflectance [1], a cube without it is
+            radiance. A picture is always reflectance, in D65 by default.
+        luminance: luminance of white in that light [cd m-2].
+        linear: a picture's numbers are proportional to light; otherwise they are sRGB-encoded.
+        axis: axis of the spectra, 0 or -1; needed if both ends of the array have L samples.
+        unit: unit of radiance: "photon" [photon s-1 m-2 sr-1 nm-1] or "energy" [W m-2 sr-1 nm-1].
+        name: name of the scene.
+        options: further fields of Scene: border, depth, samples_per_pixel ...
+
+    Returns:
+        The scene.
+
+    Raises:
+        BadData: if the array's type, shape or values do not fit.
+        UnknownName: if the unit or the light is unknown.
+        OutOfRange: if an option is out of range.
     """
     array = described(array if hasattr(array, "shape") else np.asarray(array), name)
     kind = type_of(array)
@@ -49,7 +66,7 @@ def scene_from(
     if unit not in UNITS:
         raise UnknownName("unit", unit, UNITS)
     if linear:
-        raise BadData(f"{name}: linear = True of a cube; it is for pictures: spectra are linear")
+        raise BadData(f"{name}: linear = True is for pictures only; spectra are always linear")
     wavelengths = np.asarray(wavelengths, np.float64)
     values = _by_bands(array, wavelengths, axis, name)
     if light is not None:
@@ -67,7 +84,7 @@ def scene_from(
 
 
 def _by_bands(array, wavelengths, axis, name):
-    """The array as (L, rows, cols), float32 where it was float64 or turned."""
+    """Return the array as (L, rows, cols), as float32 if it was float64 or turned."""
     shape, count = tuple(array.shape), wavelengths.size
     if len(shape) != 3 or count not in (shape[0], shape[-1]):
         raise BadData(
@@ -77,12 +94,12 @@ def _by_bands(array, wavelengths, axis, name):
     if axis is None:
         if shape[0] == shape[-1]:
             raise BadData(
-                f"{name}: array of shape {shape}: both ends have {count} samples; say axis = 0 or axis = -1"
+                f"{name}: array of shape {shape}: both ends have {count} samples; give axis = 0 or axis = -1"
             )
         axis = 0 if shape[0] == count else -1
     if axis not in (0, -1, 2) or shape[axis] != count:
         raise BadData(
-            f"{name}: axis = {axis!r} of shape {shape}, wanted 0 or -1, that of {count} wavelengths"
+            f"{name}: axis = {axis!r} of shape {shape}, wanted 0 or -1, the axis of {count} wavelengths"
         )
     if axis == 0:
         return (
@@ -94,12 +111,13 @@ def _by_bands(array, wavelengths, axis, name):
 
 
 def _picture(array, kind, light, luminance, linear, name, options):
+    """Return a scene from a picture of codes or numbers."""
     if kind.kind == "u" and kind.itemsize <= 2:
         curve = np.linspace(0, 1, 256**kind.itemsize, dtype=np.float32) if linear else None
         return picture(array, light=light, luminance=luminance, curve=curve, name=name, **options)
     if kind.kind != "f":
         raise BadData(
-            f"{name}: a picture of {kind}, wanted uint8, uint16 or numbers of which white is 1; or say the "
+            f"{name}: a picture of {kind}, wanted uint8, uint16 or floats with white 1; or give the "
             "wavelengths of a cube"
         )
     values = to_host(array, name)
@@ -108,7 +126,7 @@ def _picture(array, kind, light, luminance, linear, name, options):
     if values.ndim != 3 or values.shape[-1] != 3:
         raise BadData(
             f"{name}: array of shape {tuple(array.shape)}, wanted (rows, cols, 3) or (rows, cols) of a "
-            "picture; or say the wavelengths of a cube"
+            "picture; or give the wavelengths of a cube"
         )
     if not (np.isfinite(values).all() and values.min(initial=0) >= 0):
         raise BadData(

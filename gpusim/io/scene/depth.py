@@ -1,15 +1,15 @@
-"""Distances as renderers write them, made into a scene's depth."""
+"""Scene depth from the distances of renderers."""
 
 import numpy as np
 
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 
 ALONG = ("axis", "ray", "none")
-FAR = 1e6  # [m] of what renderers call nothing there: 0 (Mitsuba) or infinite; Blender's 1e10 m may stay
+FAR = 1e6  # [m] depth of nothing: 0 (Mitsuba) or infinite; Blender's 1e10 m may stay
 
 
 def check_depth(along: str, fov: float | None):
-    """Raise UnknownName unless `along` is one of ALONG, OutOfRange where rays lack a field of view."""
+    """Raise UnknownName unless `along` is in ALONG, OutOfRange if "ray" has no field of view."""
     if along not in ALONG:
         raise UnknownName("depth", str(along), ALONG)
     if along == "ray" and not (fov is not None and 0 < fov < np.pi):
@@ -18,17 +18,20 @@ def check_depth(along: str, fov: float | None):
         )
 
 
-def axial(path, channel: str, distances: np.ndarray, along: str, fov: float | None) -> np.ndarray:
-    """Depth along the optical axis [m], shape (rows, cols), float32.
+def axial_depth(
+    path, channel: str, distances: np.ndarray, along: str, fov: float | None
+) -> np.ndarray:
+    """Return the depth along the optical axis [m], shape (rows, cols), float32.
 
-    distances: [m], of the same shape, "along" the "axis", or from the pinhole along each pixel's "ray"; 0 and infinity:
-    nothing is there. fov: horizontal [rad], for rays: square pixels, the axis in the middle. Raises BadFile.
+    distances: [m], of the same shape; 0 and infinity mean nothing there. along: direction of the
+    distances, the "axis" or each pixel's "ray" from the pinhole. fov: horizontal field of view
+    [rad], for rays: square pixels, the axis in the middle. Raises BadFile.
     """
-    if not distances.min() >= 0:  # NaN is refused as well
+    if not distances.min() >= 0:  # also true for NaN
         raise BadFile(
             path,
             f"channel {channel!r}: depth that is negative or NaN (lowest {distances.min():.3g}); "
-            'wanted metres, or leave it with depth = "none"',
+            'wanted metres; or ignore it with depth = "none"',
         )
     depth = distances.astype(np.float32)
     if along == "ray":

@@ -1,4 +1,4 @@
-"""ENVI: a header of text, .hdr, and beside it a raw file of samples, or a library of spectra.
+"""ENVI files: a text header, .hdr, next to a raw file of samples or a library of spectra.
 
 Source: the list of header fields in ENVI's documentation ("ENVI Header Files").
 """
@@ -17,51 +17,31 @@ from gpusim.io.scene.stacks import SAY_SCALE, check_reflectances, read_planes
 WHAT = "an ENVI header"
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
 COMPLEX = (6, 9)
-# axes of a file that are its bands, rows and columns
+# axes of bands, rows and columns in a file
 AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
-DATA = (
-    "",
-    ".raw",
-    ".img",
-    ".dat",
-    ".bil",
-    ".bip",
-    ".bsq",
-    ".bin",
-    ".sli",
-)  # endings of data files beside a header
+# suffixes of data files next to a header
+DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")
 LIBRARY = "envi spectral library"
-NANOMETRES = {
-    "nanometers": 1,
-    "nanometer": 1,
-    "nanometres": 1,
-    "nanometre": 1,
-    "nm": 1,
-    "micrometers": 1e3,
-    "micrometer": 1e3,
-    "micrometres": 1e3,
-    "micrometre": 1e3,
-    "microns": 1e3,
-    "micron": 1e3,
-    "um": 1e3,
-    "µm": 1e3,
-    "μm": 1e3,
-    "angstroms": 0.1,
-    "angstrom": 0.1,
+NANOMETRES: dict[str, float] = {
+    **dict.fromkeys("nanometers nanometer nanometres nanometre nm".split(), 1),
+    **dict.fromkeys("micrometers micrometer micrometres micrometre".split(), 1e3),
+    **dict.fromkeys("microns micron um µm μm".split(), 1e3),
+    **dict.fromkeys("angstroms angstrom".split(), 0.1),
 }
 UNSAID = ("", "unknown")
-LONGEST_UM = 100  # numbers below are micrometres where the unit is not said, those above nanometres
-SHORTEST, LONGEST = 100, 1e5  # [nm] of wavelengths that are believed
+LONGEST_UM = 100  # without a unit, numbers below are micrometres, others nanometres
+SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
 PER_NM = 1e3  # W m-2 sr-1 um-1, ENVI's unit of gains and offsets, in one W m-2 sr-1 nm-1
-SAY_WAVELENGTHS = "say them [nm], such as --wavelengths 400:700:10"
+SAY_WAVELENGTHS = "give them [nm], for example --wavelengths 400:700:10"
 
 
 @dataclass(frozen=True, eq=False)
 class Envi:
-    """What a header and its data file hold.
+    """Content of a header and its data file.
 
-    kind: "reflectance" [1] or "radiance" [W m-2 sr-1 nm-1]. wavelengths: [nm], (L,), ascending. values: float32, (L,
-    rows, cols), or (L, spectra) of a library. notes: what could not be taken as it is.
+    kind: "reflectance" [1] or "radiance" [W m-2 sr-1 nm-1]. wavelengths: [nm], (L,), ascending.
+    values: float32, (L, rows, cols), or (L, spectra) of a library. notes: values that were changed
+    or not read.
     """
 
     kind: str
@@ -71,23 +51,23 @@ class Envi:
 
 
 def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | None = None) -> Envi:
-    """Read an ENVI file by its header: BSQ, BIL or BIP, of any real type and byte order.
+    """Read an ENVI file from its header: BSQ, BIL or BIP, of any real type and byte order.
 
-    wavelengths: [nm], one for each band, in exchange for the header's. kind: "reflectance" or "radiance"; without it
-    what the header has a factor or gains for, else reflectance. scale: the number that stands for 1, in exchange for
-    `reflectance scale factor`; whole numbers need either. Gains and offsets are applied, those of radiance as W m-2
-    sr-1 um-1. Bands that `bbl` calls bad are left out; samples of the `data ignore value` are 0.
+    wavelengths: [nm], one per band, instead of the header's. kind: "reflectance" or "radiance";
+    None is the kind for which the header has a factor or gains, else reflectance. scale: number
+    that stands for 1, instead of `reflectance scale factor`; integers need one of them. Gains and
+    offsets are applied, for radiance as W m-2 sr-1 um-1. Bands marked bad by `bbl` are left out;
+    samples with the `data ignore value` become 0.
+
     Raises BadFile, DoesNotFit, OutOfRange.
     """
     path = Path(path)
     header = _Header(path)
     header.refuse_others()
     library = header.text("file type", "").lower() == LIBRARY
-    rows, cols, bands = (
-        header.whole("lines"),
-        header.whole("samples"),
-        header.whole("bands", 1 if library else None),
-    )
+    rows = header.whole("lines")
+    cols = header.whole("samples")
+    bands = header.whole("bands", 1 if library else None)
     if library and bands != 1:
         raise BadFile(
             path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line"
@@ -112,33 +92,33 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         if there < wanted:
             raise BadFile(
                 data,
-                f"truncated: {path.name} wants {wanted} bytes from byte {start} on ({bands} bands, "
+                f"truncated: {path.name} needs {wanted} bytes from byte {start} on ({bands} bands, "
                 f"{rows} lines, {cols} samples of {dtype.itemsize} bytes), {max(there, 0)} are there",
             )
         if there > wanted:
             notes.append(
-                f"{data.name} has {there - wanted} bytes more than its header says; is that right?"
+                f"{data.name} has {there - wanted} bytes more than its header declares; check both"
             )
         with reading(data, "a file that can be mapped"):
             view = np.memmap(file, dtype, "r", start, tuple(shape)).transpose(axes)
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        values, more = read_planes(
+        values, changes = read_planes(
             data,
-            _Chosen(view, order),
+            _SelectedPlanes(view, order),
             scale=factor,
-            ignored=header.ignored(dtype),
+            ignored=header.ignored_value(dtype),
             gains=None if gains is None else gains[order],
             offsets=None if offsets is None else offsets[order],
         )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
-    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *more))
+    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *changes))
 
 
-class _Chosen:
-    """Some planes of a mapped file in another order, of which nothing is read before it is asked for."""
+class _SelectedPlanes:
+    """Selected planes of a mapped file in another order, read on access."""
 
     def __init__(self, view, order):
         self.view, self.order, self.dtype, self.shape = (
@@ -155,7 +135,7 @@ class _Chosen:
 
 
 class _Header:
-    """The fields of a header by their names in small letters, each checked as it is taken."""
+    """Fields of a header by lower-case names, each checked when it is read."""
 
     def __init__(self, path):
         self.path, self.fields = path, {}
@@ -173,21 +153,21 @@ class _Header:
             if value.startswith("{"):
                 parts = [value]
                 while "}" not in parts[-1]:
-                    more = next(lines, None)
-                    if more is None:
+                    line_after = next(lines, None)
+                    if line_after is None:
                         raise BadFile(
                             path,
                             f"{shown(key)} has no end: a brace is not closed; is it truncated?",
                         )
-                    if not more.startswith(";"):
-                        parts.append(more)
+                    if not line_after.startswith(";"):
+                        parts.append(line_after)
                 value = " ".join(parts)
             if self.fields.get(key, value) != value:
-                raise BadFile(path, f"says {shown(key)} twice, and not the same")
+                raise BadFile(path, f"has two different values for {shown(key)}")
             self.fields[key] = value
 
     def text(self, key, default=None) -> str:
-        """A field as it is written."""
+        """Return a field as text."""
         if key in self.fields:
             return self.fields[key]
         if default is None:
@@ -195,7 +175,7 @@ class _Header:
         return default
 
     def whole(self, key, default=None, least=1) -> int:
-        """A whole number."""
+        """Return a field as a whole number."""
         text = self.text(key, None if default is None else str(default))
         if not re.fullmatch(r"\d{1,15}", text) or int(text) < least:
             raise BadFile(
@@ -204,20 +184,20 @@ class _Header:
         return int(text)
 
     def number(self, key) -> float:
-        """A number, which may be NaN."""
+        """Return a field as a number, possibly NaN."""
         try:
             return float(self.text(key))
         except ValueError:
             raise BadFile(self.path, f"{key} = {shown(self.text(key))}: wanted a number") from None
 
     def numbers(self, key, count) -> np.ndarray:
-        """A list of finite numbers in braces, float64 (count,)."""
+        """Return a field as a list of finite numbers, float64 (count,)."""
         words = self.text(key).strip("{} \t,").split(",")
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
             raise BadFile(
-                self.path, f"{key}: wanted numbers in braces, such as {{1, 2, 3}}"
+                self.path, f"{key}: wanted numbers in braces, for example {{1, 2, 3}}"
             ) from None
         if len(values) != count or not np.isfinite(values).all():
             raise BadFile(
@@ -227,26 +207,26 @@ class _Header:
         return values
 
     def refuse_others(self):
-        """Raise BadFile for what is not read."""
+        """Raise BadFile for files of an unsupported form."""
         if self.text("file compression", "0") != "0":
             raise BadFile(
-                self.path, "file compression: compressed data are not read; write them uncompressed"
+                self.path,
+                "file compression: compressed data are not supported; write them uncompressed",
             )
         for key in ("major frame offsets", "minor frame offsets"):
             if re.search("[1-9]", self.text(key, "")):
                 raise BadFile(
-                    self.path, f"{key}: bytes between lines are not read; write the data without"
+                    self.path,
+                    f"{key}: bytes between lines are not supported; write the data without",
                 )
         if self.text("file type", "").lower() == "envi classification":
             raise BadFile(self.path, "file type = ENVI Classification: classes have no spectra")
 
     def dtype(self) -> np.dtype:
-        """Type of the samples, in their order of bytes."""
+        """Return the type of the samples with their byte order."""
         code = self.whole("data type")
         if code in COMPLEX:
-            raise BadFile(
-                self.path, f"data type = {code}: complex numbers are no light; wanted real ones"
-            )
+            raise BadFile(self.path, f"data type = {code}: complex numbers; wanted real numbers")
         if code not in TYPES:
             raise BadFile(
                 self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}"
@@ -259,7 +239,7 @@ class _Header:
         return np.dtype("<>"[order] + TYPES[code])
 
     def kind(self) -> str:
-        """What the samples are, as far as the header says it."""
+        """Return the kind of the samples according to the header."""
         reflectance = (
             "reflectance scale factor" in self.fields
             or "data reflectance gain values" in self.fields
@@ -269,7 +249,7 @@ class _Header:
         )
 
     def gains(self, kind, count):
-        """Gains and offsets of each band, or None."""
+        """Return gains and offsets of each band, or None."""
         of = "data" if kind == "radiance" else "data reflectance"
         return tuple(
             self.numbers(f"{of} {what} values", count)
@@ -279,7 +259,7 @@ class _Header:
         )
 
     def scale(self, kind, dtype, has_gains) -> float:
-        """The number that stands for 1 [W m-2 sr-1 nm-1, of radiance], after the gains."""
+        """Return the number that stands for 1 after the gains; for radiance [W m-2 sr-1 nm-1]."""
         if kind == "reflectance" and "reflectance scale factor" in self.fields:
             scale = self.number("reflectance scale factor")
             if not 1e-30 <= scale <= 1e30:
@@ -293,12 +273,12 @@ class _Header:
         if dtype.kind != "f":
             raise BadFile(
                 self.path,
-                f"{kind} in whole numbers, of which the header gives no factor; {SAY_SCALE}",
+                f"{kind} in whole numbers without a factor in the header; {SAY_SCALE}",
             )
         return 1.0
 
-    def ignored(self, dtype):
-        """The number of samples without data as it is stored, NaN also; None: there is none, or it cannot be stored."""
+    def ignored_value(self, dtype):
+        """Return the stored number of samples without data, possibly NaN; None if there is none."""
         text = self.text("data ignore value", "")
         if not text:
             return None
@@ -316,11 +296,11 @@ class _Header:
         )
 
 
-def _wavelengths(header, given, count):
-    """Wavelengths [nm] of all bands, which of them are good, and notes."""
+def _wavelengths(header, own, count):
+    """Return wavelengths [nm] of all bands, a mask of good bands, and notes."""
     path, notes = header.path, []
-    if given is not None:
-        nm = given
+    if own is not None:
+        nm = own
         if len(nm) != count:
             raise OutOfRange(
                 "wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}"
@@ -329,7 +309,7 @@ def _wavelengths(header, given, count):
         nm = header.numbers("wavelength", count)
         unit = header.text("wavelength units", "").lower()
         if unit in NANOMETRES:
-            nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is no binary number
+            nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is not exact in binary
         elif unit not in UNSAID:
             raise BadFile(
                 path,
@@ -337,33 +317,33 @@ def _wavelengths(header, given, count):
                 f"{SAY_WAVELENGTHS}",
             )
         elif nm.max() < LONGEST_UM:
-            nm, notes = np.round(nm * 1e3, 6), ["wavelength units are not said: taken as um"]
+            nm, notes = np.round(nm * 1e3, 6), ["wavelength units are missing: taken as um"]
         else:
-            notes = ["wavelength units are not said: taken as nm"]
+            notes = ["wavelength units are missing: taken as nm"]
     else:
         raise BadFile(path, f"the header has no wavelengths; {SAY_WAVELENGTHS}")
     good = np.ones(count, bool)
     if "bbl" in header.fields:
         good = header.numbers("bbl", count) != 0
         if not good.all():
-            notes.append(f"bands left out that bbl calls bad: {count - good.sum()} of {count}")
-    kept = np.sort(nm[good])
-    if not len(kept) or not (np.diff(kept) > 0).all():
+            notes.append(f"bands marked bad by bbl are left out: {count - good.sum()} of {count}")
+    used = np.sort(nm[good])
+    if not len(used) or not (np.diff(used) > 0).all():
         raise BadFile(
             path,
-            f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 1 or "
+            f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different; wanted 1 or "
             "more, all different",
         )
-    if not SHORTEST <= kept[0] <= kept[-1] <= LONGEST:
+    if not SHORTEST <= used[0] <= used[-1] <= LONGEST:
         raise BadFile(
             path,
-            f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm, which cannot be right; {SAY_WAVELENGTHS}",
+            f"wavelengths {used[0]:.6g} .. {used[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}",
         )
     return nm, good, notes
 
 
 def _data_file(path, wanted):
-    """The file of samples beside a header: of its name without .hdr, or with another suffix in exchange."""
+    """Return the data file next to a header: its name without .hdr, or with another suffix."""
     base, found = path.with_suffix(""), {}
     for ending in (*DATA, *map(str.upper, DATA)):
         other = base.with_name(base.name + ending)
@@ -379,12 +359,12 @@ def _data_file(path, wanted):
     if not fitting:
         raise BadFile(
             path,
-            f"no data file beside it: wanted {base.name}, or that with one of {', '.join(DATA[1:])}",
+            f"no data file next to it: wanted {base.name}, or this name with one of {', '.join(DATA[1:])}",
         )
     if len(fitting) > 1:
         raise BadFile(
             path,
-            f"several data files beside it: {', '.join(file.name for file in fitting)}; leave one, or "
+            f"several data files next to it: {', '.join(file.name for file in fitting)}; keep one, or "
             f"name the header {fitting[0].name}.hdr",
         )
     return fitting[0]

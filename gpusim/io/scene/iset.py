@@ -1,13 +1,17 @@
-"""Scenes and optical images that ISETCam (https://github.com/iset/isetcam, MIT) keeps in MATLAB's files.
+"""Scenes and optical images of ISETCam (https://github.com/iset/isetcam, MIT) in MATLAB files.
 
-Read are the structs `scene` and `opticalimage` by any name, and the variables of multispectral files:
+Read are the structs `scene` and `opticalimage` by any name, and the variables of multispectral
+files:
 
-    scene.data.photons            (rows, cols, L)  radiance [photon s-1 m-2 sr-1 nm-1], also as codes from dmin to dmax
+    scene.data.photons            (rows, cols, L)  radiance [photon s-1 m-2 sr-1 nm-1], or codes
+                                  from dmin to dmax
     scene.spectrum.wave           (L,) [nm]
-    scene.illuminant.data.photons (L,), or (rows, cols, L) where it varies: radiance of white, in the same unit
+    scene.illuminant.data.photons (L,), or (rows, cols, L) if it varies: radiance of white
     scene.wAngular, depthMap      horizontal field of view [deg]; distances (rows, cols) [m]
-    opticalimage                  likewise, photons the irradiance at the sensor [photon s-1 m-2 nm-1]; optics.fNumber
-    mcCOEF, basis.basis           (rows, cols, K), (L, K): radiance as a linear model; basis.wave, imgMean (L,)
+    opticalimage                  likewise, photons is the irradiance at the sensor
+                                  [photon s-1 m-2 nm-1]; optics.fNumber
+    mcCOEF, basis.basis           (rows, cols, K), (L, K): radiance as a linear model; basis.wave,
+                                  imgMean (L,)
     photons (or data), wave       (rows, cols, L), (L,): radiance
     illuminant.data, .wavelength  (L,) radiance of white in energy [W m-2 sr-1 nm-1], the older form
     fov, name                     of multispectral files
@@ -24,38 +28,40 @@ from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.io.files import named
-from gpusim.io.scene.depth import axial
+from gpusim.io.files import name_in_errors
+from gpusim.io.scene.depth import axial_depth
 from gpusim.io.scene.mat import open_mat
 from gpusim.io.scene.mat_value import Value
 
 SCENE, OPTICAL_IMAGE = "scene", "opticalimage"
-NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # of variables, the first that is there
+NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # variables; the first one present is read
 SAVE = "save('scene.mat', 'scene')"
 LONGEST_NAME = 80
-MOST_LIGHTS = 4  # that light which varies over the scene may mix: each costs a device as many planes as wavelengths
-LIGHT_ERROR = 1e-3  # of such light, relative: surfaces differ by as much from those of the file, radiance does not
-LEAST_LIGHT = 1e-7  # relative to its mean, that may be taken for none
+MOST_LIGHTS = 4  # most lights of a mix; each needs one plane per wavelength on the device
+LIGHT_ERROR = 1e-3  # relative error of such light and of the surfaces; radiance is exact
+LEAST_LIGHT = 1e-7  # relative to its mean; less counts as none
 
 
 def read_iset(path, ray: float | None = None, no_depth: bool = False) -> Scene:
     """Read a scene of ISETCam, see this module.
 
-    Surfaces and light are apart where the file knows the light; light that varies over the scene as a mix of up to 4
-    (`Illuminated`). A linear model stays one. Of an optical image the radiance is given of which a lens of its f-number
-    that does not blur makes it; `notes` say so, and whatever else is not as in the file.
-    ray: horizontal field of view [rad] of distances that are along each pixel's ray; by default they are along the
-    axis. no_depth: leave them out. Raises BadFile, DoesNotFit.
+    Surfaces and light are separated if the file has the light; light that varies over the scene as
+    a mix of up to 4 (`Illuminated`). A linear model is kept. An optical image becomes the radiance
+    that gives its irradiance behind a lens of its f-number without blur; `notes` report this and
+    other changes.
+
+    ray: horizontal field of view [rad] if distances are along each pixel's ray; None: they are
+    along the axis. no_depth: leave distances out. Raises BadFile, DoesNotFit.
     """
-    with open_mat(path) as root, named(path):
+    with open_mat(path) as root, name_in_errors(path):
         scene = _File(Path(path), root).scene(ray, no_depth)
     if ray and scene.depth is None:
-        raise BadFile(path, 'no depthMap of a scene, which is asked for by depth = "ray"')
+        raise BadFile(path, 'depth = "ray", but there is no depthMap of a scene')
     return scene
 
 
 class _File:
-    """An open file, of which the values are checked as they are taken out."""
+    """An open file; its values are checked when they are read."""
 
     def __init__(self, path, root):
         self.path, self.root, self.notes = path, root, []
@@ -64,18 +70,18 @@ class _File:
         names = self.root.names
         found = next((name for name in (*NAMES, "mcCOEF", "photons") if name in names), None)
         if found in NAMES:
-            return self.of_object(self.root.get(found), ray, no_depth)
+            return self.scene_of_object(self.root.get(found), ray, no_depth)
         if found == "mcCOEF":
             content = self.linear_model()
         elif found or ("data" in names and ("wave" in names or "wavelength" in names)):
             content = self.cube(self.root, found or "data", self.waves(self.root))
         else:
-            return self.of_object(self.only_object(), ray, no_depth)
-        content, light = self.lit(content, self.root.get("illuminant"))
-        return self.made(content, light, self.root, self.root.get("fov"))
+            return self.scene_of_object(self.only_object(), ray, no_depth)
+        content, light = self.split_light(content, self.root.get("illuminant"))
+        return self.make_scene(content, light, self.root, self.root.get("fov"))
 
     def only_object(self) -> Value:
-        """The one struct with photons, whatever its name."""
+        """Return the only struct with photons, with any name."""
         found = {
             name: value
             for name in self.root.names
@@ -94,8 +100,8 @@ class _File:
             + f"; wanted one, {SAVE}, or a multispectral file",
         )
 
-    def of_object(self, value, ray, no_depth):
-        """A scene of ISETCam's scene or optical image."""
+    def scene_of_object(self, value, ray, no_depth):
+        """Return the scene from ISETCam's scene or optical image."""
         if value is None or value.kind != "struct":
             what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
             raise BadFile(
@@ -109,9 +115,7 @@ class _File:
             )
         data = value.get("data")
         if data is None or data.get("photons") is None:
-            raise BadFile(
-                self.path, f"{value.label}: no data.photons; wanted it computed before it is saved"
-            )
+            raise BadFile(self.path, f"{value.label}: no data.photons; compute it before saving")
         content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
         distances = None
         if kind == OPTICAL_IMAGE:
@@ -120,22 +124,22 @@ class _File:
                 unit_light(content.wavelengths),
             )
         else:
-            content, light = self.lit(content, value.get("illuminant"))
+            content, light = self.split_light(content, value.get("illuminant"))
             distances = value.get("depthMap") if not no_depth else None
         if distances is not None:
-            distances = axial(
+            distances = axial_depth(
                 self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray
             )
-        return self.made(content, light, value, value.get("wAngular"), distances)
+        return self.make_scene(content, light, value, value.get("wAngular"), distances)
 
     def per_irradiance(self, value):
-        """Radiance over irradiance [sr-1] of the lens that made an optical image, focused at infinity."""
+        """Return radiance over irradiance of an optical image's lens at infinity focus [sr-1]."""
         number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
             raise BadFile(
                 self.path,
-                f"{value.label}: an optical image without optics.fNumber, so that its irradiance "
-                "cannot be told as a scene's radiance; set it, or save the scene",
+                f"{value.label}: an optical image without optics.fNumber, which converts its "
+                "irradiance to radiance; set it, or save the scene",
             )
         number = self.single(number)
         if not 0 < number < 1e6:
@@ -143,8 +147,8 @@ class _File:
                 self.path, f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number"
             )
         self.notes.append(
-            f"optical image: its irradiance as the radiance of which a lens of f/{number:.4g} makes it; "
-            f'to blur and shade it no further: [optics] f_number = {number:.4g}, model = "none", '
+            f"optical image: its irradiance as the radiance that gives it behind a lens of f/{number:.4g}; "
+            f'to avoid further blur and shading: [optics] f_number = {number:.4g}, model = "none", '
             'relative_illumination = "none"'
         )
         return (1 + 4 * number**2) / math.pi  # see Optics.irradiance_factor
@@ -166,7 +170,7 @@ class _File:
         return numbers.ravel().astype(np.float64)
 
     def waves(self, owner) -> np.ndarray:
-        """Wavelengths [nm] of a struct."""
+        """Return the wavelengths of a struct [nm]."""
         value = owner.get("wave") or owner.get("wavelength")
         if value is None:
             raise BadFile(
@@ -180,11 +184,11 @@ class _File:
         return wavelengths
 
     def text(self, owner, key, other: str) -> str:
-        """A text of a struct, or another where it says none."""
+        """Return a text of a struct, or `other` if it has none."""
         value = owner.get(key)
         return one_line((value and value.text()) or "", LONGEST_NAME) or other
 
-    def made(self, content, light, owner, degrees, depth=None):
+    def make_scene(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
         return Scene(
             content,
@@ -199,7 +203,7 @@ class _File:
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))
 
     def planes(self, owner, key, count) -> np.ndarray:
-        """Numbers (rows, cols, count) of a struct as float32, band-major; codes of whole numbers as what they say."""
+        """Return numbers (rows, cols, count) of a struct as float32, band-major, codes decoded."""
         value = owner.get(key)
         if value is None:
             raise BadFile(self.path, f"{owner.label}: no {key}")
@@ -207,8 +211,8 @@ class _File:
         if len(shape) != 3 or shape[2] != count:
             raise BadFile(
                 self.path,
-                f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), as many as "
-                "there are wavelengths or basis functions",
+                f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), one "
+                "plane per wavelength or basis function",
             )
         array = value.numbers().reshape(shape)
         require_memory(f"{self.path}: {value.label}", 4 * array.size)
@@ -216,7 +220,7 @@ class _File:
         if array.dtype.kind != "f":
             low, step = self.codes(owner, value, array.dtype)
         planes = np.empty((count, *shape[:2]), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite then is refused
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite values are refused
             for number in range(count):
                 planes[number] = (
                     array[..., number] if step == 1 else array[..., number] * step + low
@@ -228,7 +232,7 @@ class _File:
         return planes
 
     def codes(self, owner, value, dtype):
-        """The least value and the step of whole numbers from 0 to the largest of their type."""
+        """Return least value and step of integer codes from 0 to the largest of their type."""
         low, high = owner.get("dmin") or owner.get("min"), owner.get("dmax") or owner.get("max")
         if dtype.kind != "u" or low is None or high is None:
             raise BadFile(
@@ -267,8 +271,8 @@ class _File:
 
     # ---- light and surfaces
 
-    def lit(self, content, illuminant):
-        """Surfaces and light where the light is known, else radiance and an illuminant of 1."""
+    def split_light(self, content, illuminant):
+        """Return surfaces and light if the light is known, else radiance and an illuminant of 1."""
         data = illuminant and illuminant.get("data")
         photons = data and (data.get("photons") if data.kind == "struct" else data)
         if photons is None:
@@ -280,23 +284,23 @@ class _File:
         )
         own = content.wavelengths if own is None else self.vector(own)
         found = (
-            self.lit_by_map(content, data, own)
+            self.split_light_map(content, data, own)
             if math.prod(photons.shape) > max(photons.shape)
-            else self.lit_by_one(content, illuminant, own)
+            else self.split_one_light(content, illuminant, own)
         )
         if found is None:
-            self.notes.append("radiance is kept, and its light is not known")
+            self.notes.append("radiance is kept; its light is unknown")
             return content, unit_light(content.wavelengths)
         if (most := found[0].mean_spectrum().max()) > 1:
-            self.notes.append(f"the illuminant is not to scale: mean reflectance up to {most:.3g}")
+            self.notes.append(
+                f"the illuminant has another scale: mean reflectance up to {most:.3g}"
+            )
         return found
 
-    def lit_by_one(self, content, illuminant, own):
-        """Surfaces in one light, or None where it is dark."""
-        data, name = (
-            illuminant.get("data"),
-            self.text(illuminant, "name", self.text(illuminant, "comment", "light")),
-        )
+    def split_one_light(self, content, illuminant, own):
+        """Return surfaces in one light; None if it is dark."""
+        data = illuminant.get("data")
+        name = self.text(illuminant, "name", self.text(illuminant, "comment", "light"))
         in_energy = data.kind != "struct"
         photons = data if in_energy else data.get("photons")
         values, kind = self.vector(photons), photons.numbers().dtype
@@ -315,8 +319,8 @@ class _File:
         self.notes.append(f"the illuminant is dark at {(at <= 0).sum()} of {len(at)} wavelengths")
         return None
 
-    def lit_by_map(self, content, data, own):
-        """Surfaces in light that varies over the scene, or None where a few lights do not make it."""
+    def split_light_map(self, content, data, own):
+        """Return surfaces in light that varies over the scene; None if a few lights do not fit."""
         if (
             not isinstance(content, Cube)
             or data.kind != "struct"
@@ -324,35 +328,36 @@ class _File:
         ):
             raise BadFile(
                 self.path,
-                "an illuminant that varies over the scene, wanted with photons at its wavelengths",
+                "an illuminant that varies over the scene: wanted photons at the scene's wavelengths",
             )
         light = self.planes(data, "photons", len(own))
         if light.shape != content.values.shape:
             raise BadFile(
                 self.path,
-                f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of a scene",
+                f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of the scene",
             )
         require_memory(f"{self.path}: light that varies", 12 * light.nbytes)
-        found = _mixed(light)
+        found = _separate_lights(light)
         if found is not None:
             mean, maps, lights = found
-            made = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
-            lit = (light > 0) & (made > 0)
-            if not content.values[~lit].any():  # light from what is not lit is no reflectance
-                surfaces = np.divide(content.values, made, out=np.zeros_like(made), where=lit)
+            mixed = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
+            lit = (light > 0) & (mixed > 0)
+            if not content.values[~lit].any():  # else unlit samples emit light
+                surfaces = np.divide(content.values, mixed, out=np.zeros_like(mixed), where=lit)
                 return (
                     Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
                     Spectrum(own, mean, "light that varies"),
                 )
-        self.notes.append(f"light varies over the scene, and is no mix of {MOST_LIGHTS} lights")
+        self.notes.append(f"light varies over the scene and is no mix of {MOST_LIGHTS} lights")
         return None
 
 
-def _mixed(light):
-    """Light (L, rows, cols) as the fewest lights whose mix it is, else None: mean (L,), maps (K, ...), lights (K, L).
+def _separate_lights(light):
+    """Return light (L, rows, cols) as a mix of the fewest lights, or None.
 
-    Lights are relative to the mean, maps are not negative: spectra of sum 1 are points of a plane, and the lights are
-    the corners of a simplex around all of them, in which a point has weights from 0 to 1.
+    Returns mean (L,), maps (K, ...) and lights (K, L) relative to the mean. Maps are not negative:
+    spectra of sum 1 are points of a plane, and the lights are the corners of a simplex around all
+    of them, in which a point has weights from 0 to 1.
     """
     flat = light.reshape(len(light), -1).astype(np.float64)
     mean = flat.mean(axis=1)
@@ -367,7 +372,7 @@ def _mixed(light):
         total = sums @ parts
         if not (total[lit] > 0).all():
             continue
-        plane = np.linalg.svd(sums[None])[2][1:].T  # the directions in which the sum stays 1
+        plane = np.linalg.svd(sums[None])[2][1:].T  # directions with constant sum
         places = plane.T @ np.divide(parts, total, out=np.zeros_like(parts), where=lit)
         low = places[:, lit].min(axis=1)
         size = (places[:, lit].sum(axis=0) - low.sum()).max() or 1.0

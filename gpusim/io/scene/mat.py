@@ -1,9 +1,9 @@
-"""MATLAB's files: variables by name, each read when it is asked for.
+"""MATLAB files: variables by name, each read on access.
 
-Version 5 (`save` with -v6 or -v7) is read here, version 7.3, which is HDF5, by `gpusim.io.scene.mat_hdf5`. Source:
-MathWorks, MAT-File Format (R2019b). Nothing that a file declares is taken before the bytes for it are known to be
-there. A file of version 5 does not say how many variables it has: one that is cut off between two of them reads as one
-with fewer.
+Version 5 (`save` with -v6 or -v7) is read here, version 7.3, which is HDF5, by
+`gpusim.io.scene.mat_hdf5`. Source: MathWorks, MAT-File Format (R2019b). Memory is taken only after
+checking that the file has the declared bytes. A file of version 5 does not declare its number of
+variables: if it is cut off between two of them, the rest is missed.
 """
 
 import math
@@ -25,40 +25,29 @@ HEADER = 128  # [byte] of version 5
 MATRIX, COMPRESSED = 14, 15  # types of elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-CLASSES = {
-    6: "f8",
-    7: "f4",
-    8: "i1",
-    9: "u1",
-    10: "i2",
-    11: "u2",
-    12: "i4",
-    13: "u4",
-    14: "i8",
-    15: "u8",
-}
+CLASSES = dict(enumerate("f8 f4 i1 u1 i2 u2 i4 u4 i8 u8".split(), start=6))
 STRUCT, CHAR = 2, 4
 OTHERS = {1: "a cell array", 5: "a sparse matrix", 16: "a function handle"}
 COMPLEX = 0x800  # flag
-HEAD = 1024  # [byte] of a variable, in which its name ends: 32 dimensions and 63 letters take less
+HEAD = 1024  # [byte] of a variable that include its name: 32 dimensions and 63 letters take less
 
 
 @contextmanager
 def open_mat(path) -> Iterator[Value]:
-    """Open a MATLAB file as a struct of its variables, which are to be read inside the block. Raises BadFile."""
+    """Open a MATLAB file as a struct of its variables, valid inside the block. Raises BadFile."""
     with open_file(path) as file:
         with reading(path, WHAT):
             head = file.read(USER_BLOCK + len(HDF5))
             if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
                 root = _Root(path, file, head)
         if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
-            yield _filled(root)
+            yield _require_variables(root)
             return
     with open_hdf5(path) as variables:
-        yield _filled(variables)
+        yield _require_variables(variables)
 
 
-def _filled(root):
+def _require_variables(root):
     if not root.names:
         raise BadFile(root.path, "holds no variables; is it truncated?")
     return root
@@ -72,12 +61,12 @@ class _Root(Value):
         if self.order is None or 0 in head[:4]:
             raise BadFile(
                 path,
-                "not a MATLAB file of version 5 .. 7.3, the ones that hold structs; write it with "
+                "not a MATLAB file of version 5 .. 7.3, which can hold structs; write it with "
                 "save('scene.mat', 'scene', '-v7')",
             )
         self.file, self.size, self.places, start = file, file_size(file), {}, HEADER
         while start + 8 <= self.size:
-            kind, length = struct.unpack(f"{self.order}II", self._stored(start, 8))
+            kind, length = struct.unpack(f"{self.order}II", self._read_stored(start, 8))
             if kind not in (MATRIX, COMPRESSED):
                 raise BadFile(
                     path, f"truncated or damaged at byte {start}: a variable of type {kind}"
@@ -98,14 +87,14 @@ class _Root(Value):
         return _Matrix(self.path, name, self._variable(self.path, self.places[name]), self.order)
 
     def _variable(self, path, place, most=2**63):
-        """The bytes of a variable, or the first `most` of them."""
+        """Return the bytes of a variable, or the first `most` of them."""
         start, length, packed = place
         if start + length > self.size:
             raise BadFile(
                 path, f"truncated: {length} bytes from byte {start} on in a file of {self.size}"
             )
         if packed:
-            kind, unpacked = struct.unpack(f"{self.order}II", self._inflated(start, length, 8))
+            kind, unpacked = struct.unpack(f"{self.order}II", self._inflate(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
                 raise BadFile(
                     path,
@@ -115,15 +104,18 @@ class _Root(Value):
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:
-            return self._stored(start, wanted)
-        return self._inflated(start, length, 8 + wanted, to_end=wanted == unpacked)[8:]
+            return self._read_stored(start, wanted)
+        return self._inflate(start, length, 8 + wanted, to_end=wanted == unpacked)[8:]
 
-    def _stored(self, start, length):
+    def _read_stored(self, start, length):
         self.file.seek(start)
         return memoryview(self.file.read(length))
 
-    def _inflated(self, start, length, wanted, to_end=False):
-        """The first `wanted` bytes of what is packed in `length` from `start` on. to_end: there should be no more."""
+    def _inflate(self, start, length, wanted, to_end=False):
+        """Return the first `wanted` bytes packed in `length` bytes from `start`.
+
+        to_end: nothing may follow.
+        """
         self.file.seek(start)
         stream, whole, filled = zlib.decompressobj(), memoryview(bytearray(wanted)), 0
         while filled < wanted:
@@ -136,7 +128,7 @@ class _Root(Value):
                 raise EOFError("packed numbers end early")
             whole[filled : filled + len(piece)] = piece
             filled += len(piece)
-        if to_end:  # where its check sum is
+        if to_end:  # the checksum is there
             stream.decompress(stream.unconsumed_tail + self.file.read(min(PIECE, length)), 1)
             if not stream.eof:
                 raise EOFError("more is packed than declared, or the check sum is missing")
@@ -148,7 +140,7 @@ class _Matrix(Value):
 
     def __init__(self, path, label, view, order):
         self.view, self.order = view, order
-        if not len(view):  # MATLAB may write nothing at all in place of []
+        if not len(view):  # MATLAB may write nothing for []
             super().__init__(path, label, "numbers", (0, 0))
             return
         flags, shape, _, self.start = _head(view, order)
@@ -180,7 +172,7 @@ class _Matrix(Value):
         return _Matrix(self.path, f"{self.label}.{name}", self.places[name], self.order)
 
     def _check(self):
-        """All is in the variable's bytes, which were there."""
+        """Do nothing: all bytes of the variable have been read."""
 
     def _array(self):
         kind, data, _ = _element(self.view, self.order, self.start)
@@ -198,7 +190,7 @@ class _Matrix(Value):
 
 
 def _element(view, order, at):
-    """Type and bytes of the element that begins at `at`, and where the next one does."""
+    """Return type and bytes of the element at `at`, and the start of the next one."""
     (kind,) = struct.unpack_from(f"{order}I", view, at)
     if kind >> 16:  # a small element: its length in the upper half, its bytes at once
         return kind & 0xFFFF, view[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
@@ -210,7 +202,7 @@ def _element(view, order, at):
 
 
 def _head(view, order):
-    """Flags, shape and name of a matrix, and where what it holds begins."""
+    """Return flags, shape and name of a matrix, and the start of its content."""
     _, flags, at = _element(view, order, 0)
     _, lengths, at = _element(view, order, at)
     _, name, at = _element(view, order, at)

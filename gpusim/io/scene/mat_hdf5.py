@@ -1,4 +1,4 @@
-"""MATLAB's files of version 7.3, which are HDF5: variables are data sets, structs are groups, axes are reversed."""
+"""MATLAB files of version 7.3 (HDF5): variables are data sets, structs groups, axes reversed."""
 
 import math
 import mmap
@@ -14,16 +14,13 @@ from gpusim.io.archive import LARGEST_RATIO
 from gpusim.io.files import open_file, reading
 from gpusim.io.scene.mat_value import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
 
-HIDDEN = "#"  # begins the names of what MATLAB keeps beside the variables
+HIDDEN = "#"  # begins names of MATLAB's internal items
 CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
 LARGEST_HEAP = 2**20  # [byte] of a group's names
 MOST_AXES = 4  # of numbers
-FILTERS = (
-    1,
-    2,
-    3,
-)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
+# deflate, shuffle, fletcher32: filters that expand by no more than LARGEST_RATIO
+FILTERS = (1, 2, 3)
 
 
 @contextmanager
@@ -34,7 +31,7 @@ def open_hdf5(path) -> Iterator[Value]:
     except ImportError:
         raise BadFile(
             path,
-            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or the file "
+            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or a file "
             "written by save('scene.mat', 'scene', '-v7')",
         ) from None
     with (
@@ -64,15 +61,14 @@ class _Item(Value):
         if isinstance(item, h5py.Group):
             if len(item) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} names in {label}")
-            names = [
-                str(name, "latin-1") if isinstance(name, bytes) else name for name in item
-            ]  # bytes: not UTF-8
+            # bytes: not UTF-8
+            names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]
             names = [name for name in names if not name.startswith(HIDDEN)]
-            kind = "struct" if of in ("struct", "") else f"no plain array of class {of}"
+            kind = "struct" if of in ("struct", "") else f"an array of class {of}"
             if (
                 of == "struct"
                 and names
-                and self._is_of_references(names[0])
+                and self._holds_references(names[0])
                 and item[names[0]].size > 1
             ):
                 kind = "a struct array"
@@ -93,19 +89,19 @@ class _Item(Value):
             )
         super().__init__(path, label, kind, shape)
 
-    def _linked(self, name):
-        """What has a name in this file, not in another."""
+    def _local_item(self, name):
+        """Return the item with a name; raise ValueError if it is in another file."""
         import h5py
 
         if not isinstance(self.item.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"{name} is a link to something else")
         return self.item[name]
 
-    def _is_of_references(self, name):
-        """Whether a field is one of a struct array: references to its values in the elements."""
+    def _holds_references(self, name):
+        """Whether a field is of a struct array: references to its values in the elements."""
         import h5py
 
-        item = self._linked(name)
+        item = self._local_item(name)
         return (
             isinstance(item, h5py.Dataset)
             and h5py.check_ref_dtype(item.dtype) is h5py.Reference
@@ -113,8 +109,8 @@ class _Item(Value):
         )
 
     def _field(self, name):
-        item = self._linked(name)
-        if self._is_of_references(name) and item.size == 1:
+        item = self._local_item(name)
+        if self._holds_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
             item = self.item.file[np.asarray(item[()]).item()]
         return _Item(
@@ -137,10 +133,11 @@ class _Item(Value):
 
 
 def _check_ends(data):
-    """Raise ValueError where the structures of a file lead back to themselves.
+    """Raise ValueError if the structures of a file form a loop.
 
-    HDF5's library (2.0) follows the free blocks of a heap in a circle until memory ends, and nodes of a tree until its
-    stack does. All other circles that were tried it finds. Source: HDF5 File Format Specification 3.0, III.A, III.D.
+    HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, and a loop of
+    tree nodes until its stack ends. It finds all other loops that were tried. Source: HDF5 File
+    Format Specification 3.0, III.A, III.D.
     """
     base = 0 if data[: len(HDF5)] == HDF5 else USER_BLOCK
     version = data[base + len(HDF5)]
@@ -152,7 +149,7 @@ def _check_ends(data):
         left = min(size, LARGEST_HEAP) // 16  # a block has 16 bytes at least
         while block != 1 and block + 16 <= size and base + start + block + 16 <= len(data):
             if not left:
-                raise ValueError("a heap whose free blocks are a circle, or too many")
+                raise ValueError("a heap whose free blocks form a loop, or too many")
             left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
     levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
     for at, level in levels.items():
@@ -166,11 +163,11 @@ def _check_ends(data):
                 else ()
             ):
                 if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
-                    raise ValueError("a tree that holds itself")
+                    raise ValueError("a tree that contains itself")
 
 
 def _places(data, signature):
-    """Where a signature is."""
+    """Yield the positions of a signature."""
     at = data.find(signature)
     while at >= 0 and at + 32 <= len(data):
         yield at
@@ -178,39 +175,37 @@ def _places(data, signature):
 
 
 def _check(path, label, item, size):
-    """Raise BadFile where the file does not hold what a data set declares."""
+    """Raise BadFile if the file cannot hold the declared size of a data set."""
     import h5py
 
-    made, stored, nbytes = (
-        item.id.get_create_plist(),
-        item.id.get_storage_size(),
-        item.size * item.dtype.itemsize,
-    )
-    layout = made.get_layout()
+    plist = item.id.get_create_plist()
+    stored = item.id.get_storage_size()
+    nbytes = item.size * item.dtype.itemsize
+    layout = plist.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
     if (
         layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
-        or made.get_external_count()
+        or plist.get_external_count()
     ):
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
-    filters = [made.get_filter(number)[0] for number in range(made.get_nfilters())]
+    filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
         raise BadFile(path, f"{label}: packed by another method than MATLAB's")
     largest = max(
         nbytes,
-        math.prod(made.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
+        math.prod(plist.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
     )
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
         raise BadFile(
             path,
-            f"{label}, truncated or damaged: {largest} bytes cannot come of {stored} in a "
+            f"{label}, truncated or damaged: {largest} bytes cannot come from {stored} in a "
             f"file of {size}",
         )
 
 
 def _class(item) -> str:
-    """Class of a value in MATLAB, "" where the file does not say."""
+    """Return the MATLAB class of a value, "" if the file does not have it."""
     if CLASS not in item.attrs:
         return ""
     stored = item.attrs.get_id(CLASS)

@@ -1,4 +1,4 @@
-"""Variables of MATLAB's files, whichever version the file is of."""
+"""Variables of MATLAB files of any version."""
 
 import math
 
@@ -10,16 +10,16 @@ from gpusim.io.files import reading
 
 WHAT = "a MATLAB file"
 HDF5 = b"\x89HDF\r\n\x1a\n"
-USER_BLOCK = 512  # [byte] before the HDF5 that MATLAB writes
+USER_BLOCK = 512  # [byte] before the HDF5 data in MATLAB's files
 LONGEST_TEXT = 2**16  # [byte] of names and comments
 MOST_NAMES = 4096  # of variables in a file, and of fields in a struct
 
 
 class Value:
-    """A variable or a field: numbers, a text, a struct, or something that is only named.
+    """A variable or a field: numbers, a text, a struct, or another kind.
 
-    kind: "numbers", "text", "struct" (of one element), or what it is in words. shape: as in MATLAB. names: of the
-    fields of a struct.
+    kind: "numbers", "text", "struct" (of one element), or other kinds in words. shape: as in
+    MATLAB. names: names of a struct's fields.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class Value:
         self.path, self.label, self.kind, self.shape, self.names = path, label, kind, shape, names
 
     def get(self, *names: str) -> "Value | None":
-        """The field of a field ...; None where one is missing, empty, or of something that is no struct.
+        """Return the field of a field ...; None if one is missing, empty or no struct.
 
         Raises BadFile, DoesNotFit.
         """
@@ -41,7 +41,10 @@ class Value:
         return value if math.prod(value.shape) else None
 
     def numbers(self) -> np.ndarray:
-        """Real numbers, of `shape`, in the type of their class in MATLAB. Raises BadFile, DoesNotFit."""
+        """Return real numbers of `shape` in the type of their MATLAB class.
+
+        Raises BadFile, DoesNotFit.
+        """
         if self.kind != "numbers":
             raise BadFile(self.path, f"{self.label}: {self.kind}, wanted real numbers")
         with reading(self.path, WHAT):
@@ -50,7 +53,7 @@ class Value:
             return self._array()
 
     def text(self) -> str | None:
-        """What a text of one line says; None of anything else. Raises BadFile."""
+        """Return a text of one line; None for anything else. Raises BadFile."""
         if (
             self.kind != "text"
             or len(self.shape) != 2
@@ -66,7 +69,7 @@ class Value:
         raise NotImplementedError
 
     def _check(self):
-        """Raise BadFile where the file cannot hold what a value declares."""
+        """Raise BadFile if the file cannot hold the declared size of a value."""
         raise NotImplementedError
 
     def _array(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Stacks of planes as NumPy arrays, .npy, of which the user knows the wavelengths."""
+"""Stacks of planes as NumPy arrays, .npy, with wavelengths from the user."""
 
 import io
 
@@ -13,10 +13,11 @@ WHAT = "a NumPy array (.npy)"
 
 
 def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, list[str]]:
-    """Read `count` planes, (count, rows, cols) or (rows, cols, count), as float32 (count, rows, cols), and notes.
+    """Read `count` planes as float32 (count, rows, cols), and notes.
 
-    scale: the number that stands for 1; without it 1 of floats, and the largest of uint8 and uint16. Nothing is
-    unpickled. Raises BadFile, DoesNotFit.
+    The array is (count, rows, cols) or (rows, cols, count). scale: number that stands for 1; None
+    is 1 for floats, and the largest of uint8 and uint16. Nothing is unpickled. Raises BadFile,
+    DoesNotFit.
     """
     with open_file(path) as file:
         with reading(path, WHAT):
@@ -35,13 +36,13 @@ def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, 
             raise BadFile(
                 path,
                 f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)? "
-                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key says which",
+                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key determines it",
             )
         wanted = shape[0] * shape[1] * shape[2] * dtype.itemsize
         if size - start != wanted:
             raise BadFile(
                 path,
-                f"truncated or damaged: {wanted} bytes of numbers are wanted, {size - start} are there",
+                f"truncated or damaged: {wanted} bytes of numbers expected, {size - start} present",
             )
         if scale is None:
             scale = _scale(path, dtype)

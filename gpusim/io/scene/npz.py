@@ -2,19 +2,20 @@
 
 gpusim's own keys, all arrays band-major:
 
-    wavelengths_nm                          (L,)             nodes of the spectra
-    cube                                    (L, rows, cols)  form 1: samples
-    coefficients, basis                     (K, rows, cols), (K, L)                         form 2: linear model
-    ids, shading, spectra                   (rows, cols) integer, (rows, cols), (M, L)      form 3: materials
-    maps, lights                            (K, rows, cols), (K, L)                         form 2 in light that varies
-    illuminant_wavelengths_nm, illuminant   (N,) [nm], (N,) [photon s-1 m-2 sr-1 nm-1], radiance of white: the content
-                                            is reflectance; without these two it is radiance, in the same unit
-    kind                                    "reflectance": of `cube`, when the light is not known; else "radiance"
+    wavelengths_nm             (L,)             nodes of the spectra
+    cube                       (L, rows, cols)  form 1: samples
+    coefficients, basis        (K, rows, cols), (K, L): form 2: linear model
+    ids, shading, spectra      (rows, cols) integer, (rows, cols), (M, L): form 3: materials
+    maps, lights               (K, rows, cols), (K, L): form 2 in light that varies
+    illuminant_wavelengths_nm  (N,) [nm]
+    illuminant                 (N,) [photon s-1 m-2 sr-1 nm-1], radiance of white: the content is
+                               reflectance; without these two it is radiance, in the same unit
+    kind                       "reflectance" of `cube` with an unknown light; else "radiance"
     border, margin, fov_rad, depth_m, name, samples_per_pixel  as in Scene
 
-Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows, cols, L), or `coef`
-(rows, cols, K) with `basis` (K, L); `wave` (L,); `illuminant_photons` (L,) if known; `fov_deg`. The key alone says the
-order of the axes, never their lengths.
+Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows,
+cols, L), or `coef` (rows, cols, K) with `basis` (K, L); `wave` (L,); `illuminant_photons` (L,) if
+known; `fov_deg`. Only the key determines the order of the axes, never their lengths.
 """
 
 from pathlib import Path
@@ -26,22 +27,16 @@ from gpusim.domain.errors import BadFile, shown
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
-from gpusim.io.archive import NUMBERS, TEXT, open_archive
-from gpusim.io.atomic import atomic_path
-from gpusim.io.files import named
+from gpusim.io.archive import NUMBERS, TEXT, open_archive, write_archive
+from gpusim.io.files import name_in_errors
 
 COPIES = 1.0  # of the numbers: as float32, and divided by the light
-FORMS = (
-    "cube",
-    "coefficients",
-    "ids",
-    "photons",
-    "coef",
-)  # the key that says what an archive holds
+# keys that determine the form of an archive
+FORMS = ("cube", "coefficients", "ids", "photons", "coef")
 
 
 def write_npz(path, scene: Scene):
-    """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
+    """Write a complete scene for `read_npz`. Raises BadFile."""
     check_whole(path, scene)
     content = scene.content.on_host()
     arrays: dict = {"wavelengths_nm": content.wavelengths}
@@ -61,43 +56,42 @@ def write_npz(path, scene: Scene):
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
         arrays["depth_m"] = scene.depth
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_archive(path, arrays)
 
 
 def check_whole(path, scene: Scene):
-    """Raise BadFile where a scene is more than one picture and its depth, which is what files hold."""
+    """Raise BadFile if a scene has a view or layers: files hold one picture and its depth."""
     if not scene.view.is_plain:
         raise BadFile(
             path,
-            f"a view of {scene.name}, of which a file would hold the whole: write it without view",
+            f"{scene.name} has a view, which files cannot hold: write it without view",
         )
     if scene.layers:
         raise BadFile(
             path,
-            f"{len(scene.layers)} layers of {scene.name}: a file holds one picture and its depth",
+            f"{scene.name} has {len(scene.layers)} layers; a file holds one picture and its depth",
         )
 
 
 def read_npz(path, white: Spectrum) -> Scene:
     """Read a scene.
 
-    white: radiance of white [photon s-1 m-2 sr-1 nm-1] for an archive of reflectances that does not know its light.
-    Raises BadFile, naming file and key, and DoesNotFit.
+    white: radiance of white [photon s-1 m-2 sr-1 nm-1] for an archive of reflectances with unknown
+    light. Raises BadFile, naming file and key, and DoesNotFit.
     """
-    with open_archive(path) as stored, named(path):
+    with open_archive(path) as stored, name_in_errors(path):
         stored.require_memory(COPIES)
         return _Archive(Path(path), stored).scene(white)
 
 
 class _Archive:
-    """An open archive, whose arrays are checked as they are taken out."""
+    """An open archive; its arrays are checked when they are read."""
 
     def __init__(self, path, stored):
         self.path, self.stored = path, stored
 
     def array(self, key, *shape, negative=False):
-        """Return finite numbers under `key`; None in `shape` stands for any length."""
+        """Return finite numbers under `key`; None in `shape` is any length."""
         self.stored.shape(key, wanted=shape)
         array = self.stored[key]
         low, high = float(array.min()), float(array.max())
@@ -126,13 +120,13 @@ class _Archive:
         except (
             ValueError,
             OverflowError,
-        ):  # not a number, or infinite, where a whole one is wanted
+        ):  # not a number, or infinite for a whole number
             raise BadFile(
                 self.path, f"{key}: wanted one {type(default).__name__}, got {shown(value)}"
             ) from None
 
     def scene(self, white):
-        """Return what the archive holds as a scene."""
+        """Return the scene in the archive."""
         forms = [key for key in FORMS if key in self.stored]
         if len(forms) != 1:
             raise BadFile(
@@ -148,7 +142,7 @@ class _Archive:
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
             raise BadFile(self.path, f"{key}: needs wavelengths that increase strictly")
         content = self.content(forms[0], wavelengths)
-        content, illuminant = self.lit(content, white)
+        content, illuminant = self.split_light(content, white)
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
         fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
         return Scene(
@@ -191,15 +185,15 @@ class _Archive:
             wavelengths, self.planes("maps", len(lights), *planes.shape[1:]), planes, basis, lights
         )
 
-    def lit(self, content, white):
-        """Return reflectance and light where the light is known, else radiance and an illuminant of 1."""
+    def split_light(self, content, white):
+        """Return reflectance and light if the light is known, else radiance and a light of 1."""
         wavelengths = content.wavelengths
         if "illuminant" in self.stored:
-            theirs = self.array("illuminant_wavelengths_nm", None)
-            return content, Spectrum(theirs, self.array("illuminant", len(theirs)), "illuminant")
+            nodes = self.array("illuminant_wavelengths_nm", None)
+            return content, Spectrum(nodes, self.array("illuminant", len(nodes)), "illuminant")
         if "illuminant_photons" in self.stored:
             light = self.array("illuminant_photons", len(wavelengths)).astype(np.float64)
-            if (light > 0).all():  # a dark band has no reflectance: the radiance is kept then
+            if (light > 0).all():  # else the radiance is kept: a dark band has no reflectance
                 return content.divided(light), Spectrum(wavelengths, light, "illuminant")
         kind = self.single("kind", "radiance")
         if kind not in ("radiance", "reflectance"):

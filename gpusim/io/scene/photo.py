@@ -1,4 +1,4 @@
-"""Photographs as scenes: sRGB pictures lifted to spectra."""
+"""Photographs as scenes: sRGB pictures converted to spectra."""
 
 import dataclasses
 import io
@@ -13,15 +13,15 @@ from gpusim.domain.content import Basis, Materials
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
-from gpusim.io.files import file_size, named, open_file, reading
+from gpusim.io.files import file_size, name_in_errors, open_file, reading
 from gpusim.io.png import CHANNELS, png, read_lines
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
 from gpusim.io.scene.tiff import read_picture
 
-JPEG = b"\xff\xd8"  # how one begins
-ALPHA = {2, 4}  # numbers of channels of which the last is alpha
-# Of a JPEG: each block of 8 x 8 has a bit at least (its mean; ITU-T T.81, F.1.2 and G.1.2), and the samples of at least
-# one component are as many as a quarter of the pixels. libjpeg makes up what is missing.
+JPEG = b"\xff\xd8"  # signature
+ALPHA = {2, 4}  # numbers of channels with alpha as the last
+# Of a JPEG: each block of 8 x 8 has at least one bit (its mean; ITU-T T.81, F.1.2 and G.1.2), and
+# at least one component has a sample per four pixels. libjpeg fills in missing data.
 PIXELS_PER_BYTE = 8 * 64 * 4
 BYTES_PER_PIXEL = 64  # four float64 channels, the picture itself and the coefficients
 
@@ -29,12 +29,13 @@ BYTES_PER_PIXEL = 64  # four float64 channels, the picture itself and the coeffi
 def read_photo(path) -> Basis | Materials:
     """Read a PNG, JPEG or TIFF as reflectances: white (1, 1, 1) reflects 1 at every wavelength.
 
-    The picture is taken as sRGB (an embedded colour profile is not applied), 8 or 16 bits per channel, or, of floats,
-    as linear sRGB; turned as its orientation says. Where it is transparent there is darkness behind it.
-    Colour: `lift`ed; grey: one neutral material and its shading. Raises BadFile and DoesNotFit.
+    The picture is read as sRGB (an embedded colour profile is not applied) with 8 or 16 bits per
+    channel, or as linear sRGB floats, turned to its orientation. Transparent parts have
+    darkness behind them. Colour is converted by `lift`; grey becomes one neutral material and its
+    shading. Raises BadFile and DoesNotFit.
     """
-    with named(path):
-        linear, alpha = _decoded(read_samples(path))
+    with name_in_errors(path):
+        linear, alpha = _decode_light(read_samples(path))
         if alpha is not None:
             linear = linear * alpha[..., None]
         if linear.shape[-1] == 1:
@@ -50,12 +51,13 @@ def read_photo(path) -> Basis | Materials:
 
 
 def read_cutout(path) -> tuple[Basis, np.ndarray]:
-    """Read a PNG as reflectances in colour, as `read_photo` does, and what it covers, shape (rows, cols), 0 .. 1.
+    """Read a PNG as reflectances in colour, see `read_photo`, and its coverage.
 
-    A picture without alpha covers all of itself. Raises BadFile and DoesNotFit.
+    The coverage is alpha, shape (rows, cols), 0 .. 1; 1 if there is no alpha. Raises BadFile and
+    DoesNotFit.
     """
-    with named(path):
-        linear, alpha = _decoded(read_samples(path))
+    with name_in_errors(path):
+        linear, alpha = _decode_light(read_samples(path))
         covers = np.ones(linear.shape[:2]) if alpha is None else alpha
         return lift(
             np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)
@@ -63,9 +65,10 @@ def read_cutout(path) -> tuple[Basis, np.ndarray]:
 
 
 def damage(path) -> tuple[str, ...]:
-    """Notes on a JPEG in whose pixels libjpeg finds damage: it makes up what it cannot read.
+    """Return notes on damage that libjpeg finds in a JPEG; it fills in the missing pixels.
 
-    Pillow does not pass on what libjpeg says; simplejpeg does, and without it there are no notes. Raises BadFile.
+    Pillow does not pass on libjpeg's warnings; simplejpeg does. Without it there are no notes.
+    Raises BadFile.
     """
     with open_file(path) as file, reading(path, "a JPEG"):
         data = file.read() if file.peek(2)[:2] == JPEG else b""
@@ -76,16 +79,18 @@ def damage(path) -> tuple[str, ...]:
     except ImportError:
         return ()
     try:
-        simplejpeg.decode_jpeg(
-            data, "GRAY", fastdct=True, min_factor=8
-        )  # reads all, and computes one pixel in 64
+        # reads all, and computes one pixel in 64
+        simplejpeg.decode_jpeg(data, "GRAY", fastdct=True, min_factor=8)
     except ValueError as error:
-        return (f"damaged, and read as far as libjpeg can: {error}",)
+        return (f"damaged; read as far as libjpeg can: {error}",)
     return ()
 
 
-def _decoded(samples):
-    """Linear light (rows, cols, 1 or 3), white 1, and alpha (rows, cols) or None, of samples of `read_samples`."""
+def _decode_light(samples):
+    """Return linear light (rows, cols, 1 or 3), white 1, and alpha (rows, cols) or None.
+
+    samples: from `read_samples`.
+    """
     colours, white = samples[..., : 3 if samples.shape[-1] > 2 else 1], 1
     if samples.dtype.kind == "u":
         white = np.iinfo(samples.dtype).max
@@ -94,28 +99,29 @@ def _decoded(samples):
 
 
 def lift(linear) -> Basis:
-    """Reflectances that have these colours in D65.
+    """Return reflectances with these colours in D65.
 
-    linear: linear sRGB, shape (3, rows, cols), not negative. Each pixel is the mixture of the reflectances of the three
-    primaries, as on a display whose white is the light: Farrell & Wandell, section 3; spectra of `srgb_primaries`.
+    linear: linear sRGB, shape (3, rows, cols), not negative. Each pixel is the mixture of the
+    reflectances of the three primaries, as on a display whose white is the light: Farrell &
+    Wandell, section 3; spectra of `srgb_primaries`.
     """
     primaries = srgb_primaries()
     return Basis(primaries.wavelengths, np.ascontiguousarray(linear, np.float32), primaries.values)
 
 
 def read_samples(path) -> np.ndarray:
-    """Samples of a PNG, JPEG or TIFF, uint8, uint16 or (linear) float32, shape (rows, cols, channels).
+    """Return samples of a PNG, JPEG or TIFF, shape (rows, cols, channels).
 
-    Channels: 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, alpha). Raises BadFile and DoesNotFit.
+    uint8, uint16 or (linear) float32. Channels: 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, alpha).
+    Raises BadFile and DoesNotFit.
     """
     from PIL import Image
 
     if Path(path).suffix.lower() in TIFF:
         return read_picture(path)
     with open_file(path) as file, reading(path, "a PNG or JPEG"), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # of large pictures: they are checked against memory below; of EXIF data
+        # of large pictures: they are checked against memory below; of EXIF data
+        warnings.simplefilter("ignore")
         require_memory(f"{path}: a file", file_size(file))
         data = file.read()
         try:
@@ -126,7 +132,7 @@ def read_samples(path) -> np.ndarray:
         if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
             raise BadFile(
                 path,
-                f"truncated or damaged: a JPEG of {cols} x {rows} pixels takes more than {len(data)} "
+                f"truncated or damaged: a JPEG of {cols} x {rows} pixels needs more than {len(data)} "
                 "bytes",
             )
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
@@ -135,7 +141,7 @@ def read_samples(path) -> np.ndarray:
 
 
 def _decode(path, data, image):
-    """Samples of a picture that Pillow has opened but not decoded."""
+    """Return the samples of a picture that Pillow has opened but not decoded."""
     from PIL import ImageOps
 
     if image.format == "PNG":
@@ -156,10 +162,10 @@ def _decode(path, data, image):
 
 
 def _decode_png16(header, lines):
-    """Decode a PNG of 16 bits per channel, of which Pillow would drop the lower 8.
+    """Decode a PNG of 16 bits per channel; Pillow would drop the lower 8.
 
-    PNG predicts each byte from the same byte of neighbouring pixels. So the high bytes alone, with the same filter
-    bytes, are a PNG of 8 bits, and so are the low bytes: Pillow decodes both.
+    PNG predicts each byte from the same byte of neighbouring pixels. So the high bytes with the
+    same filter bytes are a PNG of 8 bits, and so are the low bytes: Pillow decodes both.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""Kinds of scene files: who reads each, by its suffix, and the options of `open_scene` that it takes."""
+"""Kinds of scene files: the reader of each suffix, and its options of `open_scene`."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,8 +12,8 @@ from gpusim.domain.errors import LONGEST_PATH, BadFile, OutOfRange, UnknownName,
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.exr import read_exr
-from gpusim.io.files import named
-from gpusim.io.scene.depth import axial
+from gpusim.io.files import name_in_errors
+from gpusim.io.scene.depth import axial_depth
 from gpusim.io.scene.envi import read_envi
 from gpusim.io.scene.iset import read_iset
 from gpusim.io.scene.npy import read_npy
@@ -32,11 +32,12 @@ KINDS = ("reflectance", "radiance")
 class Reader:
     """A kind of scene files.
 
-    read: function (path, white, **options) that returns the Scene; `white` is the radiance of white [photon s-1 m-2
-        sr-1 nm-1] where the file does not know its light. It gets the options that are given, no others.
-    options: names of those of `open_scene` that it takes; others are refused. `depth` is two: "ray", of which the
-        value is the field of view [rad], and "no_depth", which is not refused where files have no depth.
-    in_folders: whether such files of a folder are scenes; tables of numbers beside pictures are not.
+    read: function (path, white, **options) that returns the Scene; `white` is the radiance of white
+    [photon s-1 m-2 sr-1 nm-1] if the file has no light. It gets only the given options. options:
+    names of the options of `open_scene` that it accepts; others are refused. `depth` is split into
+    two: "ray", with the field of view as value [rad], and "no_depth", which files without depth
+    ignore. in_folders: whether such files in a folder are scenes; tables of numbers next to
+    pictures are not.
     """
 
     read: Callable[..., Scene]
@@ -44,10 +45,10 @@ class Reader:
     in_folders: bool = True
 
 
-def taken(name, options: tuple[str, ...], given: dict) -> dict:
-    """What a chart, or a file of a kind, gets of the options {name: value} that are given.
+def select_options(name, options: tuple[str, ...], given: dict) -> dict:
+    """Return the given options {name: value} that a chart or a kind of file accepts.
 
-    name: the chart's or the file's. options: those that it takes. Raises OutOfRange for another.
+    name: name of the chart or file. options: names that it accepts. Raises OutOfRange for others.
     """
     for option, value in given.items():
         if option not in (*options, "no_depth"):
@@ -62,27 +63,29 @@ def taken(name, options: tuple[str, ...], given: dict) -> dict:
 
 
 def read_scene(path: Path, white, given: dict) -> Scene:
-    """The scene of a file whose suffix is in READERS, with the options {name: value} that are given.
+    """Return the scene of a file with a suffix in READERS; given: options {name: value}.
 
     Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
     reader = READERS[path.suffix.lower()]
-    return reader.read(path, white, **taken(path, reader.options, given))
+    return reader.read(path, white, **select_options(path, reader.options, given))
 
 
 def _exr(path, white, bands=None, ray=None, no_depth=False):
     held = read_exr(path, bands, depth=not no_depth)
     if ray and held.depth is None:
-        raise BadFile(path, 'no channel of depth, which is asked for by depth = "ray"')
+        raise BadFile(path, 'depth = "ray", but there is no channel of depth')
     content = lift(held.values) if held.kind == "rgb" else Cube(held.wavelengths, held.values)
     parts, notes = {"name": path.stem, "illuminant": white} | scene_parts(path), held.notes
     if held.kind == "radiance":
         parts["illuminant"] = unit_light(held.wavelengths)
     if held.depth is not None:
-        parts["depth"] = axial(path, held.depth_channel, held.depth, "ray" if ray else "axis", ray)
+        parts["depth"] = axial_depth(
+            path, held.depth_channel, held.depth, "ray" if ray else "axis", ray
+        )
         how = "along each pixel's ray" if ray else "along the optical axis"
         notes = (*notes, f"depth: channel {held.depth_channel!r}, taken as metres {how}")
-    with named(path):
+    with name_in_errors(path):
         return Scene(content, **parts, notes=notes)
 
 
@@ -97,7 +100,7 @@ def _iset(path, white, **options):
 
 def _photo(path, white):
     content = read_photo(path)
-    with named(path):
+    with name_in_errors(path):
         return Scene(content, white, name=path.stem, notes=damage(path))
 
 
@@ -105,7 +108,7 @@ def _tiff(path, white, wavelengths=None, kind=None, scale=None):
     if wavelengths is not None:
         wavelengths = checked_wavelengths(wavelengths)
         values = read_stack(path, len(wavelengths), checked_scale(scale))
-        return of_planes(path, white, wavelengths, values, checked_kind(kind))
+        return scene_of_planes(path, white, wavelengths, values, checked_kind(kind))
     if kind is not None or scale is not None:
         raise OutOfRange(
             *(("scale", scale) if kind is None else ("kind", kind)), "with wavelengths only"
@@ -117,29 +120,29 @@ def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
     wavelengths = None if wavelengths is None else checked_wavelengths(wavelengths)
     held = read_envi(path, wavelengths, kind and checked_kind(kind), checked_scale(scale))
     if held.values.ndim == 2:
-        return of_spectra(path, white, held.wavelengths, held.values.T, held.kind, size, held.notes)
+        return scene_of_spectra(
+            path, white, held.wavelengths, held.values.T, held.kind, size, held.notes
+        )
     if size is not None:
         raise OutOfRange(
             "size", shown(size), f"for charts and libraries of spectra; {path} has its own size"
         )
-    return of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
+    return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 
 
 def _npy(path, white, wavelengths=None, kind=None, scale=None):
     if wavelengths is None:
         raise BadFile(
             path,
-            "an array does not say its wavelengths; say them [nm], such as --wavelengths 400:700:10",
+            "an array has no wavelengths; give them [nm], for example --wavelengths 400:700:10",
         )
-    wavelengths, kind, scale = (
-        checked_wavelengths(wavelengths),
-        checked_kind(kind),
-        checked_scale(scale),
-    )
+    wavelengths = checked_wavelengths(wavelengths)
+    kind = checked_kind(kind)
+    scale = checked_scale(scale)
     values, notes = read_npy(path, len(wavelengths), scale)
     if kind == "reflectance" and scale is None:
         check_reflectances(path, values)
-    return of_planes(path, white, wavelengths, values, kind, notes)
+    return scene_of_planes(path, white, wavelengths, values, kind, notes)
 
 
 def _csv(path, white, kind=None, scale=None, size=None):
@@ -150,11 +153,11 @@ def _csv(path, white, kind=None, scale=None, size=None):
     notes = cut_noise(path, spectra)
     if kind == "reflectance" and scale is None:
         check_reflectances(path, spectra)
-    return of_spectra(path, white, wavelengths, spectra, kind, size, notes)
+    return scene_of_spectra(path, white, wavelengths, spectra, kind, size, notes)
 
 
 def checked_wavelengths(wavelengths) -> np.ndarray:
-    """What a user says of planes [nm], as float64 (L,). Raises OutOfRange."""
+    """Return a user's wavelengths [nm] as float64 (L,). Raises OutOfRange."""
     try:
         wavelengths = np.asarray(wavelengths, np.float64)
     except (TypeError, ValueError):
@@ -172,26 +175,30 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
 
 
 def checked_kind(kind: str | None) -> str:
-    """What planes hold, one of KINDS; reflectances where a user does not say. Raises UnknownName."""
+    """Return a user's kind of planes, one of KINDS; reflectance if None. Raises UnknownName."""
     if kind not in (None, *KINDS):
         raise UnknownName("kind of planes", str(kind), KINDS)
     return kind or KINDS[0]
 
 
-def of_planes(path, white, wavelengths, values, kind, notes=()) -> Scene:
-    """A scene of planes, float32 (L, rows, cols), which may be written over.
+def scene_of_planes(path, white, wavelengths, values, kind, notes=()) -> Scene:
+    """Return a scene of planes, float32 (L, rows, cols), which may be overwritten.
 
-    kind: reflectances [1] in the light of `white`, or radiance [W m-2 sr-1 nm-1]. Raises BadFile, naming the file.
+    kind: reflectances [1] in the light of `white`, or radiance [W m-2 sr-1 nm-1]. Raises BadFile,
+    naming the file.
     """
     if kind == "radiance":
         values *= (1 / energy_per_photon(wavelengths))[:, None, None].astype(np.float32)
         white = unit_light(wavelengths)
-    with named(path):
+    with name_in_errors(path):
         return Scene(Cube(wavelengths, values), white, name=path.stem, notes=tuple(notes))
 
 
-def of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) -> Scene:
-    """A scene of patches that show spectra, (spectra, L). kind, errors: as of `of_planes`; size: as of `patches`."""
+def scene_of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) -> Scene:
+    """Return a scene of patches that show spectra, shape (spectra, L).
+
+    kind and errors: see `scene_of_planes`; size: see `patches`.
+    """
     if kind == "radiance":
         spectra, white = spectra / energy_per_photon(wavelengths), unit_light(wavelengths)
     return patches(path, wavelengths, np.asarray(spectra, np.float64), white, size, notes)
@@ -214,7 +221,7 @@ IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_fol
 
 
 def scene_files(folder: Path) -> list[Path]:
-    """Return a folder's scene files in the order of their names; hidden ones, such as temporary files, are none."""
+    """Return a folder's scene files in the order of their names, without hidden files."""
     return sorted(
         path
         for path in folder.iterdir()

@@ -1,7 +1,8 @@
-"""Scenes as spectral OpenEXR: what any reader of the layout takes, and beside it the rest of the scene.
+"""Scenes as spectral OpenEXR, with gpusim's own fields in an attribute.
 
-The channels are reflectances (T) or radiance (S0), `Z` the depth [m]. The attribute `gpusimScene`, JSON, has what the
-layout has no place for: the light of reflectances, and border, margin, fov, name and samples_per_pixel as in Scene.
+The channels are reflectances (T) or radiance (S0), `Z` is the depth [m]. The attribute
+`gpusimScene`, JSON, has the fields without a place in the layout: the light of reflectances, and
+border, margin, fov, name and samples_per_pixel as in Scene.
 """
 
 import json
@@ -14,29 +15,24 @@ from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.exr import write_spectral_exr
-from gpusim.io.files import named, reading
+from gpusim.io.files import name_in_errors, reading
 from gpusim.io.scene.npz import check_whole
 
 ATTRIBUTE, DEPTH = "gpusimScene", "Z"
-PARTS = {
-    "border": str,
-    "margin": int,
-    "fov": float,
-    "name": str,
-    "samples_per_pixel": float,
-}  # beside light and depth
-COPIES = 2  # of the cube: samples, and the same in the unit of the file
-ROWS = 64  # that become spectra in float64 at once
+# besides light and depth
+PARTS = {"border": str, "margin": int, "fov": float, "name": str, "samples_per_pixel": float}
+COPIES = 2  # of the cube: samples, and samples in the unit of the file
+ROWS = 64  # converted to spectra in float64 at once
 
 
 def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = False):
-    """Write a scene as `save_scene` says. Raises BadFile, DoesNotFit."""
+    """Write a scene, see `save_scene`. Raises BadFile, DoesNotFit."""
     check_whole(path, scene)
     content, reflectance = scene.content.on_host(), scene.light_is_known and not radiance
     if reflectance and isinstance(content, Illuminated):
         raise BadFile(
             path,
-            f"the light of {scene.name} varies over the scene, which reflectances cannot say: write "
+            f"the light of {scene.name} varies over the scene, which reflectances cannot express: use "
             "radiance=True, or an .npz",
         )
     light = (
@@ -71,19 +67,19 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
 
 
 def scene_parts(path) -> dict:
-    """What a file says of its scene beside the channels, as keywords of Scene, but its depth; {} of another program's.
+    """Return the fields of Scene in a file's attribute, without its depth.
 
-    Raises BadFile.
+    {} for a file of another program. Raises BadFile.
     """
     import OpenEXR
 
-    with named(path), reading(path, "an OpenEXR file with a scene's description"):
+    with name_in_errors(path), reading(path, "an OpenEXR file with a scene's description"):
         file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
         if ATTRIBUTE not in file.header():
             return {}
         stored = json.loads(file.header()[ATTRIBUTE])
         if not isinstance(stored, dict):
-            raise ValueError(f"{ATTRIBUTE} holds no names")
+            raise ValueError(f"{ATTRIBUTE} is no JSON object")
         parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
         if "illuminant" in stored:
             light = stored["illuminant"]

@@ -1,11 +1,14 @@
-"""From a chart's name, a file or a frame of a video to a Scene, and back to a file."""
+"""Scenes from chart names, files and video frames, and files from scenes."""
 
 import dataclasses
 import functools
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
@@ -20,58 +23,75 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.scene.depth import check_depth
 from gpusim.io.scene.npz import write_npz
-from gpusim.io.scene.readers import CHARTS_TAKE, SUFFIXES, read_scene, taken
+from gpusim.io.scene.readers import CHARTS_TAKE, SUFFIXES, read_scene, select_options
 from gpusim.io.scene.scene_exr import write_scene_exr
 
-LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
+LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
 
 
 @np.errstate(
     divide="ignore", over="ignore", invalid="ignore"
-)  # of damaged files; what is then no number is refused
+)  # damaged files; numbers that are not finite are refused
 def open_scene(
-    name_or_path,
+    name_or_path: str | os.PathLike,
     *,
-    size=None,
-    light=None,
-    luminance=None,
-    bands=None,
-    border=None,
-    fov=None,
-    samples_per_pixel=None,
-    depth="axis",
-    wavelengths=None,
-    kind=None,
-    scale=None,
+    size: Sequence[int] | None = None,
+    light: str | None = None,
+    luminance: float | None = None,
+    bands: Mapping[str, float] | None = None,
+    border: str | None = None,
+    fov: float | None = None,
+    samples_per_pixel: float | None = None,
+    depth: str = "axis",
+    wavelengths: ArrayLike | None = None,
+    kind: str | None = None,
+    scale: float | None = None,
 ) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
-    Files are .exr, .npz, ENVI's .hdr (beside its raw file), ISETCam's .mat, a photograph .png, .jpg or .tif, planes
-    .tif or .npy, or spectra .csv, which become patches. Options that a chart, or a kind of files, has no use for are
-    refused.
+    Files are .exr, .npz, ENVI's .hdr (next to its raw file), ISETCam's .mat, photographs .png, .jpg
+    or .tif, planes .tif or .npy, and spectra .csv, which become patches. Options that do not apply
+    to the chart or kind of file are refused.
 
-    size: columns and rows of the frame of a chart or of patches [pixel]; other files have their own size.
-    light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
-        in the light; where the light is not known, the mean over the scene instead. Without them a scene keeps the
-        light that it has; reflectances and photographs alone get D65 with white at 100 cd m-2.
-    bands: {channel: wavelength [nm]} of an .exr whose channels are not named by wavelength.
-    wavelengths: [nm], strictly ascending, of the planes of a .tif (pages, or channels of a page) or .npy, (L, rows,
-        cols) or (rows, cols, L), or of an ENVI file's bands, in exchange for its own.
-    kind: what planes or spectra hold: "reflectance", as without it unless an ENVI header says else, or "radiance"
-        [W m-2 sr-1 nm-1]. scale: the number in the file that stands for 1; by default 1 of floats, the largest of uint8
-        and uint16, and what an ENVI header says.
-    border, fov [rad]: as in Scene, in exchange for the scene's own.
-    samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
-        file keeps its samples, they make fewer pixels.
-    depth: how to take distances [m], a channel of an .exr (Z, Depth.Z, depth.T ...) or a .mat's depthMap: along the
-        optical "axis", as Blender writes them; along each pixel's "ray", as Mitsuba does (from its near_clip on), for
-        which `fov` is needed; "none": leave a file's depth.
-    Raises BadData, BadFile, UnknownName, OutOfRange, DoesNotFit.
+    Args:
+        name_or_path: name of a chart, or path of a file.
+        size: columns and rows of the frame of a chart or of patches [pixel]; other files have a
+            fixed size.
+        light: name of an `illuminant`, replaces the scene's light. None keeps the scene's;
+            reflectances and photographs without one get D65.
+        luminance: luminance of a perfect white diffuser in the light [cd m-2]; if the light is
+            unknown, mean luminance of the scene. None keeps the scene's; reflectances and
+            photographs without a light get 100.
+        bands: {channel: wavelength [nm]} of an .exr with channels not named by wavelength.
+        border: border rule, see Scene; replaces the scene's.
+        fov: horizontal field of view, see Scene; replaces the scene's [rad].
+        samples_per_pixel: see Scene; replaces the scene's. A chart is drawn finer for the same
+            frame; the samples of a file make fewer pixels.
+        depth: direction of the distances [m] in an .exr channel (Z, Depth.Z, depth.T ...) or a
+            .mat's depthMap: the optical "axis", as in Blender's files; each pixel's "ray", as in
+            Mitsuba's (from its near_clip on), which needs `fov`; "none" ignores them.
+        wavelengths: wavelengths, strictly ascending [nm], of the planes of a .tif (pages, or
+            channels of a page) or .npy, (L, rows, cols) or (rows, cols, L), or of an ENVI file's
+            bands instead of the header's.
+        kind: kind of planes or spectra: "reflectance" or "radiance" [W m-2 sr-1 nm-1]. None is
+            reflectance, unless an ENVI header has another.
+        scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
+            uint16, and the value of an ENVI header.
+
+    Returns:
+        The scene.
+
+    Raises:
+        BadData: if `name_or_path` is neither a text nor a path.
+        BadFile: if the file cannot be used.
+        UnknownName: if a name is unknown.
+        OutOfRange: if an option is out of range or does not apply.
+        DoesNotFit: if the scene does not fit into memory.
     """
     if not isinstance(name_or_path, str | os.PathLike):
         raise BadData(
-            f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; gpusim.scene_from "
-            "makes a scene of an array"
+            f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; use "
+            "gpusim.scene_from for an array"
         )
     path = Path(name_or_path)
     check_depth(depth, fov)
@@ -91,7 +111,7 @@ def open_scene(
             light=light or LIGHT,
             luminance=LUMINANCE if luminance is None else luminance,
             samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
-            **taken(name_or_path, CHARTS_TAKE, given),
+            **select_options(name_or_path, CHARTS_TAKE, given),
         )
     elif path.suffix.lower() in SUFFIXES:
         white = white_radiance(
@@ -102,27 +122,41 @@ def open_scene(
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):
                 raise BadFile(
-                    path, f"the samples of an ENVI file; open its header, {Path(header).name}"
+                    path, f"the samples of an ENVI file; open its header {Path(header).name}"
                 )
         raise UnknownName(
             "scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
         )
-    changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
+    changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(
         scene, **{key: value for key, value in changes.items() if value is not None}
     )
 
 
-def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False) -> None:
-    """Write a scene to a file that `open_scene` reads.
+def save_scene(
+    scene: Scene, path: str | os.PathLike, *, radiance: bool = False, half: bool = False
+) -> None:
+    """Write a scene to a file for `open_scene`.
 
-    .npz: all of it, as it is. .exr: spectral OpenEXR that other programs read, one channel for each wavelength, and the
-    depth as channel Z: reflectances, or radiance where the light is not known; every form becomes a cube of float32,
-    and what a basis undershoots below 0 is 0. `open_scene` finds the light, border and the rest in an attribute.
-    radiance: write that, although the light is known; it is taken at the scene's wavelengths, so lines between them are
-    lost, and so is what tells light from surfaces. half: 16-bit floats. Both are for .exr alone.
-    Raises BadFile, also for layers and views, which no file holds, and for reflectances in light that varies;
-    BadData, DoesNotFit, OutOfRange, UnknownName. Layout: see `gpusim.io.exr`.
+    An .npz holds the complete scene. An .exr is a spectral OpenEXR for other programs, with one
+    channel per wavelength and the depth as channel Z: reflectances, or radiance if the light is
+    unknown. All forms become a cube of float32; negative values of a basis become 0. `open_scene`
+    reads the light, border and the rest from an attribute. Layout: see `gpusim.io.exr`.
+
+    Args:
+        scene: scene to write.
+        path: file to write, .npz or .exr.
+        radiance: write radiance although the light is known, .exr only. It is sampled at the
+            scene's wavelengths: lines between them are lost, and light and surfaces are no longer
+            separate.
+        half: use 16-bit floats, .exr only.
+
+    Raises:
+        BadFile: if the file cannot be written or cannot hold the scene: layers, views, and
+            reflectances in light that varies.
+        OutOfRange: if `radiance` or `half` are set for .npz.
+        UnknownName: if the suffix is unknown.
+        DoesNotFit: if the cube does not fit into memory.
     """
     suffix, scene = Path(path).suffix.lower(), checked_scene(scene)
     if suffix == ".exr":
@@ -131,23 +165,44 @@ def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False
         raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
     elif radiance or half:
         raise OutOfRange(
-            "radiance, half", "given for .npz", "for .exr alone: an .npz holds a scene as it is"
+            "radiance, half", "given for .npz", "for .exr only: an .npz holds the complete scene"
         )
     else:
         write_npz(path, scene)
 
 
 def picture(
-    codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options
+    codes: Any,
+    *,
+    light: str = LIGHT,
+    luminance: float = LUMINANCE,
+    curve: np.ndarray | None = None,
+    name: str = "picture",
+    **options: Any,
 ) -> Scene:
-    """Lift encoded pixels, such as a video's frame, to reflectances as `open_scene` does a photograph's.
+    """Return encoded pixels, for example a video frame, as a scene of reflectances.
 
-    codes: uint8 or uint16, RGB (rows, cols, 3) or grey (rows, cols), in host memory or a device's (see `Picture`). They
-        go to the device as they are, and are decoded there; neither is done before the first frame.
-    light: name for `illuminant`. luminance: of white in it [cd m-2]. curve: what each code stands for, white 1: float32
-        (256,) or (65536,) by the type of the codes; by default sRGB's (IEC 61966-2-1).
-    options: as in Scene, such as border. One plan serves all pictures of one size, type, light and options.
-    Raises BadData, OutOfRange, UnknownName.
+    They are converted as `open_scene` converts a photograph. The codes go to the device unchanged
+    and are decoded there, with the first frame. One plan serves all pictures of one size, type,
+    light and options.
+
+    Args:
+        codes: uint8 or uint16, RGB (rows, cols, 3) or grey (rows, cols), in host or device memory
+            (see `Picture`).
+        light: name of an `illuminant`.
+        luminance: luminance of white in that light [cd m-2].
+        curve: linear value of each code, white 1: float32 (256,) or (65536,) by the type of the
+            codes; None is sRGB (IEC 61966-2-1).
+        name: name of the scene.
+        options: further fields of Scene, for example border.
+
+    Returns:
+        The scene.
+
+    Raises:
+        BadData: if the codes have a wrong shape or type.
+        OutOfRange: if an option is out of range.
+        UnknownName: if the light is unknown.
     """
     codes = described(codes, "picture codes")
     primaries = srgb_primaries()
@@ -168,17 +223,18 @@ def _white(light, luminance):
 
 
 def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
-    """The scene in another light, a name for `illuminant`, or at another luminance, see `open_scene`; None: its own.
+    """Return the scene in another light or at another luminance, see `open_scene`.
 
-    path: that errors name. Raises BadFile, UnknownName, OutOfRange.
+    light: name of an `illuminant`, None keeps the scene's. luminance: [cd m-2], None keeps the
+    scene's. path: for errors. Raises BadFile, UnknownName, OutOfRange.
     """
     if light is None and luminance is None:
         return scene
     if light and isinstance(scene.content, Illuminated):
         raise BadFile(
             path,
-            f"light {light!r} asked for, but the file's light varies over the scene; wanted luminance "
-            "alone, or gpusim.illuminated",
+            f"light {light!r}: the file's light varies over the scene; give only luminance, or use "
+            "gpusim.illuminated",
         )
     if scene.light_is_known:
         own = energy_from_photons(scene.illuminant)
@@ -187,7 +243,7 @@ def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Sce
     if light:
         raise BadFile(
             path,
-            f"light {light!r} asked for, but the file holds radiance: its own light is not known",
+            f"light {light!r}: the file holds radiance, whose light is unknown; leave light out",
         )
     assert luminance is not None  # no light
     mean = mean_luminance(scene)

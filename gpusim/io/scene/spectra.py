@@ -10,13 +10,13 @@ from gpusim.domain.content import Materials
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
-from gpusim.io.files import named, read_cells
+from gpusim.io.files import name_in_errors, read_cells
 
 LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
-MOST = 2**16 - 1  # spectra, and a dark one
-SIZE = (768, 512)  # columns and rows, those of charts
-BYTES_PER_SAMPLE = 24  # of ids and shading as they are drawn
-SHORTEST, LONGEST = 100, 1e5  # [nm] of what is believed to be wavelengths
+MOST = 2**16 - 1  # spectra, next to a dark one
+SIZE = (768, 512)  # columns and rows, as for charts
+BYTES_PER_SAMPLE = 24  # of ids and shading while drawing
+SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
 COLUMN = re.compile(r"wave|lambda|\bnm\b|um\b|[µμ]m", re.I)  # of a heading above wavelengths
 MICROMETRES = re.compile(r"um\b|_um|[µμ]m|micro", re.I)
 WANTED = (
@@ -26,11 +26,11 @@ WANTED = (
 
 
 def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
-    """Read a table of spectra: wavelengths [nm], float64 (L,), ascending, and the spectra, float64 (spectra, L).
+    """Read a table of spectra: wavelengths [nm], float64 (L,), and spectra, float64 (spectra, L).
 
-    The first column, or the first line, has the wavelengths; headings and names before them are left out.
-    Wavelengths are in nm, or in um where their heading says so. Cells are divided by commas, semicolons (numbers may
-    have decimal commas then) or tabs; lines that begin with # are comments. Raises BadFile, DoesNotFit.
+    The first column, or the first line, has the wavelengths, sorted ascending here; headings and
+    names before them are ignored. Wavelengths are in nm, or in um if their heading has this unit.
+    Separators and comments: see `read_cells`. Raises BadFile, DoesNotFit.
     """
     cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
@@ -50,7 +50,7 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     nm, spectra = found[0]
     if not np.isfinite(spectra).all():
         spectrum, band = np.argwhere(~np.isfinite(spectra))[0]
-        raise BadFile(path, f"spectrum {spectrum + 1} at {nm[band]:g} nm is no number; {WANTED}")
+        raise BadFile(path, f"spectrum {spectrum + 1} at {nm[band]:g} nm is not a number; {WANTED}")
     order = np.argsort(nm)
     return nm[order], spectra[:, order]
 
@@ -63,10 +63,11 @@ def _number(cell):
 
 
 def _spectra(words, numbers):
-    """Wavelengths [nm] and spectra below them; None where the first column, `words`, can be no wavelengths.
+    """Return wavelengths [nm] and spectra below them; None if `words` are no wavelengths.
 
-    They can where they are in order and where light is, under any number of headings; numbers may follow the first
-    one alone, or else a wavelength that cannot be read would pass for a heading.
+    words: the first column. It has wavelengths if they are in order and plausible, below any number
+    of headings; only the first heading may have numbers next to it, else an unreadable wavelength
+    would pass as a heading.
     """
     headings = int(np.argmax(np.append(np.isfinite(numbers[:, 0]), True)))
     if np.isfinite(numbers[1:headings, 1:]).any():
@@ -82,10 +83,10 @@ def _spectra(words, numbers):
 
 
 def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
-    """A scene of patches, one for each spectrum, row by row from the top left; cells that are left over are dark.
+    """Return a scene of patches, one per spectrum, row by row from the top left.
 
-    spectra: (spectra, L), times `light`, a Spectrum. size: columns and rows of the frame [pixel], by default those of
-    charts. Raises OutOfRange, BadFile, DoesNotFit.
+    Spare cells are dark. spectra: (spectra, L), relative to `light`, a Spectrum. size: columns and
+    rows of the frame [pixel]; None is the size of charts. Raises OutOfRange, BadFile, DoesNotFit.
     """
     cols, rows = checked_size(size or SIZE)
     count = len(spectra)
@@ -101,12 +102,12 @@ def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
     ids = (np.arange(rows) * down // rows)[:, None] * across + np.arange(cols) * across // cols
     np.minimum(ids, count, out=ids)
     spectra = np.vstack([spectra, np.zeros((int(across * down > count), len(wavelengths)))])
-    said = f"{count} spectra as patches, {across} x {down}, row by row"
-    with named(path):
+    note = f"{count} spectra as patches, {across} x {down}, row by row"
+    with name_in_errors(path):
         content = Materials(
             wavelengths,
             ids.astype(np.uint8 if len(spectra) < 257 else np.uint16),
             np.ones(ids.shape, np.float32),
             spectra,
         )
-        return Scene(content, light, name=path.stem, notes=(said, *notes))
+        return Scene(content, light, name=path.stem, notes=(note, *notes))

@@ -1,4 +1,4 @@
-"""Planes of a scene as instruments store them: numbers of any type, taken piece by piece as light in float32."""
+"""Planes of instruments: numbers of any type, converted to float32 light piece by piece."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from gpusim.domain.content import NEGATIVE
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 
-PIECE = 2**22  # [byte] of stored numbers that are converted at once, or one row of all planes
-COPIES = 4  # of a piece: as stored, as float32, where it is ignored, and what an operation makes
-BRIGHTEST = 2.0  # mean of what is believed to be reflectances
-SAY_SCALE = "say the number that stands for 1: scale=10000 or --scale 10000, say"
+PIECE = 2**22  # [byte] of stored numbers converted at once, at least one row of all planes
+COPIES = 4  # of a piece: as stored, as float32, the ignored mask, and a temporary result
+BRIGHTEST = 2.0  # largest plausible mean of reflectances
+SAY_SCALE = "give the number that stands for 1, for example scale=10000 or --scale 10000"
 
 
 def checked_scale(scale) -> float | None:
-    """The number that stands for 1, as a user gives it; None: not given. Raises OutOfRange."""
+    """Return a user's number that stands for 1, None if not given. Raises OutOfRange."""
     if scale is None:
         return None
     try:
@@ -28,11 +28,12 @@ def checked_scale(scale) -> float | None:
 def read_planes(
     path, view, *, scale: float, gains=None, offsets=None, ignored=None
 ) -> tuple[np.ndarray, list[str]]:
-    """Planes float32 (L, rows, cols), not negative, and notes of what was not taken as it is.
+    """Return planes float32 (L, rows, cols), not negative, and notes on changes.
 
-    view: the numbers, (L, rows, cols) of any real type, such as of a mapped file. They become (gain number + offset) /
-    scale. gains, offsets: of each plane, float64 (L,), or None. ignored: the number that stands for no data, which
-    becomes 0. So do small negative numbers, which are noise. Raises BadFile, naming the file, and DoesNotFit.
+    view: numbers, (L, rows, cols) of any real type, for example of a mapped file. They become (gain
+    number + offset) / scale. gains, offsets: of each plane, float64 (L,), or None. ignored: number
+    for no data, which becomes 0. Small negative numbers, which are noise, become 0 too. Raises
+    BadFile, naming the file, and DoesNotFit.
     """
     count, rows, cols = view.shape
     step = max(1, PIECE // (count * cols * view.dtype.itemsize))
@@ -41,7 +42,7 @@ def read_planes(
         4 * view.size + COPIES * count * min(step, rows) * cols * max(4, view.dtype.itemsize),
     )
     values, without = np.empty(view.shape, np.float32), 0
-    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite or NaN then is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite or NaN values are refused
         for start in range(0, rows, step):
             stored = np.asarray(view[:, start : start + step])
             planes = values[:, start : start + step]
@@ -63,7 +64,10 @@ def read_planes(
 
 
 def cut_noise(path, values) -> list[str]:
-    """Make noise below 0 to 0 in place; notes of it. values: float32 (L, ...). Raises BadFile for what is no light."""
+    """Set noise below 0 to 0 in place; return notes. values: float32 (L, ...).
+
+    Raises BadFile for values that cannot be light.
+    """
     low, high = float(values.min()), float(values.max())
     if not np.isfinite([low, high]).all():
         raise BadFile(path, "NaN or infinite values, or more than float32 holds")
@@ -71,7 +75,7 @@ def cut_noise(path, values) -> list[str]:
         raise BadFile(
             path,
             f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
-            "with samples without data left out or named by the header",
+            "with samples without data left out or marked by the header",
         )
     if low >= 0:
         return []
@@ -85,7 +89,7 @@ def cut_noise(path, values) -> list[str]:
 
 
 def check_reflectances(path, values):
-    """Raise BadFile where the mean is far above that of reflectances: the number that stands for 1 is another."""
+    """Raise BadFile if the mean is far above the range of reflectances: the scale is wrong."""
     mean = float(values.mean(dtype=np.float64))
     if mean > BRIGHTEST:
         raise BadFile(path, f'reflectances of mean {mean:.3g}; {SAY_SCALE}, or kind = "radiance"')

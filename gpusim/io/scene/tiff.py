@@ -1,9 +1,8 @@
-"""TIFF: photographs, and stacks of planes of which the user knows the wavelengths.
+"""TIFF: photographs, and stacks of planes with wavelengths from the user.
 
 Source: TIFF Revision 6.0 (Adobe, 1992); tifffile reads its directories and pixels.
 """
 
-import logging
 import math
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,19 +12,20 @@ import numpy as np
 
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
-from gpusim.io.files import file_size, open_file, reading
+from gpusim.io.files import file_size, open_file, reading, silence
 
 SUFFIXES = (".tif", ".tiff")
 MOST_PAGES = 4096
 LZW = 5
 FLOATING = 3  # predictor
-# Most bytes that a stored byte can stand for: uncompressed; LZW, codes of 12 bits for up to 4096 bytes (section 13);
-# deflate by two numbers, 258 bytes of 2 bits (RFC 1951); packed bits, 128 bytes of 2 (section 9)
+# Largest expansion of a stored byte: uncompressed; LZW, codes of 12 bits for up to 4096 bytes
+# (section 13); deflate with two codes, 258 bytes of 2 bits (RFC 1951); packed bits, 128 bytes of 2
+# (section 9)
 RATIOS = {1: 1, LZW: 2731, 8: 1032, 32946: 1032, 32773: 64}
 TYPES = ("uint8", "uint16", "float16", "float32", "float64")
 WHITE_IS_ZERO, BLACK_IS_ZERO, RGB = 0, 1, 2  # photometric interpretations
-SMALLER, MASK = 1, 4  # bits of the tag NewSubfileType: no pages of their own
-# of samples (rows, cols, channels), by the tag Orientation: where row 0 and column 0 are seen
+SMALLER, MASK = 1, 4  # bits of the tag NewSubfileType: previews and masks
+# turns of samples (rows, cols, channels) by the tag Orientation
 TURNS = {
     1: lambda a: a,
     2: lambda a: a[:, ::-1],
@@ -42,7 +42,10 @@ FLOATS = 48  # [byte] a pixel of a photograph: three channels as float64, and as
 
 @dataclass(frozen=True)
 class Page:
-    """A page of a TIFF as its directory says; alpha: 0 without, 1 premultiplied, 2 apart. source: tifffile's."""
+    """A page of a TIFF according to its directory.
+
+    alpha: 0 without, 1 premultiplied, 2 separate. source: tifffile's page.
+    """
 
     source: Any
     shape: tuple[int, int, int]  # planes, rows, cols
@@ -53,23 +56,23 @@ class Page:
 
 
 def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
-    """Read `count` planes, one a page or several channels of a page, as float32 (L, rows, cols).
+    """Read `count` planes, one per page or channel of a page, as float32 (L, rows, cols).
 
-    scale: the number that stands for 1; without it the largest of whole numbers, so that white is 1, and 1 of floats.
-    Raises BadFile, DoesNotFit.
+    scale: number that stands for 1; None is the largest number of integers, and 1 of floats. Raises
+    BadFile, DoesNotFit.
     """
-    with _opened(path) as (pages, stored):
+    with _open_pages(path) as (pages, stored):
         found = sum(page.shape[0] for page in pages)
         if found != count:
             raise BadFile(
-                path, f"{found} planes, but {count} wavelengths are given; wanted one for each"
+                path, f"{found} planes for {count} wavelengths; wanted one wavelength per plane"
             )
         first = pages[0]
         for page in pages:
             if page.shape[1:] != first.shape[1:] or page.dtype != first.dtype:
                 raise BadFile(
                     path,
-                    f"pages of {_said(first)} and of {_said(page)}; wanted planes that are alike",
+                    f"pages of {_describe(first)} and of {_describe(page)}; wanted equal planes",
                 )
         rows, cols = first.shape[1:]
         largest = max(math.prod(page.shape) for page in pages) * first.dtype.itemsize
@@ -80,7 +83,7 @@ def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
         values, start = np.empty((count, rows, cols), np.float32), 0
         for page in pages:
             planes = _pixels(path, page)
-            with np.errstate(over="ignore"):  # what is infinite then is refused
+            with np.errstate(over="ignore"):  # infinite values are refused
                 values[start : start + len(planes)] = planes
             start += len(planes)
     if scale is None:
@@ -92,16 +95,16 @@ def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
 
 
 def read_picture(path) -> np.ndarray:
-    """Samples of a photograph, uint8, uint16 or float32, shape (rows, cols, channels); channels as in `read_samples`.
+    """Read the samples of a photograph, uint8, uint16 or float32, shape (rows, cols, channels).
 
-    It is turned as its orientation says. A premultiplied alpha is left out: what is behind is dark already.
-    Raises BadFile, DoesNotFit.
+    Channels are as in `read_samples`. It is turned to its orientation. A premultiplied alpha is
+    left out, because its background is dark already. Raises BadFile, DoesNotFit.
     """
-    with _opened(path) as (pages, stored):
+    with _open_pages(path) as (pages, stored):
         if len(pages) > 1:
             raise BadFile(
                 path,
-                f"{len(pages)} pages; say their wavelengths [nm], such as --wavelengths 400:700:10",
+                f"{len(pages)} pages; give their wavelengths [nm], for example --wavelengths 400:700:10",
             )
         page = pages[0]
         wanted = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3}.get(page.photometric)
@@ -109,7 +112,7 @@ def read_picture(path) -> np.ndarray:
             raise BadFile(
                 path,
                 f"{page.shape[0]} channels, {page.source.photometric!r}; wanted "
-                " grey or RGB, with or without alpha, or wavelengths of its planes",
+                "grey or RGB, with or without alpha, or wavelengths of its planes",
             )
         rows, cols = page.shape[1:]
         nbytes = math.prod(page.shape) * page.dtype.itemsize
@@ -131,31 +134,26 @@ def read_picture(path) -> np.ndarray:
 
 
 @contextmanager
-def _opened(path):
-    """Yield the pages of a TIFF that are no smaller copies or masks of others, and the file's size [byte]."""
+def _open_pages(path):
+    """Yield the pages of a TIFF, without previews and masks, and the file's size [byte]."""
     import tifffile
 
-    log = logging.getLogger("tifffile")
-    before, log.disabled = log.disabled, True  # what it says of a file is raised as well
-    try:
-        with open_file(path) as file:
-            with reading(path, "a TIFF"):
-                pages = _pages(path, tifffile.TiffFile(file, name=str(path)), file_size(file))
-            yield pages, file_size(file)
-    finally:
-        log.disabled = before
+    with silence("tifffile"), open_file(path) as file:
+        with reading(path, "a TIFF"):
+            pages = _pages(path, tifffile.TiffFile(file, name=str(path)), file_size(file))
+        yield pages, file_size(file)
 
 
 def _pages(path, tiff, size):
-    pages, seen = [], set()
+    pages, offsets = [], set()
     for number, page in enumerate(tiff.pages):
         if number == MOST_PAGES:
             raise BadFile(path, f"more than {MOST_PAGES} pages")
-        if page.offset in seen:
+        if page.offset in offsets:
             raise BadFile(
-                path, f"page {number} is one of those before it: the file's pages go in a circle"
+                path, f"page {number} repeats an earlier one: the file's pages form a loop"
             )
-        seen.add(page.offset)
+        offsets.add(page.offset)
         if not int(page.subfiletype) & (SMALLER | MASK):
             pages.append(_page(path, page, size))
     if not pages:
@@ -164,7 +162,7 @@ def _pages(path, tiff, size):
 
 
 def _page(path, page, size):
-    """What a page holds, if it can be read and its file is long enough."""
+    """Return the description of a page; raise BadFile if it cannot be read or is truncated."""
     if page.dtype is None or page.dtype.name not in TYPES:
         raise BadFile(
             path,
@@ -183,9 +181,8 @@ def _page(path, page, size):
         "SYX": lambda: page.shape,
         "YXS": lambda: (page.shape[2], *page.shape[:2]),
     }.get(page.axes, lambda: (0,))()
-    if not all(
-        isinstance(length, int) and length > 0 for length in shape
-    ):  # a damaged tag may hold several numbers
+    # a damaged tag may hold several numbers
+    if not all(isinstance(length, int) and length > 0 for length in shape):
         raise BadFile(
             path,
             f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels",
@@ -200,15 +197,14 @@ def _page(path, page, size):
     ):
         raise BadFile(
             path,
-            f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}, or parts that "
-            "are missing",
+            f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}, or missing parts",
         )
     nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
     if nbytes > RATIOS[int(page.compression)] * stored:
         raise BadFile(
             path,
             f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes, which cannot "
-            f"come of {stored}",
+            f"come from {stored}",
         )
     extra = [int(one) for one in page.extrasamples]
     return Page(
@@ -233,7 +229,7 @@ def _require_codecs(path, page):
 
 
 def _pixels(path, page):
-    """Samples of a page, planes first."""
+    """Return the samples of a page, planes first."""
     with reading(path, "a TIFF whose pixels can be read"):
         pixels = page.source.asarray(maxworkers=1).reshape(page.source.shape)
     return np.moveaxis(pixels, -1, 0) if page.source.axes == "YXS" else pixels.reshape(page.shape)
@@ -247,5 +243,5 @@ def _check(path, values):
         raise BadFile(path, f"negative values (lowest {low:.3g})")
 
 
-def _said(page):
+def _describe(page):
     return f"{page.shape[2]} x {page.shape[1]} {page.dtype}"

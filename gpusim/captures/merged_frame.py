@@ -1,0 +1,162 @@
+"""Frames of merged electrons: 16-bit raw values, developed like a captured frame."""
+
+import dataclasses
+
+import numpy as np
+
+from gpusim.domain.raw_noise import ROUNDING
+from gpusim.pipeline.developer import Developer
+from gpusim.pipeline.frame import Frame
+from gpusim.pipeline.report import StageReport
+
+PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
+FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
+COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
+REACH = 16  # [pixel] reach of demosaicking
+
+
+def develop_merged(
+    simulator,
+    frame,
+    electrons,
+    *,
+    exposure_time,
+    full,
+    saturated,
+    ratio,
+    dark_noise,
+    defects,
+    ms,
+    stages,
+):
+    """Return a frame of merged electrons.
+
+    frame: frame whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the
+    largest raw value. saturated: saturation of the frames relative to it. ratio: the frame's
+    exposure time over the merged one's. dark_noise: standard deviation without light [e-]. defects:
+    how they were found. ms: milliseconds per stage of the merge. stages: stages of the merge ->
+    their report lines.
+    """
+    device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
+    averaged, shading = simulator.readout.averaged, frame.shading
+    chip = dataclasses.replace(
+        old.noise,
+        dark_current=0.0,
+        read=dark_noise * averaged**0.5,
+        reset=0.0,
+        adc=0.0,
+        row=0.0,
+        column=0.0,
+        dsnu=0.0,
+        row_dsnu=0.0,
+        column_dsnu=0.0,
+    )
+    processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
+
+    def develop_at(full):
+        """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
+        gain = (TOP - PEDESTAL) / full
+        sensor = dataclasses.replace(
+            old,
+            bits=16,
+            black_level=PEDESTAL,
+            analog_offset=0.0,
+            gain=gain,
+            analog_gain=1.0,
+            conversion_gain=None,
+            adc_range=None,
+            full_well=full,
+            noise=chip,
+        )
+        camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
+        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(
+            np.uint16
+        )
+        developer = Developer(camera, device, averaged)
+        planes = developer.demosaicked(
+            device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
+            shading=shading,
+            white=frame.rendering.neutral,
+            blur=frame.blur,
+        )
+        return camera, raw, developer, planes
+
+    with device.timed() as ms_developed:
+        camera, raw, developer, planes = develop_at(full)
+        step = full / (TOP - PEDESTAL)
+        if step**2 * ROUNDING > COARSE * dark_noise**2:
+            fine = device.numpy(develop_at(full / FINER)[-1]) / FINER
+            # gains of the shading correction clip earlier
+            most = 1.0 if shading is None else max(1.0, float(shading.max()))
+            planes = device.array(
+                np.where(_bright_mask(electrons, full / FINER / most), device.numpy(planes), fine)
+            )
+        # camera value of the frame over the merged one
+        k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
+        rendering = frame.rendering
+        rescaled = dataclasses.replace(
+            rendering,
+            display_from_camera=rendering.display_from_camera * k,
+            ceiling=rendering.neutral * saturated,
+            white=rendering.white / k,
+            saturation=saturated,
+        )
+        linear, rgb = host_pictures(device, developer, developer.colored(planes, rescaled))
+    first = {}
+    if defects != "none":
+        before = dataclasses.replace(
+            camera, processor=dataclasses.replace(processor, defects=defects)
+        )
+        first["processor.defects"] = (
+            Developer(before, device).models()["processor.defects"] + ", frame by frame"
+        )
+    report = _replace_stages(
+        frame.report,
+        first | stages | developer.models(),
+        {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}},
+    )
+    return Frame(
+        camera,
+        float(exposure_time),
+        rescaled,
+        electrons,
+        raw,
+        linear,
+        rgb,
+        report,
+        frame.blur,
+        shading,
+        averaged=None,
+    )
+
+
+def host_pictures(device, developer, shown):
+    """Return `linear` and `rgb` of a frame from linear display RGB on the device."""
+    planes = np.array(device.numpy(shown), np.float32)
+    codes = np.array(device.numpy(developer.encoded(shown)))
+    return np.moveaxis(planes, 0, -1), codes
+
+
+def _replace_stages(report, processing, ms):
+    """Return a frame's report with other stages between its sensor and its colours."""
+    last = ("processor.color", "display.encode")
+    before = [
+        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
+    ]
+    stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
+    after = [
+        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
+        for stage in report.stages
+        if stage.stage in last
+    ]
+    return dataclasses.replace(report, stages=[*before, *stages, *after])
+
+
+def _bright_mask(electrons, limit):
+    """Return where demosaicking may have mixed in a value above `limit` [e-], bool (rows, cols)."""
+    from scipy.ndimage import maximum_filter
+
+    return (
+        maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1)
+        >= 0.99 * limit
+    )
