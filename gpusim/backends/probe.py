@@ -292,3 +292,13 @@ def copy_gbps(device) -> float:
     if not np.array_equal(device.numpy(target), values):
         raise DeviceError(f"{device.name}: a copy kernel returned other values than it was given")
     return 2 * COPY_BYTES / best_ms / 1e6
+
+
+def vector_width(device) -> int:
+    """Return the width of the vectors that OpenCL kernels of this processor compile for: 8 or 16 floats.
+
+    PoCL before 3.1 aborts on vectors of 16.
+    """
+    driver = device.cl_device.driver_version
+    is_wide = device.cl_device.native_vector_width_float >= 16
+    return 16 if is_wide and not driver.startswith(("1.", "2.", "3.0")) else 8

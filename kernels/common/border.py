@@ -3,12 +3,11 @@
 BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 
 
-def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 0, 0, 0)):
+def extend(device, planes, border, before, period, first=0, size=None):
     """Planes `first` .. `first + size`, by default all, with what is around them filled in as `border` says.
 
     planes: (planes, rows, cols) of the device. before: place (row, column) of their first pixel in the result. period:
-    (rows, cols) of the result. hole: first and last + 1 row and column of what is not read and need not be written.
-    Returns shape (size, *period).
+    (rows, cols) of the result. Returns shape (size, *period).
     """
     count, rows, cols = planes.shape
     extended = device.empty((count - first if size is None else size, *period))
@@ -25,7 +24,6 @@ def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 
         BORDERS[border],
         first,
         *before,
-        *hole,
         extended.shape[0],
         rows,
         cols,
