@@ -1,4 +1,4 @@
-"""The Bayer mosaic: where its colours are."""
+"""The Bayer mosaic: places of its colours."""
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
@@ -11,14 +11,14 @@ RED = {
 
 
 def red_pixel(phase: str) -> tuple[int, int]:
-    """Row and column of the first red pixel of a Bayer mosaic named by its first two rows. Raises UnknownName."""
+    """Return row and column of a Bayer phase's first red pixel. Raise UnknownName."""
     if phase not in RED:
         raise UnknownName("Bayer phase", phase, RED)
     return RED[phase]
 
 
 def check_mosaic(raw, scale):
-    """Refuse what is not a mosaic of digital numbers. Raises BadData, OutOfRange."""
+    """Raise BadData or OutOfRange if this is no mosaic of digital numbers with a scale > 0."""
     dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
     if len(raw.shape) != 2 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of uint16")

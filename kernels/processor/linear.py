@@ -5,12 +5,23 @@ Ports: raw (rows, cols) uint16 [DN] -> grey (1, rows, cols) float32, (DN - black
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def linear(device, raw, *, black_level, scale):
-    """Black level off, scale on: what demosaicking does for mosaics, shape (1, rows, cols); nothing is clipped."""
+def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> Array:
+    """Subtract the black level and scale; nothing is clipped.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear grey [1], shape (1, rows, cols), float32.
+    """
     rows, cols = raw.shape
     grey = device.empty((1, rows, cols))
     device.launch(

@@ -1,6 +1,7 @@
-"""What one chip is expected to collect: the scene's mean electrons through its response, and its own dark current.
+"""Expected electrons of one chip: the scene's mean times its response, plus dark current.
 
-Ports: mean (rows, cols) float32 [e-]; response [1], dark [e- s-1] of the same shape or none -> expected float32 [e-]:
+Ports: mean (rows, cols) float32 [e-]; response [1], dark [e- s-1] of the same shape or None ->
+expected float32 [e-]:
 
     expected = max(min(scale mean, 1e30) response, 0) + dark_time dark
 
@@ -9,18 +10,39 @@ Two to four roundings, the same bits on every device. NaN stays NaN.
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.noise import MOST
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
-    """Mean electrons of every pixel of this chip.
+def chip(
+    device: Device,
+    mean: Array,
+    response: Array | None = None,
+    dark: Array | None = None,
+    *,
+    scale: float = 1.0,
+    dark_time: float = 0.0,
+) -> Array:
+    """Return the mean electrons of every pixel of this chip.
 
-    mean: of the scene, shape (rows, cols) [e-]. response: relative, dark: dark current [e- s-1], see `sensor.pattern`.
-    scale: multiplies the mean, for another exposure time than its own [1]. dark_time: exposure time, times what
-    temperature does to the dark current [s]. Returns shape (rows, cols). Raises BadData, OutOfRange.
+    Args:
+        mean: Mean electrons of the scene [e-], shape (rows, cols).
+        response: Relative response [1], shape (rows, cols), see `sensor.pattern`; None for 1.
+        dark: Dark current [e- s-1], shape (rows, cols), see `sensor.pattern`; None for 0.
+        scale: Factor of the mean [1], for another exposure time than its own.
+        dark_time: Exposure time, times the factor by which temperature changes the dark current
+            [s].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Expected electrons [e-], shape (rows, cols), float32.
+
+    Raises:
+        BadData: A plane has another shape than the mean.
+        OutOfRange: `scale` or `dark_time` is negative or above 1e30.
     """
     for name, plane in (("response", response), ("dark", dark)):
         if plane is not None and tuple(plane.shape) != tuple(mean.shape):
@@ -54,7 +76,12 @@ def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
 
 
 def retime(tape, dark_time):
-    """Have a tape on which a chip's means were made make them of another dark time [s]."""
+    """Set another dark time on a recorded `chip`.
+
+    Args:
+        tape: Tape on which a chip's means were made.
+        dark_time: Dark time [s].
+    """
     for command in tape.commands:
         if command.name == "chip":
             command.set((*command.args[:-1], float(dark_time)))
