@@ -9,7 +9,7 @@ A stage `area.name` is four files in `kernels/area/`:
                    nothing with the kernels. It may stand in gpusim.optics if plans need it too
     name.cl        OpenCL C kernels
     name_warp.py   Warp kernels with the same names and arguments; a function
-                   `specialised(kernel, **defines)` there builds those whose code depends on
+                   `specialise(kernel, **defines)` there builds those whose code depends on
                    compile-time constants
 
 Stages are found by file name; there is no registry. KERNELS.md describes the conventions.
@@ -39,13 +39,13 @@ class Case:
     """One input of a stage, and the largest error of a device against the reference.
 
     Attributes:
-        name: What the case covers, in a few words.
+        name: Content of the case, in a few words.
         inputs: Keyword arguments of the stage's function: NumPy arrays and numbers.
         tolerance: Bound on the error, in units of the metric.
         why: How the tolerance is derived.
-        metric: "peak": max |device - reference| / max |reference|; "local": max over pixels of
-            |device - reference| / max(|reference|, floor); "exact": the largest absolute
-            difference, so that tolerance 0 means bit for bit.
+        metric: "peak": max |device - reference| / max |reference|. "local": max over pixels of
+            |device - reference| / max(|reference|, floor). "exact": the largest absolute
+            difference; tolerance 0 then means bit for bit.
         floor: Least denominator of the metric "local", in the reference's unit.
     """
 

@@ -323,12 +323,12 @@ class WarpDevice(Taped):
             loaded = self._modules[stage] = import_module(module)
         if getattr(loaded, "NATIVE", False):
             return self._native(stage, kernel, defines, args, options)
-        if not hasattr(loaded, "specialised"):
+        if not hasattr(loaded, "specialise"):
             self._load(stage, loaded, **options)
             return getattr(loaded, kernel)
         self._load(stage, loaded)
         with _building:
-            entry = loaded.specialised(kernel, **defines)
+            entry = loaded.specialise(kernel, **defines)
         self._load(stage, entry.module, **options)  # its own module
         return entry
 

@@ -1,4 +1,4 @@
-"""The world outside the frame, and planes with what is around them written out."""
+"""The world outside the frame, and planes with their surroundings."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

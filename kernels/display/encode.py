@@ -131,7 +131,7 @@ class CodeTable:
                 break
         first = (
             bits[0] - 1
-        ) >> shift  # what is clamped to the first bin's beginning lies below the first threshold
+        ) >> shift  # values clamped to the first bin's start are below the first threshold
         if named[-1] - first >= MOST_BINS:
             code = int(np.argmin(np.diff(edges) / edges[1:])) + 1
             raise BadData(

@@ -1,4 +1,4 @@
-"""Blurred layers of different depth, composed so that near layers hide far ones.
+"""Blurred layers of different depth, composed: near layers hide far ones.
 
 Ports: lights (entries, channels, rows, cols) float32, alphas (entries, channels or 1, rows, cols)
 float32 [1] -> out (channels, rows, cols) float32 in the lights' unit. An entry is the part of one

@@ -33,8 +33,8 @@ GROUP = (
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
 WIDE, LINES = 32, 8  # columns of a work-group's result on a GPU, and its lines of work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
-MANY = 256  # work-groups, so that all of a GPU is busy
-STEP = 8192  # bytes of local memory: few sizes, so that few kernels are built
+MANY = 256  # work-groups that keep a whole GPU busy
+STEP = 8192  # bytes of local memory: few sizes need few kernels
 
 
 @stage
@@ -89,7 +89,7 @@ def far(
     grids = None if device.on_host else _Grids(device, down, across)
     chain = grids if grids is not None and grids.fit else _Chain(device, down, across)
     light = chain.coefficients(device.array(planes), weights.astype(np.float32))
-    return chain.added(device.array(onto), light, cfa, margin)
+    return chain.add_far(device.array(onto), light, cfa, margin)
 
 
 class _Chain:
@@ -117,7 +117,7 @@ class _Chain:
     def _of_level(self, own, weights, level):
         """Return the same from this level on. own: its splines, (planes, cols, rows)."""
         some = weights[:, :, self.down.of_level(level)]
-        light = self._filtered(own, some, level) if some.size else None
+        light = self._apply_filters(own, some, level) if some.size else None
         if level == self.down.levels - 1:
             return light
         wide = self._product(own, self._matrices(self.across, "restriction", level), turned=True)
@@ -128,7 +128,7 @@ class _Chain:
             wide, self._matrices(self.across, "prolongation", level), turned=True, onto=light
         )
 
-    def _filtered(self, own, weights, level):
+    def _apply_filters(self, own, weights, level):
         """Return the coefficients of a level's Gaussians, (channels, rows, cols)."""
         device, (channels, count, sigmas) = self.device, weights.shape
         _, cols, rows = own.shape
@@ -151,7 +151,7 @@ class _Chain:
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
-    def added(self, onto, light, cfa, margin):
+    def add_far(self, onto, light, cfa, margin):
         """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols) = self.device, onto.shape[-2:]
         lines = self._product(light, self._matrices(self.down, "synthesis", margin))
@@ -262,7 +262,7 @@ class _Grids:
     def _shared(self, name, of, high):
         """Return the matrices of both axes, and their bytes in local memory."""
         down, across = (
-            _tiled(self.device, axis, name, of, *by)
+            _tile_bands(self.device, axis, name, of, *by)
             for axis, by in ((self.down, (4, high)), (self.across, (1, WIDE)))
         )
         return (
@@ -320,7 +320,7 @@ class _Grids:
         )
         return out
 
-    def added(self, onto, light, cfa, margin):
+    def add_far(self, onto, light, cfa, margin):
         """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
         pattern = (
@@ -373,7 +373,7 @@ class _Tiled:
 
 
 @functools.lru_cache(maxsize=128)
-def _tiled(device, axis, name, of, block, high):
+def _tile_bands(device, axis, name, of, block, high):
     """Return an axis's matrices: `block` rows at a time, `high` blocks per work-group."""
     made = getattr(axis, name)
     made = (made if of is None else made(of)).in_blocks(block)

@@ -269,7 +269,7 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, mix, borde
         out[:, t] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(blur, range(len(index))):  # raises what a thread raised
+        for _ in pool.map(blur, range(len(index))):  # raises the threads' errors
             pass
     return padded
 
@@ -407,10 +407,10 @@ def cases():
         number = (len(edges[0]) - 1) * (len(edges[1]) - 1)
         why = (
             "a float32 transform errs by 2.5e-7 of the root mean square of its input, at most 5 such sigmas over "
-            "1e4 pixels; a kernel of noise with mean 1/2 raises the sum and that error alike; three transforms"
+            "1e4 pixels; a kernel of noise with mean 1/2 raises sum and error equally; three transforms"
         )
         if threshold:
-            why += "; what is above the threshold is summed directly, relative to the local value"
+            why += "; values above the threshold are summed directly, relative to the local value"
         yield Case(
             f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
             {

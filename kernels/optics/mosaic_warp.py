@@ -1,4 +1,4 @@
-"""Weighted spectra, folded as the mosaic samples them; the transforms are elsewhere (common/fft.py)."""
+"""Weighted spectra, folded by the mosaic's sampling, between the transforms of common/fft.py."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

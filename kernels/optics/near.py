@@ -1,4 +1,4 @@
-"""The near field of a blur: transfer tables minus those of the Gaussians that `optics.far` spreads.
+"""The near field of a blur: transfer tables minus the Gaussians that `optics.far` spreads.
 
 Ports: tables (groups, planes, ny, nx), energies (groups, planes, G), sigmas (G,) -> float32
 (groups, planes, ny, nx):
@@ -43,7 +43,7 @@ def near(
     groups, planes, rows, cols = tables.shape
     energies = np.asarray(device.numpy(energies), np.float32)
     down, across = (
-        _passed(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
+        _gaussians(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
     )
     out = device.empty(tables.shape)
     device.launch(
@@ -62,7 +62,7 @@ def near(
     return out
 
 
-def _passed(count, length, sigmas):
+def _gaussians(count, length, sigmas):
     """Return the transfer of each Gaussian at the frequencies of an axis, shape (G, count)."""
     f = np.arange(count) / length
     sigmas = np.asarray(sigmas, np.float64)[:, None]

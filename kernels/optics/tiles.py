@@ -402,7 +402,7 @@ def cases():
     random = np.random.default_rng(15)
     why = (
         "as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
-        "each of two, and what is folded by a rounding of each of its terms"
+        "each of two, and the fold errs by one rounding per term"
     )
     bayer, xtrans = np.array([[0, 1], [1, 2]]), np.arange(36).reshape(6, 6) % 3
     for rows, cols, count, cfa, own, border, side, overlap, margin in (

@@ -1,4 +1,4 @@
-"""Tiles where local memory does not hold them: cut out, transformed by `common.fft`, folded, put together."""
+"""Tiles that local memory does not hold: cut, transformed by `common.fft`, folded, placed."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -157,7 +157,7 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
         2 * 16 * 2.0**-24 * condition,
         "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
         "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
-        "reference tells; 2 because four random changes need not hit the worst one",
+        "reference shows; 2 because four random changes need not hit the worst one",
     )
 
 

@@ -24,7 +24,7 @@ def decode(y: float, root: int):
 
 @wp.func
 def blend(p: float, q: float, r: float, s: float, limit: float):
-    """Mean of (p, q) and (r, s) with weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
+    """Return the mean of two pairs, weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
     first = wp.abs(r - s) + limit
     second = wp.abs(p - q) + limit
     return 0.5 * ((p + q) * first + (r + s) * second) / (first + second)

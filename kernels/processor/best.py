@@ -233,7 +233,7 @@ def cases():
             noise=noise,
         )
         yield _case(
-            f"{domain} read noise alone",
+            f"{domain} only read noise",
             random.poisson(ramp).astype(np.uint16),
             "BGGR",
             domain,
@@ -296,7 +296,7 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
         2 * 48 * 2.0**-24 * condition,
         "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
         "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
-        "samples by 2^-24 of the largest, whose effect the reference tells; 2 because three random changes "
+        "samples by 2^-24 of the largest, whose effect the reference shows; 2 because three random changes "
         "need not hit the worst one",
     )
 

@@ -82,7 +82,7 @@ def defects(
     rows, cols = raw.shape
     if known is not None and tuple(known.shape) != (rows, cols):
         raise BadData(
-            f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}"
+            f"known defects: shape {tuple(known.shape)}, wanted the shape of raw, {(rows, cols)}"
         )
     if isinstance(known, device.array_type) and known.dtype not in (
         np.uint8,

@@ -38,7 +38,7 @@ def groups_of(cfa, y, x):
 
 
 def find_defects(raw, cfa, black_level, noise, detect):
-    """Return where the rule finds a defect, bool (rows, cols)."""
+    """Return the pixels that the rule finds defective, bool (rows, cols)."""
     far = 2 * 8 + 1
     inside = np.pad(np.ones(raw.shape, bool), far)
     value = np.pad(raw.astype(np.int64), far)

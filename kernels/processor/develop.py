@@ -136,7 +136,7 @@ def cases():
 def _case(
     name, raw, matrix, power, phase, ceiling, converter=None, black_level=64.0, scale=1 / 1024
 ):
-    """A case whose thresholds are moved out of the reach of rounding, so that its codes must agree exactly."""
+    """Return a case with thresholds out of the reach of rounding: its codes must agree exactly."""
     from gpusim.kernels.processor.bilinear_ref import bilinear
     from gpusim.kernels.processor.color_ref import color
     from gpusim.kernels.processor.develop_ref import digitise

@@ -482,7 +482,7 @@ def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
         inputs,
         roundings * 2.0**-24 * largest * slope / peak,
         "a product and a sum for each group, the constant, weights and black level in float32, the decoding, "
-        "and four for what the square lacks, which is smaller than that: 2^-24 each of the largest sum of "
+        "and four for the loss of the square, which is smaller than that: 2^-24 each of the largest sum of "
         "absolute products, times the slope of the square; the place between two levels has three roundings "
         "more, divided by their distance. Codes' sums and classes are exact",
     )

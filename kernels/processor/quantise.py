@@ -67,7 +67,7 @@ def check(raw, black_level, scale):
 def cases():
     """Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from 1."""
     random = np.random.default_rng(13)
-    why = "the same four float32 operations, rounded alike, and an exact rounding"
+    why = "the same four float32 operations, rounded in the same way, and an exact rounding"
     for rows, cols, black, white in (
         (1, 1, 0.0, 65535.0),
         (1, 17, 64.25, 1023.0),

@@ -57,7 +57,7 @@ def bin(
         Binned pixels, shape `binned_shape(pixels.shape, binning, stride)`, in the type of `pixels`.
 
     Raises:
-        BadData: `pixels` are neither charges nor digital numbers, or charges are to be averaged.
+        BadData: `pixels` are neither charges nor digital numbers, or `average` is set for charges.
         OutOfRange: A factor is not 1 to 8, a stride is not positive, or no block fits into the
             frame.
 

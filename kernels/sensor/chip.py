@@ -47,7 +47,7 @@ def chip(
     for name, plane in (("response", response), ("dark", dark)):
         if plane is not None and tuple(plane.shape) != tuple(mean.shape):
             raise BadData(
-                f"{name}: shape {tuple(plane.shape)}, wanted that of the mean, {tuple(mean.shape)}"
+                f"{name}: shape {tuple(plane.shape)}, wanted the mean's shape, {tuple(mean.shape)}"
             )
     for name, value in (("scale", scale), ("dark_time", dark_time)):
         if not 0 <= value <= MOST:
@@ -101,7 +101,7 @@ def cases():
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
             yield Case(
-                f"{rows}x{cols} {' '.join(chosen) or 'alone'}",
+                f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
                 {
                     "mean": mean.astype(np.float32),
                     "scale": 0.3,

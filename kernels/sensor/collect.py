@@ -38,7 +38,7 @@ def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slop
     _, rows, cols = rates.shape
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
-    # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
+    # The period is a compile-time constant: a modulo by a variable would double the cost.
     device.launch(
         "sensor.collect",
         "collect",

@@ -108,14 +108,14 @@ def cases():
                     **{name: planes[name] for name in chosen},
                 },
                 0.0,
-                "comparisons alone",
+                "comparisons only",
                 metric="exact",
             )
     yield Case(
         "any dark current",
         {"dark": np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)},
         0.0,
-        "comparisons alone; denormals count",
+        "comparisons only; denormals count",
         metric="exact",
     )
 

@@ -248,7 +248,7 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
 
 
 def cases():
-    """One pixel to several strips; equal, two, extreme, negative values; what is not finite; all quantiles' ends."""
+    """One pixel to several strips; equal, extreme, negative, not finite values; quantiles' ends."""
     random = np.random.default_rng(11)
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
@@ -297,7 +297,7 @@ def _case(name, rates, fractions):
         inputs,
         110 * 2.0**-24 * max(lost, 1.0) + tiny,
         "sums of 45 + 46 terms at most, then of parts, compensated, in trees of 8 levels (Higham 2002, 4.2): "
-        "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 products "
+        "105 roundings of sum |r|, weights, squares, root and quotient included; below 2^-126 products "
         "are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that",
         metric="local",
         floor=floor,

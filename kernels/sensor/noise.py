@@ -124,7 +124,7 @@ def noise(
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
             raise BadData(
-                f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}"
+                f"{name}: shape {tuple(plane.shape)}, wanted the electrons' shape, {(rows, cols)}"
             )
     frame_cols = checked_tile(cols, first, frame_cols)
     if photon == "exact" and not device.has_fp64:

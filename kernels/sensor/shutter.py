@@ -108,7 +108,7 @@ def _moving_window(random, instants, used, rows):
 
 
 def bench(rows, cols):
-    """16 instants of which every row needs 5: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
+    """16 instants, 5 for each row: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
     random = np.random.default_rng(7)
     return {
         "rates": random.random((16, rows, cols), np.float32),

@@ -1,9 +1,10 @@
 """Light of encoded frames: planes of numbers by a table, from pixels with interleaved channels.
 
 Ports: codes (rows, cols, channels) or (rows, cols), uint8 or uint16; curve (256,) or (65536,)
-float32, the value of each code -> (channels, rows, cols) float32. A frame goes to the device as the
-bytes that a camera or a decoder returned, and the curve (for example sRGB) may be that of any
-display. Devices need no power function and agree bit for bit.
+float32, the value of each code -> (channels, rows, cols) float32.
+
+A frame goes to the device as the bytes that a camera or a decoder returned. The curve belongs to
+the display, for example sRGB. Devices need no power function and agree bit for bit.
 """
 
 import numpy as np

@@ -15,7 +15,7 @@ neighbouring rows the result holds the means over
 with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the
 second. They are p^T M p and the trace of moments M = E[c c^T], from which `gpusim.optics.drift`
 predicts a plan's error, without the moments themselves. Differences are taken before projections;
-otherwise rounding would lose those of a smooth picture.
+otherwise rounding would lose them in a smooth picture.
 """
 
 import numpy as np
@@ -43,7 +43,7 @@ def survey(
 ) -> Array:
     """Return mean squares of projections and of their differences over pairs of rows.
 
-    NaN stays NaN. Squares of values beyond 1.8e19 are infinite, and those of values below 1e-23 are
+    NaN stays NaN. Squares of values beyond 1.8e19 are infinite, squares of values below 1e-23 are
     0, after the scale; light of 1e23 needs a factor.
 
     Args:
@@ -65,7 +65,7 @@ def survey(
     entries, rows, cols = check_inputs(content, table, first, ids)
     count, pairs = table.shape[0], first.shape[0]
     if ids is None and pairs and type_of(content) == np.float16:  # only the few rows of the pairs
-        content, first, rows = _widened(device, content, first)
+        content, first, rows = _widen_rows(device, content, first)
     unit, of_table = map(float, scale)
     if of_table != 1:
         table = device.numpy(table) * np.float32(of_table)
@@ -126,7 +126,7 @@ def survey(
     return out
 
 
-def _widened(device, content, first):
+def _widen_rows(device, content, first):
     """Return the rows of the pairs as float32 content, their upper rows, and the number of rows."""
     upper = np.clip(device.numpy(first), 0, content.shape[1] - 1)
     rows = np.stack([upper, upper + 1], axis=1).reshape(1, -1)
