@@ -19,7 +19,7 @@ DIALECT = """
 #define __local __shared__
 #define LOCAL(type, name, count) \\
     extern __shared__ float4 local_memory[]; \\
-    static_assert(sizeof(type) * (count) <= LOCAL_BYTES, "the host told too few LOCAL_BYTES"); \\
+    static_assert(sizeof(type) * (count) <= LOCAL_BYTES, "LOCAL_BYTES is too small"); \\
     type *const name = (type *)local_memory
 #define restrict __restrict__
 #define barrier(fence) __syncthreads()
