@@ -154,6 +154,18 @@ def _reference_of(module, name):
     return lambda: getattr(import_module(f"{module}_ref"), name)
 
 
+def dtype_name(array: Array) -> str:
+    """Return the name of an array's type.
+
+    Args:
+        array: A NumPy array or an array of a device; Warp's types are classes.
+
+    Returns:
+        The name, for example "uint16".
+    """
+    return getattr(array.dtype, "name", None) or array.dtype.__name__
+
+
 def stage_names() -> list[str]:
     """Return every stage as `area.name`, in the order in which light passes them.
 

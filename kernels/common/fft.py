@@ -146,9 +146,9 @@ def roots(device, length):
 
 
 @functools.lru_cache(maxsize=64)
-def constant(device, values, shape):
+def constant(device, values, shape, dtype=np.float32):
     """Return a cached array of these bytes: a copy would wait for earlier launches."""
-    return device.array(np.frombuffer(values, np.float32).reshape(shape))
+    return device.array(np.frombuffer(values, dtype).reshape(shape), dtype)
 
 
 def roots_text(count) -> str:

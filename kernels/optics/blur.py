@@ -78,30 +78,17 @@ def blur(
             pitch,
         )
         defines = {"SIZE": size, "CHANNELS": channels}
-        if tables.shape[3] == half:
-            device.launch(
-                "optics.blur",
-                "accumulate",
-                (period[0], half),
-                spectra,
-                tables,
-                some,
-                sums,
-                *arguments,
-                defines=defines,
-            )
-        else:
-            device.launch(
-                "optics.blur",
-                "accumulate_complex",
-                (period[0], half),
-                spectra,
-                tables,
-                some,
-                sums,
-                *arguments,
-                defines=defines,
-            )
+        device.launch(
+            "optics.blur",
+            "accumulate" if tables.shape[3] == half else "accumulate_complex",
+            (period[0], half),
+            spectra,
+            tables,
+            some,
+            sums,
+            *arguments,
+            defines=defines,
+        )
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
     device.launch(

@@ -89,26 +89,14 @@ def distort(
         shape[0],
         defines=defines,
     )
-    if method == "cubic" and light is not None:
+    if method == "cubic":
         device.launch(
             "optics.distort",
-            "limited",
+            "cubic" if light is None else "limited",
             (maps, *shape),
             planes,
             lines,
-            _shares(device, light, border),
-            out,
-            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
-            *sizes,
-            defines=defines,
-        )
-    elif method == "cubic":
-        device.launch(
-            "optics.distort",
-            "cubic",
-            (maps, *shape),
-            planes,
-            lines,
+            *(() if light is None else (_shares(device, light, border),)),
             out,
             *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
             *sizes,

@@ -18,6 +18,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange
+from gpusim.kernels.common.fft import constant
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.ladder import LEAST
 from gpusim.optics.splines import SPACINGS, axes
@@ -139,7 +140,7 @@ class _Chain:
             "combine",
             (-(-places // each), -(-size // self.width)),
             own,
-            _constant(device, weights.tobytes(), weights.shape),
+            constant(device, weights.tobytes(), weights.shape),
             mixed,
             each,
             places,
@@ -238,7 +239,9 @@ class _Grids:
             *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
             *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)]),
         ]
-        return all(self._shared(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made)
+        return all(
+            self._both_matrices(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made
+        )
 
     def coefficients(self, planes, weights):
         """Return the far field as splines of the first level, (channels, 1, rows, cols)."""
@@ -259,7 +262,7 @@ class _Grids:
         wide = self._of_level(self._both(own, "restriction", level), weights, level + 1)
         return self._both(wide, "prolongation", level, onto=light)
 
-    def _shared(self, name, of, high):
+    def _both_matrices(self, name, of, high):
         """Return the matrices of both axes, and their bytes in local memory."""
         down, across = (
             _tile_bands(self.device, axis, name, of, *by)
@@ -282,12 +285,12 @@ class _Grids:
         stride, sums = planes, 1
         if weights is not None:
             (batch, planes, sums), stride = weights.shape, 0
-        high, parts, (down, across, room) = HIGH, 1, self._shared(name, of, HIGH)
+        high, parts, (down, across, room) = HIGH, 1, self._both_matrices(name, of, HIGH)
         if batch * down.tiles * across.tiles < MANY:
             high, parts, (down, across, room) = (
                 LOW,
                 sums if in_parts else 1,
-                self._shared(name, of, LOW),
+                self._both_matrices(name, of, LOW),
             )
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
@@ -296,7 +299,7 @@ class _Grids:
             "both",
             (groups * WIDE * LINES,),
             given,
-            given if weights is None else _constant(device, weights.tobytes(), weights.shape),
+            given if weights is None else constant(device, weights.tobytes(), weights.shape),
             *down.arrays,
             *across.arrays,
             out,
@@ -336,7 +339,7 @@ class _Grids:
             light,
             *_at_samples(device, self.down, margin),
             *_at_samples(device, self.across, margin),
-            _constant(device, pattern.tobytes(), pattern.shape, np.int32),
+            constant(device, pattern.tobytes(), pattern.shape, np.int32),
             out,
             rows,
             cols,
@@ -431,12 +434,6 @@ def _along_rows(device, axis, margin, plane, pattern, period):
     start = plane * cfa[:, np.arange(bands.start.shape[1]) % period[1]] + bands.start[0]
     assert bands.values.shape[2] == 4
     return device.array(bands.values[0].T), device.array(start, np.int32)
-
-
-@functools.lru_cache(maxsize=64)
-def _constant(device, values, shape, dtype=np.float32):
-    """Return a cached array of these bytes: a copy would wait for earlier launches."""
-    return device.array(np.frombuffer(values, dtype).reshape(shape), dtype)
 
 
 def cases():

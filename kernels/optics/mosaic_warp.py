@@ -8,6 +8,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def times(a: wp.vec2, b: wp.vec2):
+    """Return the product of two complex numbers."""
     return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 

@@ -12,6 +12,7 @@ wp.set_module_options(
 
 @wp.func
 def encode(x: float, root: int):
+    """Return the code of a value: its signed root, or itself."""
     if root == 0:
         return x
     return wp.where(x < 0.0, -wp.sqrt(-x), wp.sqrt(x))

@@ -39,7 +39,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
@@ -185,7 +185,7 @@ def check_inputs(raw, reference, period, levels):
 
 def checked_stack(raw, reference, period):
     """Raise BadData or OutOfRange if this is no stack of frames with a reference among them."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    dtype = dtype_name(raw)
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16"

@@ -1,6 +1,7 @@
 """The Bayer mosaic: places of its colours."""
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.kernels.stage import dtype_name
 
 RED = {
     "RGGB": (0, 0),
@@ -19,7 +20,7 @@ def red_pixel(phase: str) -> tuple[int, int]:
 
 def check_mosaic(raw, scale):
     """Raise BadData or OutOfRange if this is no mosaic of digital numbers with a scale > 0."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    dtype = dtype_name(raw)
     if len(raw.shape) != 2 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of uint16")
     if not scale > 0:

@@ -4,6 +4,7 @@
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
+from gpusim.kernels.processor.adaptive_warp import blend, encode
 
 wp.set_module_options(
     {"enable_backward": False, "fuse_fp": False}
@@ -22,13 +23,6 @@ KEPT_GREEN = wp.constant(0.45)
 PLANE = wp.array[
     float
 ]  # rows of `width`, one after the other: pixel c has neighbours at c +- 1 and c +- width
-
-
-@wp.func
-def encode(x: float, root: int):
-    if root == 0:
-        return x
-    return wp.where(x < 0.0, -wp.sqrt(-x), wp.sqrt(x))
 
 
 @wp.func
@@ -93,14 +87,6 @@ def draw(
     return encode(
         mean + change * ((square + kept * noise) / (square + reach * noise + 1.0e-20)), root
     )
-
-
-@wp.func
-def blend(p: float, q: float, r: float, s: float, limit: float):
-    """Return the mean of two pairs, weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
-    first = wp.abs(r - s) + limit
-    second = wp.abs(p - q) + limit
-    return 0.5 * ((p + q) * first + (r + s) * second) / (first + second)
 
 
 @wp.func

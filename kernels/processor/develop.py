@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.display.encode import code_table, codes_defines, thresholds
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import items
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 
 @stage
@@ -94,7 +94,7 @@ def _check(raw, scale, converter):
     """Raise BadData or OutOfRange for a mosaic of neither digital numbers nor electrons."""
     if converter is None:
         return check_mosaic(raw, scale)
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    dtype = dtype_name(raw)
     if len(raw.shape) != 2 or dtype not in ("float32", "float64") or 0 in raw.shape:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of float32 with a converter"

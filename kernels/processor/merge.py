@@ -32,7 +32,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.merge_ref import merge as reference
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 MOST_FRAMES = 16
 PER_FRAME = ("dark", "gain", "time", "floor", "ceiling")
@@ -118,7 +118,7 @@ def merge(
 
 def check_inputs(raw, dark, gain, time, floor, ceiling, margin, period):
     """Return the numbers per frame as a float64 table (5, frames). Raise as `merge` does."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    dtype = dtype_name(raw)
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape or raw.shape[0] > MOST_FRAMES:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16, at most "

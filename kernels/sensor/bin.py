@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
 CHUNK = (
@@ -99,7 +99,7 @@ def bin(
 
 def check_pixels(pixels, average) -> bool:
     """Return True for digital numbers, False for charges. Raise BadData for anything else."""
-    kind = getattr(pixels.dtype, "name", None) or pixels.dtype.__name__  # Warp's types are classes
+    kind = dtype_name(pixels)
     if len(pixels.shape) != 2 or kind not in ("uint16", "float32", "float64"):
         raise BadData(
             f"pixels: {kind}, shape {tuple(pixels.shape)}; wanted (rows, cols) of charges, float32, or of "

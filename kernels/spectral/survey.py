@@ -88,41 +88,23 @@ def survey(
         return out
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
-    if ids is None:
-        device.launch(
-            "spectral.survey",
-            "mixed",
-            grid,
-            content,
-            table,
-            first,
-            out,
-            entries,
-            rows,
-            cols,
-            count,
-            unit,
-            defines=defines,
-            group=group,
-        )
-    else:
-        device.launch(
-            "spectral.survey",
-            "labelled",
-            grid,
-            ids,
-            content,
-            table,
-            first,
-            out,
-            entries,
-            rows,
-            cols,
-            count,
-            unit,
-            defines=defines,
-            group=group,
-        )
+    device.launch(
+        "spectral.survey",
+        "mixed" if ids is None else "labelled",
+        grid,
+        *(() if ids is None else (ids,)),
+        content,
+        table,
+        first,
+        out,
+        entries,
+        rows,
+        cols,
+        count,
+        unit,
+        defines=defines,
+        group=group,
+    )
     return out
 
 
