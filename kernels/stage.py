@@ -147,7 +147,13 @@ def _require_arguments(name, signature, args, kwargs):
     try:
         signature.bind(*args, **kwargs)
     except TypeError as wrong:
-        raise TypeError(f"{name}: {wrong}; wanted {name.rpartition('.')[2]}{signature}") from None
+        plain = signature.replace(
+            parameters=[
+                each.replace(annotation=each.empty) for each in signature.parameters.values()
+            ],
+            return_annotation=signature.empty,
+        )
+        raise TypeError(f"{name}: {wrong}; wanted {name.rpartition('.')[2]}{plain}") from None
 
 
 def _reference_of(module, name):
