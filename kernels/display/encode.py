@@ -170,7 +170,10 @@ def codes_defines(device, cols) -> dict:
 
 
 def cases():
-    """A fine grid, every boundary of several curves, HDR, negative, NaN, infinities; odd sizes."""
+    """Yield cases.
+
+    A fine grid, every boundary of several curves, HDR, negative, NaN, infinities; odd sizes.
+    """
     why = "the code is a count of exact comparisons: bit for bit"
     random = np.random.default_rng(6)
     srgb = thresholds(DISPLAYS["srgb"].decode)
@@ -211,7 +214,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A full range of values, sRGB."""
+    """Return inputs: a full range of values, sRGB."""
     return {
         "rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
         "thresholds": thresholds(DISPLAYS["srgb"].decode),

@@ -71,7 +71,11 @@ def airy(
 
 
 def cases():
-    """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong apertures."""
+    """Yield cases.
+
+    Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong
+    apertures.
+    """
     why = (
         "a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
         "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors"
@@ -93,7 +97,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """31 bands of a 1.4 um f/1.8 camera."""
+    """Return inputs: 31 bands of a 1.4 um f/1.8 camera."""
     return {
         "q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6,
         "aperture": 1.0,

@@ -105,7 +105,11 @@ def blur(
 
 
 def cases():
-    """All borders, shared and own tables, one plane to more than a batch, odd periods, a highlight of 1e6."""
+    """Yield cases.
+
+    All borders, shared and own tables, one plane to more than a batch, odd periods, a highlight of
+    1e6.
+    """
     random = np.random.default_rng(3)
     why = (
         "a float32 transform errs by about 3e-7 of the field's root mean square (numerics: 2.5e-7), and the maximum "
@@ -157,7 +161,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to three channels, 64 pixels of border."""
+    """Return inputs: four planes to three channels, 64 pixels of border."""
     random = np.random.default_rng(3)
     period = (fft_length(rows + 128), fft_length(cols + 128))
     return {
@@ -170,7 +174,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, border, period):
-    """Transforms there and back; per frequency each plane times its table, and that times the mix, added up."""
+    """Count operations.
+
+    Transforms there and back; per frequency each plane times its table, and that times the mix,
+    added up.
+    """
     frequencies = period[0] * (period[1] // 2 + 1)
     channels, count = mix.shape
     return (count + channels) * fft.operations(period) + frequencies * count * (

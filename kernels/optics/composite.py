@@ -79,7 +79,7 @@ def checked_layers(layers, count) -> np.ndarray:
 
 
 def cases():
-    """One layer, several of one and of more entries, shared and own coverage."""
+    """Yield cases: one layer, several of one and of more entries, shared and own coverage."""
     random = np.random.default_rng(12)
     for layers, channels, own, rows, cols in (
         ((0,), 1, 0, 1, 1),
@@ -111,7 +111,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three layers of three kernels each, three channels."""
+    """Return inputs: three layers of three kernels each, three channels."""
     random = np.random.default_rng(12)
     return {
         "lights": random.random((9, 3, rows, cols), np.float32),

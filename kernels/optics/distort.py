@@ -177,7 +177,11 @@ def _barrel(shape, strength, turn=0.0):
 
 
 def cases():
-    """Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one pixel; stars."""
+    """Yield cases.
+
+    Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one
+    pixel; stars.
+    """
     random = np.random.default_rng(8)
     for rows, cols, maps, strength, turn, border in (
         (1, 1, 1, 0.0, 0.0, "zero"),
@@ -241,7 +245,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three planes with lateral colour, 5 % barrel."""
+    """Return inputs: three planes with lateral colour, 5 % barrel."""
     random = np.random.default_rng(8)
     grids = [
         grid_of((rows, cols), 32, _barrel((rows, cols), 0.05 * (1 + 0.01 * m))) for m in range(3)

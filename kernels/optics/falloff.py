@@ -36,7 +36,7 @@ def falloff(device: Device, planes: Array, gains: Array) -> Array:
 
 
 def cases():
-    """One map for all planes and one for each, over nine decades."""
+    """Yield cases: one map for all planes and one for each, over nine decades."""
     random = np.random.default_rng(9)
     for planes, maps, rows, cols in ((1, 1, 1, 1), (3, 1, 3, 5), (4, 4, 63, 65), (2, 1, 5, 200)):
         yield Case(
@@ -52,7 +52,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three planes, one map."""
+    """Return inputs: three planes, one map."""
     random = np.random.default_rng(9)
     return {
         "planes": random.random((3, rows, cols), np.float32),
@@ -61,5 +61,5 @@ def bench(rows, cols):
 
 
 def operations(planes, gains):
-    """A multiplication for each value."""
+    """Count operations: a multiplication for each value."""
     return planes.size

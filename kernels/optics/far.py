@@ -437,7 +437,11 @@ def _along_rows(device, axis, margin, plane, pattern, period):
 
 
 def cases():
-    """All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin, highlights."""
+    """Yield cases.
+
+    All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin,
+    highlights.
+    """
     random = np.random.default_rng(11)
     why = (
         "a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each axis, "
@@ -481,7 +485,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    """Return inputs: four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(11)
     sigmas = np.append(23.3 * 1.6 ** np.arange(13), np.inf)
     return {

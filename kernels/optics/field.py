@@ -384,7 +384,11 @@ def _add_highlights(
 
 
 def cases():
-    """One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6 spread directly."""
+    """Yield cases.
+
+    One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6
+    spread directly.
+    """
     random = np.random.default_rng(11)
     for rows, cols, count, channels, terms, tiles, own, border, m, threshold in (
         (1, 1, 1, 1, 1, (1, 1), 0, "edge", 1, None),
@@ -435,7 +439,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """One plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
+    """Return inputs: one plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
     random = np.random.default_rng(11)
     y, x = (np.round(np.linspace(0, size - 1, 8)).astype(int) for size in (rows, cols))
     fractions = [

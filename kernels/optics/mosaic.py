@@ -271,7 +271,11 @@ def _turns(length, count):
 
 
 def cases():
-    """All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a highlight of 1e6."""
+    """Yield cases.
+
+    All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a
+    highlight of 1e6.
+    """
     random = np.random.default_rng(5)
     why = (
         "as optics.blur, 1.2e-6 of the peak for each of the two transforms; the folded sum adds one rounding of a "
@@ -314,7 +318,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    """Return inputs: four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(5)
     period, _ = transform_lengths((rows + 128, cols + 128), (2, 2))
     return {
@@ -328,7 +332,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, cfa, border, period):
-    """Transforms there; per frequency and channel each plane times its table, added up; back one for each phase."""
+    """Count operations.
+
+    Transforms there; per frequency and channel each plane times its table, added up; back one for
+    each phase.
+    """
     frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
     back = cfa.size * fft.operations(
         [length // n for length, n in zip(period, phases, strict=True)]

@@ -72,7 +72,10 @@ def _gaussians(count, length, sigmas):
 
 
 def cases():
-    """One and several groups, odd and even periods, one Gaussian and many, an infinite one."""
+    """Yield cases.
+
+    One and several groups, odd and even periods, one Gaussian and many, an infinite one.
+    """
     random = np.random.default_rng(12)
     why = "a float32 sum of up to 15 terms, each below the largest value, and the rounding of each of its factors"
     for groups, planes, period, count in (
@@ -95,7 +98,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Tables of twelve, 64 pixels of border."""
+    """Return inputs: tables of twelve, 64 pixels of border."""
     random = np.random.default_rng(12)
     period = rows + 128, cols + 128
     return {

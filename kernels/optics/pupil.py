@@ -139,7 +139,11 @@ def pupil(
 
 
 def cases():
-    """Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd periods, low-pass."""
+    """Yield cases.
+
+    Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd
+    periods, low-pass.
+    """
     why = (
         "cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
         "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
@@ -206,7 +210,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
+    """Return inputs: 31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
     wavelengths = np.linspace(400, 700, 31, dtype=np.float32)
     return {
         "outline": Pupil(),

@@ -67,7 +67,11 @@ def sample(
 
 
 def cases():
-    """One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one end."""
+    """Yield cases.
+
+    One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one
+    end.
+    """
     random = np.random.default_rng(12)
     why = (
         "every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
@@ -105,7 +109,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three channels of a frame from three samples a pixel at full fill."""
+    """Return inputs: three channels of a frame from three samples a pixel at full fill."""
     random = np.random.default_rng(12)
     return {
         "planes": random.random((3, 3 * rows, 3 * cols), np.float32),

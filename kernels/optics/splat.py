@@ -82,7 +82,11 @@ def splat(
 
 
 def cases():
-    """Lights inside, at the corner and outside, one to many parts, short and whole reach, 1e9 over 1e-3."""
+    """Yield cases.
+
+    Lights inside, at the corner and outside, one to many parts, short and whole reach, 1e9 over
+    1e-3.
+    """
     random = np.random.default_rng(6)
     why = (
         "a kernel value errs by a few ulp, its radius by an ulp of 40 pixels, 4e-6, on a profile whose slope is "
@@ -126,7 +130,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Sixteen lights over the whole frame."""
+    """Return inputs: sixteen lights over the whole frame."""
     random = np.random.default_rng(6)
     length = int(64 * 1.5 * max(rows, cols))
     return {

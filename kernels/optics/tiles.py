@@ -398,7 +398,11 @@ def _turns(device, side, period):
 
 
 def cases():
-    """All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables, margins, highlights."""
+    """Yield cases.
+
+    All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables,
+    margins, highlights.
+    """
     random = np.random.default_rng(15)
     why = (
         "as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
@@ -444,7 +448,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side."""
+    """Return inputs.
+
+    Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side.
+    """
     random = np.random.default_rng(15)
     return {
         "planes": random.random((4, rows, cols), np.float32),
@@ -458,7 +465,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, cfa, border, side, overlap):
-    """Of each tile: transforms there; per frequency and channel each plane times its table; back one for each phase."""
+    """Count operations.
+
+    Of each tile: transforms there; per frequency and channel each plane times its table; back one
+    for each phase.
+    """
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
     return number * (

@@ -101,7 +101,7 @@ WORST_CONDITION = 20  # of the cases, error out over error in: their tolerances 
 
 
 def cases():
-    """All phases, both domains, odd and degenerate sizes, hard edges, flat fields."""
+    """Yield cases: all phases, both domains, odd and degenerate sizes, hard edges, flat fields."""
     random = np.random.default_rng(3)
     for domain in DOMAINS:
         for phase in RED:
@@ -162,6 +162,6 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(3).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -216,7 +216,10 @@ def _moving_picture(random, shifts, rows, cols, smooth):
 
 
 def cases():
-    """Whole and broken displacements, odd sizes, other mosaics, flat fields, the largest numbers."""
+    """Yield cases.
+
+    Whole and broken displacements, odd sizes, other mosaics, flat fields, the largest numbers.
+    """
     random = np.random.default_rng(8)
     why = (
         "whole displacements are equal; of 256 squares and their sum at most 24 roundings per lane, 2.4e-6 of sums "
@@ -251,6 +254,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """Eight frames of a Bayer mosaic."""
+    """Return inputs: eight frames of a Bayer mosaic."""
     random = np.random.default_rng(8)
     return {"raw": _moving_picture(random, random.integers(-20, 21, (8, 2)), rows, cols, 8)}

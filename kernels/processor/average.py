@@ -178,7 +178,11 @@ def check_inputs(raw, displacement, reference, period, noise):
 
 
 def cases():
-    """Whole and broken displacements, out of the frame, other mosaics, odd sizes, a moving thing, one frame."""
+    """Yield cases.
+
+    Whole and broken displacements, out of the frame, other mosaics, odd sizes, a moving thing, one
+    frame.
+    """
     random = np.random.default_rng(9)
     why = (
         "in 2^-24: 16 taps of up to 4095 DN, absolute weights adding up to 1.27 at most, err by 2 (4 + 4) 1.27 4095 "
@@ -231,7 +235,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Eight frames of a Bayer mosaic, displaced by fractions."""
+    """Return inputs: eight frames of a Bayer mosaic, displaced by fractions."""
     random = np.random.default_rng(9)
     raw = np.rint(
         300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))

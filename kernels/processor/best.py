@@ -210,7 +210,11 @@ WORST_CONDITION = (
 
 
 def cases():
-    """All phases, both domains, with and without noise, odd and degenerate sizes, hard edges, flat fields."""
+    """Yield cases.
+
+    All phases, both domains, with and without noise, odd and degenerate sizes, hard edges, flat
+    fields.
+    """
     random = np.random.default_rng(5)
     noise = (0.5, 3.0)
     for domain in DOMAINS:
@@ -302,6 +306,6 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -71,7 +71,10 @@ def items(device, cols):
 
 
 def cases():
-    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, black, saturation, values below the black level.
+    """
     random = np.random.default_rng(2)
     why = (
         "sums of four 16-bit integers and their halves are exact in float32, so only the subtraction and the "
@@ -110,6 +113,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -61,7 +61,10 @@ def color(device: Device, camera: Array, matrix: Array, *, ceiling: Array | None
 
 
 def cases():
-    """One to six channels, negative entries, values above 1, ceilings, infinities and NaN."""
+    """Yield cases.
+
+    One to six channels, negative entries, values above 1, ceilings, infinities and NaN.
+    """
     random = np.random.default_rng(5)
     for channels, rows, cols in (
         (3, 1, 1),
@@ -97,7 +100,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three channels."""
+    """Return inputs: three channels."""
     random = np.random.default_rng(5)
     return {
         "camera": random.random((3, rows, cols), np.float32),
@@ -106,5 +109,5 @@ def bench(rows, cols):
 
 
 def operations(camera, matrix):
-    """Nine multiplications and six additions for each pixel."""
+    """Count operations: nine multiplications and six additions for each pixel."""
     return 5 * camera.size

@@ -215,7 +215,11 @@ def _neighbours(cfa, y, x):
 
 
 def cases():
-    """Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters; tiny frames."""
+    """Yield cases.
+
+    Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters;
+    tiny frames.
+    """
     random = np.random.default_rng(9)
     why = "integers, and three float32 roundings in the same order"
     mosaics = {
@@ -281,7 +285,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic with one known defect in a thousand, more being looked for."""
+    """Return inputs.
+
+    A 10-bit Bayer mosaic with one known defect in a thousand, and a search for more.
+    """
     random = np.random.default_rng(9)
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),

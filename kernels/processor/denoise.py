@@ -175,7 +175,7 @@ def denoise(
 
 
 def cases():
-    """Mosaics, sizes down to one period, noise models, edges, black, saturation."""
+    """Yield cases: mosaics, sizes down to one period, noise models, edges, black, saturation."""
     random = np.random.default_rng(11)
     why = (
         "u and its mean have some 2^-24 x 40 of the largest u, 2 sqrt(4095 / g) <= 130, which is < 4e-4 of a "
@@ -236,7 +236,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
+    """Return inputs: a 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
     return {

@@ -109,7 +109,10 @@ def _check(raw, scale, converter):
 
 
 def cases():
-    """All phases, odd and degenerate sizes, with and without ceiling and converter, several curves."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, with and without ceiling and converter, several curves.
+    """
     random = np.random.default_rng(7)
     matrix = np.float32([[1.9, -0.6, -0.1], [-0.3, 1.5, -0.3], [0.05, -0.5, 1.6]])
     ceiling = np.float32([0.5, 0.9, 0.7])
@@ -172,7 +175,7 @@ def _case(
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic, sRGB."""
+    """Return inputs: a 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
     return {

@@ -168,7 +168,7 @@ def _pair(rows, cols):
 
 
 def cases():
-    """Window larger than the picture, odd sizes, shadows, highlights, flat fields."""
+    """Yield cases: window larger than the picture, odd sizes, shadows, highlights, flat fields."""
     why = (
         "n = (2 r + 1)^2 taps: sums err by n 2^-24 at most, a squared difference of values below 1.3 over 2 V > "
         "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3"
@@ -194,5 +194,5 @@ def cases():
 
 
 def bench(rows, cols):
-    """The default window."""
+    """Return inputs: the default window."""
     return _pair(rows, cols)

@@ -245,7 +245,10 @@ X_TRANS = (
 
 
 def cases():
-    """Bayer, quad-Bayer, X-Trans, stripes, one channel, random 8 x 8, least frames, black, saturation."""
+    """Yield cases.
+
+    Bayer, quad-Bayer, X-Trans, stripes, one channel, random 8 x 8, least frames, black, saturation.
+    """
     random = np.random.default_rng(6)
     why = (
         "weights are positive with sum 1, so errors count in 2^-24 of the largest sample: of n <= 40 taps n + 1 "
@@ -288,6 +291,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit X-Trans mosaic."""
+    """Return inputs: a 10-bit X-Trans mosaic."""
     raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "cfa": np.array(X_TRANS, np.int32), "black_level": 64.0, "scale": 1 / 959}

@@ -394,7 +394,11 @@ X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
 
 
 def cases():
-    """The built-in table, both domains, all phases, with and without noise; random ones: RGBW with levels, X-Trans."""
+    """Yield cases.
+
+    The built-in table, both domains, all phases, with and without noise; random ones: RGBW with
+    levels, X-Trans.
+    """
     random = np.random.default_rng(8)
     rgbw = _random_table(("RG", "WB"), "XYZ", (0.2, 0.5, 0.9), (1, -2, 1, 0, -1, 2, -1), 2)
     fuji = _random_table(X_TRANS, "RGB", (0.0,), (1, 0, 0, 0, 0, 0, -1), 3)
@@ -489,7 +493,7 @@ def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic of ramps, edges and noise."""
+    """Return inputs: a 10-bit Bayer mosaic of ramps, edges and noise."""
     random = np.random.default_rng(3)
     y, x = np.mgrid[:rows, :cols]
     raw = 300 + 200 * np.sin(x / 37) * np.cos(y / 23) + 150 * ((x + 2 * y) // 60 % 2)

@@ -39,7 +39,7 @@ def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> A
 
 
 def cases():
-    """Black, white, below black, odd sizes."""
+    """Yield cases: black, white, below black, odd sizes."""
     random = np.random.default_rng(5)
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         raw = random.integers(0, 65536, (rows, cols), np.uint16)
@@ -55,7 +55,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit frame."""
+    """Return inputs: a 10-bit frame."""
     return {
         "raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16),
         "black_level": 64.0,
@@ -64,5 +64,5 @@ def bench(rows, cols):
 
 
 def operations(raw, black_level, scale):
-    """A subtraction and a multiplication for each value."""
+    """Count operations: a subtraction and a multiplication for each value."""
     return 2 * raw.size

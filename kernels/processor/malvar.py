@@ -79,7 +79,10 @@ def malvar(
 
 
 def cases():
-    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, black, saturation, values below the black level.
+    """
     random = np.random.default_rng(7)
     why = (
         "weights are 16ths, and sums of 16-bit integers with whole weights of at most 64 in all stay below 2^22: "
@@ -147,6 +150,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(7).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -149,7 +149,11 @@ def check_inputs(raw, dark, gain, time, floor, ceiling, margin, period):
 
 
 def cases():
-    """One to five frames, mosaics, frames smaller than a period, full and black pixels, edges of light."""
+    """Yield cases.
+
+    One to five frames, mosaics, frames smaller than a period, full and black pixels, edges of
+    light.
+    """
     random = np.random.default_rng(3)
     why = (
         "in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
@@ -221,7 +225,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three 10-bit exposures of a Bayer mosaic, two stops apart."""
+    """Return inputs: three 10-bit exposures of a Bayer mosaic, two stops apart."""
     random = np.random.default_rng(3)
     time = (1.0, 4.0, 16.0)
     raw = 64 + 2 * random.random((1, rows, cols)) * 50 * np.reshape(time, (3, 1, 1))

@@ -65,7 +65,11 @@ def check(raw, black_level, scale):
 
 
 def cases():
-    """Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from 1."""
+    """Yield cases.
+
+    Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from
+    1.
+    """
     random = np.random.default_rng(13)
     why = "the same four float32 operations, rounded in the same way, and an exact rounding"
     for rows, cols, black, white in (
@@ -100,7 +104,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Electrons up to a full well."""
+    """Return inputs: electrons up to a full well."""
     return {
         "raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32),
         "black_level": 0.0,

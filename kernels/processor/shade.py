@@ -98,7 +98,10 @@ def shade(
 
 
 def cases():
-    """Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped."""
+    """Yield cases.
+
+    Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped.
+    """
     random = np.random.default_rng(10)
     why = (
         "gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the "
@@ -135,7 +138,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic, 17 x 17 nodes."""
+    """Return inputs: a 10-bit Bayer mosaic, 17 x 17 nodes."""
     random = np.random.default_rng(10)
     return {
         "raw": random.integers(0, 1024, (rows, cols), np.uint16),

@@ -99,7 +99,11 @@ def check_inputs(camera, rows, cols):
 
 
 def cases():
-    """One to six channels, blocks of unequal size, pictures smaller than the thumbnail, ceilings, clipped blocks."""
+    """Yield cases.
+
+    One to six channels, blocks of unequal size, pictures smaller than the thumbnail, ceilings,
+    clipped blocks.
+    """
     random = np.random.default_rng(7)
     for channels, height, width, rows, cols in (
         (3, 1, 1, 48, 64),
@@ -141,5 +145,5 @@ def _case(name, inputs):
 
 
 def bench(rows, cols):
-    """Three channels, some clipped."""
+    """Return inputs: three channels, some clipped."""
     return {"camera": np.random.default_rng(7).random((3, rows, cols), np.float32), "ceiling": 0.98}

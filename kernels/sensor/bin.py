@@ -147,7 +147,11 @@ def binned_shape(
 
 
 def cases():
-    """Bayer, X-Trans and cells of one colour, the largest factors, odd sizes, long rows; charges and numbers."""
+    """Yield cases.
+
+    Bayer, X-Trans and cells of one colour, the largest factors, odd sizes, long rows; charges and
+    numbers.
+    """
     random = np.random.default_rng(11)
     charges = "the same float32 additions in the same order"
     numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
@@ -191,7 +195,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Charges of a Bayer mosaic, 2 x 2."""
+    """Return inputs: charges of a Bayer mosaic, 2 x 2."""
     return {
         "pixels": np.random.default_rng(11).random((rows, cols), np.float32),
         "binning": (2, 2),

@@ -88,7 +88,7 @@ def retime(tape, dark_time):
 
 
 def cases():
-    """With and without each plane, extreme means: bit for bit."""
+    """Yield cases: with and without each plane, extreme means: bit for bit."""
     random = np.random.default_rng(5)
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
@@ -115,7 +115,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Response and hot pixels."""
+    """Return inputs: response and hot pixels."""
     random = np.random.default_rng(5)
     mean, response, dark = random.random((3, rows, cols), np.float32)
     return {"mean": 1e3 * mean, "response": 1 + 0.01 * response, "dark": dark, "dark_time": 0.01}

@@ -69,7 +69,7 @@ def retime(tape, exposure_time):
 
 
 def cases():
-    """All Bayer phases, monochrome, an odd period, a field of 100 degrees."""
+    """Yield cases: all Bayer phases, monochrome, an odd period, a field of 100 degrees."""
     random = np.random.default_rng(4)
     why = (
         "three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
@@ -113,7 +113,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A Bayer mosaic with fall-off."""
+    """Return inputs: a Bayer mosaic with fall-off."""
     random = np.random.default_rng(4)
     return {
         "rates": random.random((3, rows, cols), np.float32),

@@ -77,7 +77,11 @@ def check_planes(response, dark, least):
 
 
 def cases():
-    """With and without each plane, binned in mosaics and not, odd sizes, NaN, infinities, denormals, -0."""
+    """Yield cases.
+
+    With and without each plane, binned in mosaics and not, odd sizes, NaN, infinities, denormals,
+    -0.
+    """
     random = np.random.default_rng(14)
     for rows, cols, binning, stride in (
         (1, 1, (1, 1), (1, 1)),
@@ -121,7 +125,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A thousandth of the pixels dead, as many hot."""
+    """Return inputs: a thousandth of the pixels dead, as many hot."""
     random = np.random.default_rng(14)
     return {
         "response": (random.random((rows, cols)) > 1e-3).astype(np.float32),

@@ -248,7 +248,10 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
 
 
 def cases():
-    """One pixel to several strips; equal, extreme, negative, not finite values; quantiles' ends."""
+    """Yield cases.
+
+    One pixel to several strips; equal, extreme, negative, not finite values; quantiles' ends.
+    """
     random = np.random.default_rng(11)
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
@@ -305,7 +308,7 @@ def _case(name, rates, fractions):
 
 
 def bench(rows, cols):
-    """Light with lamps and no quantile, as for exposure by the mean."""
+    """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
     return {
         "rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32),

@@ -264,7 +264,11 @@ def check_drawn(seed, frame, frames, read):
 
 
 def cases():
-    """Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds: bit for bit."""
+    """Yield cases.
+
+    Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds:
+    bit for bit.
+    """
     random = np.random.default_rng(1)
     sensor = {
         "dark_electrons": 0.1,
@@ -361,7 +365,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four decades of mean electrons and every kind of noise."""
+    """Return inputs: four decades of mean electrons and every kind of noise."""
     random = np.random.default_rng(1)
     mean = np.geomspace(1, 1e4, rows * cols, dtype=np.float32).reshape(rows, cols)
     amplitude = np.where(random.random((rows, cols)) < 1e-3, 10.0, 0.0).astype(np.float32)

@@ -108,7 +108,7 @@ def pattern(
 
 
 def cases():
-    """Every plane with every part, tiles, odd sizes: bit for bit."""
+    """Yield cases: every plane with every part, tiles, odd sizes: bit for bit."""
     why = "both sides do the same correctly rounded float32 operations in the same order"
     parts = {
         "mean": 1.0,
@@ -156,7 +156,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Response of pixels, rows and columns with dead pixels."""
+    """Return inputs: response of pixels, rows and columns with dead pixels."""
     return {
         "rows": rows,
         "cols": cols,

@@ -67,7 +67,11 @@ def spans(weights) -> np.ndarray:
 
 
 def cases():
-    """One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing is read."""
+    """Yield cases.
+
+    One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing
+    is read.
+    """
     random = np.random.default_rng(7)
     for instants, used, rows, cols in (
         (1, 1, 1, 1),
@@ -108,7 +112,10 @@ def _moving_window(random, instants, used, rows):
 
 
 def bench(rows, cols):
-    """16 instants, 5 for each row: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
+    """Return inputs.
+
+    16 instants, 5 for each row: read out in 20 ms, exposed for 6, pictures 2 ms apart.
+    """
     random = np.random.default_rng(7)
     return {
         "rates": random.random((16, rows, cols), np.float32),

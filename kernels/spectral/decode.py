@@ -76,7 +76,11 @@ def check_inputs(codes, curve):
 
 
 def cases():
-    """Every code of both types, odd sizes, one to five channels, no pixels, curves with NaN and infinities."""
+    """Yield cases.
+
+    Every code of both types, odd sizes, one to five channels, no pixels, curves with NaN and
+    infinities.
+    """
     random, why = np.random.default_rng(8), "an entry of the table, nothing is computed"
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
@@ -133,7 +137,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A frame of 8 bits, sRGB."""
+    """Return inputs: a frame of 8 bits, sRGB."""
     return {
         "codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
         "curve": DISPLAYS["srgb"].table(np.uint8),

@@ -65,7 +65,11 @@ def check_inputs(maps, coefficients):
 
 
 def cases():
-    """One light and many, one surface and a cube's, odd sizes, no pixels, dark lights, negative coefficients, NaN."""
+    """Yield cases.
+
+    One light and many, one surface and a cube's, odd sizes, no pixels, dark lights, negative
+    coefficients, NaN.
+    """
     random = np.random.default_rng(31)
     for lights, surfaces, *shape in (
         (1, 1, 1, 1),
@@ -98,7 +102,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Two lights on surfaces of seven coefficients."""
+    """Return inputs: two lights on surfaces of seven coefficients."""
     random = np.random.default_rng(31)
     return {
         "maps": random.random((2, rows, cols), np.float32),
@@ -107,5 +111,5 @@ def bench(rows, cols):
 
 
 def operations(maps, coefficients):
-    """A multiplication for each sample of each product."""
+    """Count operations: a multiplication for each sample of each product."""
     return len(maps) * coefficients.size

@@ -67,7 +67,7 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
 
 
 def cases():
-    """Odd sizes, one band, many planes, nine decades of range."""
+    """Yield cases: odd sizes, one band, many planes, nine decades of range."""
     random = np.random.default_rng(1)
     for rows, cols, bands, planes in (
         (1, 1, 31, 3),
@@ -117,7 +117,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 31-band cube to three channels."""
+    """Return inputs: a 31-band cube to three channels."""
     random = np.random.default_rng(1)
     return {
         "content": random.random((31, rows, cols), np.float32),
@@ -126,5 +126,5 @@ def bench(rows, cols):
 
 
 def operations(content, weights):
-    """A multiplication and an addition for each sample and plane."""
+    """Count operations: a multiplication and an addition for each sample and plane."""
     return 2 * len(weights) * content.size

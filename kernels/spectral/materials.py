@@ -48,7 +48,7 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
 
 
 def cases():
-    """One material to hundreds, shading over nine decades."""
+    """Yield cases: one material to hundreds, shading over nine decades."""
     random = np.random.default_rng(2)
     for rows, cols, planes, count in (
         (1, 1, 3, 1),
@@ -70,7 +70,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """The 24 patches of a ColorChecker to 31 bands."""
+    """Return inputs: the 24 patches of a ColorChecker to 31 bands."""
     random = np.random.default_rng(2)
     return {
         "ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
@@ -80,5 +80,5 @@ def bench(rows, cols):
 
 
 def operations(ids, shading, table):
-    """A multiplication for each sample."""
+    """Count operations: a multiplication for each sample."""
     return len(table) * ids.size

@@ -176,7 +176,11 @@ def check_inputs(content, table, first, ids):
 
 
 def cases():
-    """Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values, zeros, NaN."""
+    """Yield cases.
+
+    Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values,
+    zeros, NaN.
+    """
     random = np.random.default_rng(11)
     for rows, cols, entries, count in (
         (1, 1, 31, 3),
@@ -266,7 +270,10 @@ def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
 
 
 def bench(rows, cols):
-    """Twelve projections of a 31-band cube: only the 34 rows that a frame of 1080 reads."""
+    """Return inputs.
+
+    Twelve projections of a 31-band cube: only the 34 rows that a frame of 1080 reads.
+    """
     random = np.random.default_rng(11)
     pairs = min(17, max(rows // 2, 1))
     return {

@@ -104,7 +104,11 @@ def check_inputs(content, rows, cols):
 
 
 def cases():
-    """Every float16 and uint16 there is, NaN and infinities, odd sizes, samples beyond the frame and twice, none."""
+    """Yield cases.
+
+    Every float16 and uint16 there is, NaN and infinities, odd sizes, samples beyond the frame and
+    twice, none.
+    """
     random, why = np.random.default_rng(5), "values are copied, and every float16 is a float32"
     numbers = np.arange(2**16, dtype=np.uint16)
     every = numbers.view(np.float16)
@@ -161,7 +165,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """Twelve windows of 64 x 64 from a 31-band cube without other samples: all is read."""
+    """Return inputs.
+
+    Twelve windows of 64 x 64 from a 31-band cube without other samples: all is read.
+    """
     chosen = np.arange(12 * 64, dtype=np.int32).reshape(12, 64)
     return {
         "content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32),
