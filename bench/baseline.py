@@ -9,7 +9,7 @@ import os
 
 import numpy as np
 import scipy.fft
-from scipy.signal import fftconvolve, oaconvolve
+from scipy.signal import fftconvolve
 
 from gpusim.domain.scene import Scene
 from gpusim.pipeline.simulator import Simulator
@@ -110,14 +110,6 @@ def bilinear(raw, scale: float) -> np.ndarray:
         for target, source in zip(out, planes, strict=True):
             target[dy::2, dx::2] = source[dy::2, dx::2]
     return out
-
-
-def convolve(plane, kernel) -> np.ndarray:
-    """Convolve a plane (rows, cols) with an odd kernel, edges repeated: SciPy's overlap-add."""
-    rows, cols = (n // 2 for n in kernel.shape)
-    return oaconvolve(
-        np.pad(plane, ((rows, rows), (cols, cols)), mode="edge"), kernel, mode="valid"
-    )
 
 
 def overlap_add(plane, blur, dtype=np.float32) -> np.ndarray:

@@ -6,15 +6,13 @@ frame: a cube to mean electrons by a transform per band, in SciPy, ducc0 and PyT
 with and without a tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16
 bit to RGB; error: relative RMS against the float64 reference of the same method if there is one,
 and CPSNR against the original picture, both without a border of 10 pixels. LibRaw's time is for
-postprocess() with its colour steps. convolve-15, convolve-63: a plane by one kernel; error: the
-largest local error next to a highlight of 1e6.
+postprocess() with its colour steps.
 
 Ratios are relative to NumPy and SciPy, bench/baseline.py. The other libraries use one thread per
 core, and read and write host memory; gpusim stays on the device. A row says if its library is not
 installed.
 """
 
-import os
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -53,7 +51,6 @@ PACKAGES = {
     "rawpy": "rawpy",
     "torch": "torch",
     "ducc0": "ducc0",
-    "halide": "halide",
 }
 BORDER = 10  # [pixel] that methods treat differently
 ERROR_SIZE = (480, 270)  # of the mosaic for the errors
@@ -327,99 +324,7 @@ def _scaled(run, raw):
     return (lambda: run() / WHITE) if raw.shape == ERROR_SIZE[::-1] else run
 
 
-def convolve(taps, device, size, tolerance) -> Subject:
-    """Compare the convolution of a plane with one kernel of taps x taps."""
-    from gpusim.kernels.optics.convolve import convolve
-    from gpusim.kernels.optics.convolve_ref import convolve as reference
-
-    (cols, rows), half, random = size, taps // 2, np.random.default_rng(0)
-    plane = random.uniform(0.5, 1.5, (rows, cols)).astype(np.float32)
-    plane[rows // 2, cols // 2] = 1e6
-    kernel = random.uniform(0.5, 1, (taps, taps))
-    kernel = (kernel / kernel.sum()).astype(np.float32)
-    flipped = np.ascontiguousarray(kernel[::-1, ::-1])  # most peers correlate
-    wide = np.pad(plane, half, mode="edge")
-    # near the highlight: pixels in its reach, and their reach
-    near = np.s_[rows // 2 - half : rows // 2 + half + 1, cols // 2 - half : cols // 2 + half + 1]
-    around = np.s_[near[0].start : near[0].stop + 2 * half, near[1].start : near[1].stop + 2 * half]
-    truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][
-        half:-half, half:-half
-    ]
-    there = device.array(plane[None])
-
-    def judged(run):
-        result = run()
-        result = np.asarray(
-            device.numpy(result) if isinstance(result, device.array_type) else result
-        )
-        return run, f"local {np.abs(result.reshape(rows, cols)[near] / truth - 1).max():.1e}"
-
-    def ours(precision):
-        def run():
-            result = convolve(there, kernel[None], "edge", precision, device=device)
-            device.sync()
-            return result
-
-        return judged(run)
-
-    def opencv():
-        import cv2
-
-        cv2.setNumThreads(cores())
-        return judged(lambda: cv2.filter2D(plane, -1, flipped, borderType=cv2.BORDER_REPLICATE))
-
-    def pytorch():
-        import torch
-
-        torch.set_num_threads(cores())
-        padded, factors = (torch.from_numpy(values)[None, None] for values in (wide, flipped))
-        return judged(lambda: torch.nn.functional.conv2d(padded, factors)[0, 0])
-
-    subject = Subject(f"convolve {taps} x {taps}", "SciPy")
-    subject.add("SciPy", lambda: judged(partial(baseline.convolve, plane, kernel)))
-    subject.add("gpusim, float32 sums", partial(ours, "single"))
-    subject.add("gpusim, exact sums", partial(ours, "double"))
-    subject.add("OpenCV, filter2D", opencv, "cv2")
-    subject.add("PyTorch, conv2d", pytorch, "torch")
-    subject.add("Halide", lambda: judged(_halide(wide, flipped)), "halide")
-    return subject
-
-
-def _halide(padded, flipped):
-    """Return direct sums in Halide.
-
-    Vectors along the rows, blocks of four rows by four vectors in registers, strips in parallel.
-    """
-    os.environ.setdefault("HL_NUM_THREADS", str(cores()))
-    import halide as hl
-
-    taps = len(flipped)
-    rows, cols = (n - taps + 1 for n in padded.shape)
-    x, y, xo, yo, xi, yi = (hl.Var(name) for name in ("x", "y", "xo", "yo", "xi", "yi"))
-    source, factors, reach = hl.Buffer(padded), hl.Buffer(flipped), hl.RDom([(0, taps), (0, taps)])
-    sums, out = hl.Func("sums"), hl.Func("out")
-    sums[x, y] = hl.f32(0)
-    sums[x, y] += source[x + reach.x, y + reach.y] * factors[reach.x, reach.y]
-    out[x, y] = sums[x, y]
-    out.tile(x, y, xo, yo, xi, yi, 32, 4).vectorize(xi, 8).unroll(xi).unroll(yi).parallel(yo)
-    sums.compute_at(out, xo).vectorize(x, 8).unroll(x).unroll(y)
-    sums.update().reorder(x, y, reach.x, reach.y).vectorize(x, 8).unroll(x).unroll(y)
-    result = np.empty((rows, cols), np.float32)
-    target = hl.Buffer(result)
-
-    def run(kept=(padded, flipped)):  # Halide's buffers do not own their memory
-        out.realize(target)
-        return result
-
-    return run
-
-
-SUBJECTS = {
-    "frame": frame,
-    "demosaic": demosaic,
-    "convolve-15": partial(convolve, 15),
-    "convolve-63": partial(convolve, 63),
-}
+SUBJECTS = {"frame": frame, "demosaic": demosaic}
 
 
 def main():

@@ -1,16 +1,18 @@
-"""What a stage is, how its three versions are found, and how they are compared.
+"""What a stage is, how its versions are found, and how they are compared.
 
 A stage `area.name` is four files in `kernels/area/`:
 
-    name.py        the contract: the host function `name(device, ...)`, `cases()` for the tests, `bench(rows, cols)`;
-                   `operations` where a formula is easy: multiplications and additions on the inputs of `bench`
-    name_ref.py    `name(...)`: NumPy float64, reads like the formula, shares nothing with the kernels; it may
-                   stand in gpusim.optics, where plans are made by it as well
-    name.cl        the same as OpenCL C kernels
-    name_warp.py   the same as Warp kernels, with the same names and arguments as the OpenCL ones; a function
-                   `specialised(kernel, **defines)` there makes those whose code depends on compile-time constants
+    name.py        the contract: the host function `name(device, ...)`, `cases()` for the tests,
+                   `bench(rows, cols)`; and, if a formula is easy, `operations(...)`: multiplications
+                   and additions for the inputs of `bench`
+    name_ref.py    the reference `name(...)`: NumPy, float64, written like the formula. It shares
+                   nothing with the kernels. It may stand in gpusim.optics if plans need it too
+    name.cl        OpenCL C kernels
+    name_warp.py   Warp kernels with the same names and arguments; a function
+                   `specialise(kernel, **defines)` there builds those whose code depends on
+                   compile-time constants
 
-They are found by file name; there is no registry. Discontinuous stages state how they are compared in their cases.
+Stages are found by file name; there is no registry. KERNELS.md describes the conventions.
 """
 
 import functools
@@ -19,24 +21,32 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from gpusim.backends import Device, open_device
 
-AREAS = ("spectral", "optics", "sensor", "processor", "display")  # in the order the light goes
+AREAS = ("spectral", "optics", "sensor", "processor", "display")  # in the order of the light
 ROOT = Path(__file__).parent
+Array: TypeAlias = Any  # a NumPy array, or an array of the device that runs the stage
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One input of a stage, and how far a device may stray from the reference on it.
+    """One input of a stage, and the largest error of a device against the reference.
 
-    inputs: keyword arguments of the stage's function (NumPy arrays, numbers).
-    tolerance: bound on the error; why: its derivation.
-    metric: "peak": max |device - reference| / max |reference|;
-            "local": max over pixels of |device - reference| / max(|reference|, floor), floor below;
-            "exact": the largest absolute difference (tolerance 0 means bit for bit).
+    Attributes:
+        name: Content of the case, in a few words.
+        inputs: Keyword arguments of the stage's function: NumPy arrays and numbers.
+        tolerance: Bound on the error, in units of the metric.
+        why: How the tolerance is derived.
+        metric: "peak": max |device - reference| / max |reference|. "local": max over pixels of
+            |device - reference| / max(|reference|, floor). "exact": the largest absolute
+            difference; tolerance 0 then means bit for bit.
+        floor: Least denominator of the metric "local", in the reference's unit.
     """
 
     name: str
@@ -46,8 +56,16 @@ class Case:
     metric: str = "peak"
     floor: float = 0.0
 
-    def error(self, result, reference) -> float:
-        """The largest error of `result` against `reference` in this case's metric; infinite if one is NaN alone."""
+    def error(self, result: np.ndarray, reference: np.ndarray) -> float:
+        """Return the largest error of `result` in this case's metric.
+
+        Args:
+            result: The stage's result, any shape.
+            reference: The reference's result, of the same shape.
+
+        Returns:
+            The error; infinite if the shapes differ or only one of two values is NaN.
+        """
         result, reference = np.asarray(result, np.float64), np.asarray(reference, np.float64)
         if result.shape != reference.shape:
             return np.inf
@@ -70,12 +88,19 @@ class Case:
         )
 
 
-def stage(function: Callable) -> Callable:
-    """Make `function(device, ...)` in `kernels/area/name.py` the public function of stage `area.name`.
+def stage(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Make `function(device, ...)` the public function of the stage that its module is named after.
 
-    The public form is called as `name(..., device="auto")`, and its signature says so. On the NumPy device it is the
-    reference. Otherwise arrays may be NumPy arrays or arrays of that device; the result is NumPy when every array given
-    was. Other arguments than the signature's raise TypeError, which names the stage.
+    The public function is called as `name(..., device="auto")`, and its signature says so. The
+    NumPy device runs the reference. On other devices, arrays may be NumPy arrays or arrays of that
+    device.
+
+    Args:
+        function: The stage's host function, with the device as its first parameter.
+
+    Returns:
+        The public function. It returns a NumPy array if no argument is an array of the device. It
+        raises TypeError, with the stage's name, for arguments that do not fit the signature.
     """
     name = function.__module__.removeprefix("gpusim.kernels.")
     reference = _reference_of(function.__module__, function.__name__)
@@ -90,18 +115,21 @@ def stage(function: Callable) -> Callable:
                     return reference()(*args, **kwargs)
             with device.charged(name):
                 result = function(device, *args, **kwargs)
-        except TypeError:  # checked only then: binding takes as long as a small kernel's launch
+        except TypeError:  # checked only now: binding takes as long as a small kernel's launch
             _require_arguments(name, signature, args, kwargs)
             raise
         on_device = any(isinstance(value, device.array_type) for value in (*args, *kwargs.values()))
         return result if on_device else device.numpy(result).copy()
 
     vars(public)["__signature__"] = signature
+    public.__annotations__ = {
+        parameter.name: parameter.annotation for parameter in signature.parameters.values()
+    } | {"return": signature.return_annotation}
     return public
 
 
 def _public_signature(function):
-    """The signature of `function` with its first parameter, the device, as the last one by keyword."""
+    """Return the signature of `function` with the device moved to the end, as a keyword."""
     inner = inspect.signature(function)
     parameters = [
         *list(inner.parameters.values())[1:],
@@ -115,19 +143,41 @@ def _public_signature(function):
 
 
 def _require_arguments(name, signature, args, kwargs):
-    """Refuse arguments that do not fit the stage's signature. Raises TypeError."""
+    """Raise TypeError if the arguments do not fit the stage's signature."""
     try:
         signature.bind(*args, **kwargs)
     except TypeError as wrong:
-        raise TypeError(f"{name}: {wrong}; wanted {name.rpartition('.')[2]}{signature}") from None
+        plain = signature.replace(
+            parameters=[
+                each.replace(annotation=each.empty) for each in signature.parameters.values()
+            ],
+            return_annotation=signature.empty,
+        )
+        raise TypeError(f"{name}: {wrong}; wanted {name.rpartition('.')[2]}{plain}") from None
 
 
 def _reference_of(module, name):
     return lambda: getattr(import_module(f"{module}_ref"), name)
 
 
+def dtype_name(array: Array) -> str:
+    """Return the name of an array's type.
+
+    Args:
+        array: A NumPy array or an array of a device; Warp's types are classes.
+
+    Returns:
+        The name, for example "uint16".
+    """
+    return getattr(array.dtype, "name", None) or array.dtype.__name__
+
+
 def stage_names() -> list[str]:
-    """Every stage as `area.name`, in the order the light goes."""
+    """Return every stage as `area.name`, in the order in which light passes them.
+
+    Returns:
+        The names.
+    """
     return [
         f"{area}.{path.name.removesuffix('_ref.py')}"
         for area in AREAS
@@ -135,18 +185,40 @@ def stage_names() -> list[str]:
     ]
 
 
-def stage_module(name: str):
-    """The contract module of stage `area.name`."""
+def stage_module(name: str) -> ModuleType:
+    """Return the contract module of stage `area.name`.
+
+    Args:
+        name: The stage.
+
+    Returns:
+        The module `kernels/area/name.py`.
+    """
     return import_module(f"gpusim.kernels.{name}")
 
 
 def public_function(name: str) -> Callable:
-    """The public function of stage `area.name`."""
+    """Return the public function of stage `area.name`.
+
+    Args:
+        name: The stage.
+
+    Returns:
+        The function, called as `name(..., device="auto")`.
+    """
     return getattr(stage_module(name), name.rpartition(".")[2])
 
 
 def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
-    """Run every case of a stage on `device` and yield (case, error against the float64 reference)."""
+    """Run every case of a stage on `device`.
+
+    Args:
+        name: The stage, as `area.name`.
+        device: The device to compare with the reference.
+
+    Yields:
+        Each case and its error against the float64 reference.
+    """
     module = stage_module(name)
     leaf = name.rpartition(".")[2]
     reference = getattr(import_module(f"{module.__name__}_ref"), leaf)

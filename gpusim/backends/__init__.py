@@ -1,4 +1,4 @@
-"""Devices: where kernels run. `open_device("auto" | "numpy" | "opencl[:which]" | "warp:cpu" | "warp:cuda:0")`."""
+"""Devices, on which kernels run: `open_device("auto")` and other names opens one."""
 
 from gpusim.backends.device import Device
 from gpusim.backends.select import open_device

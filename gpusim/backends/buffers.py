@@ -1,4 +1,4 @@
-"""Arrays of OpenCL devices, which show themselves as NumPy's do."""
+"""Arrays of OpenCL devices, with the interface of NumPy's."""
 
 from math import prod
 
@@ -9,17 +9,22 @@ from gpusim.domain.foreign import CPU
 FREE_BLOCKS = (
     32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
 )
-VECTOR = 16  # [byte] at which memory of the host must begin for kernels to use it where it is
+VECTOR = 16  # [byte] alignment of host memory that kernels use in place
 
 
 class OpenCLArray:
-    """A buffer with a shape; `host` is the same memory as NumPy on CPU devices, None elsewhere.
+    """A buffer with a shape.
 
-    `np.asarray(x)` waits for the device and gives the values: the memory itself on CPU devices, a copy elsewhere.
-    `x[i]` and `x[i:j]` are arrays of the device, of the same memory where that begins at an address that the device
-    takes, else copies. Where the memory is the host's, others take it by DLPack: `torch.from_dlpack(x)`.
-    device: that it is of. owner: what must live as long as the buffer is in use. region: buffer and place [byte] in it
-    that this one begins at.
+    `np.asarray(x)` waits for the device and returns the values: the memory itself on CPU devices, a
+    copy on others. `x[i]` and `x[i:j]` are arrays of the device. They share the memory if they
+    begin at an address that the device accepts, and are copies otherwise. Host memory is shared by
+    DLPack: `torch.from_dlpack(x)`.
+
+    Attributes:
+        host: The same memory as NumPy array on CPU devices, None on others.
+        device: The array's device.
+        owner: Object that must live as long as the buffer.
+        region: Buffer, and place in it at which this one begins [byte].
     """
 
     def __init__(self, device, buffer, shape, dtype, host=None, owner=None, region=None):
@@ -51,13 +56,13 @@ class OpenCLArray:
         return f"OpenCLArray(shape={self.shape}, dtype={self.dtype}, device={self.device.name})"
 
     def numpy(self) -> np.ndarray:
-        """Wait, then the values: a view where the memory is the host's, else a copy."""
+        """Wait, and return the values: a view if the memory is the host's, else a copy."""
         return self.device.numpy(self)
 
     def __array__(self, dtype=None, copy=None):
         if self.host is None and copy is False:
             raise ValueError(
-                f"the values of an array of {self.device.name} cannot be had without a copy"
+                f"the values of an array of {self.device.name} cannot be read without a copy"
             )
         values = self.numpy()
         return np.array(values, dtype, copy=copy if self.host is not None else None)
@@ -100,7 +105,7 @@ class OpenCLArray:
         return self._part(index % count, self.shape[1:])
 
     def _part(self, start, shape):
-        """The values from row `start` on in another shape: of this memory where that can be."""
+        """Return the values from row `start` on in another shape, if possible without a copy."""
         device, nbytes = self.device, prod(shape) * self.dtype.itemsize
         if not nbytes:
             return device.empty(shape, self.dtype)
@@ -123,15 +128,15 @@ class OpenCLArray:
                 (root, begin),
             )
         if host is not None and host.ctypes.data % VECTOR == 0:
-            return OpenCLArray(device, device.wrapped(host), shape, self.dtype, host, self)
-        return self._copied([(first, prod(shape))], shape)
+            return OpenCLArray(device, device.wrap(host), shape, self.dtype, host, self)
+        return self._copy_ranges([(first, prod(shape))], shape)
 
     def _rows(self, rows):
         size = prod(self.shape[1:])
-        return self._copied([(row * size, size) for row in rows], (len(rows), *self.shape[1:]))
+        return self._copy_ranges([(row * size, size) for row in rows], (len(rows), *self.shape[1:]))
 
-    def _copied(self, parts, shape):
-        """Copy of ranges (start, count) of the values, one behind the other."""
+    def _copy_ranges(self, parts, shape):
+        """Return a copy of ranges (start, count) of the values, one after the other."""
         result, to = self.device.empty(shape, self.dtype), 0
         for start, count in parts if result.size else ():
             self.device._copied(result, self, count, start, to)
@@ -140,7 +145,7 @@ class OpenCLArray:
 
 
 class Block:
-    """Memory that goes back to its device's free list when nothing refers to it, NumPy views included."""
+    """Memory that returns to its device's free list after the last reference, also of views."""
 
     def __init__(self, free, nbytes, buffer, host):
         self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host

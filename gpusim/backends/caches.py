@@ -1,7 +1,8 @@
-"""Folders in which drivers keep compiled kernels: what is damaged goes; another is lent if one has no room.
+"""Drivers' folders of compiled kernels: damaged files go, a full folder is replaced.
 
-Drivers trust what they find there. PoCL aborts at a file that was cut off and runs code with a flipped bit, Warp raises
-or crashes. So the files of each program are noted with their checksums, and compared before they are loaded.
+Drivers trust these files. PoCL aborts at a truncated file and runs code with a flipped bit; Warp
+raises or crashes. The checksums of each program's files are therefore stored, and compared before
+the files are loaded.
 """
 
 import atexit
@@ -22,22 +23,23 @@ from gpusim.domain.leftovers import PREFIX, remove_leftovers, temporary_name
 ELF_TABLE = (
     slice(40, 48),
     slice(58, 62),
-)  # of the header: where the section table begins; its entries' size and count
-ROOM = 2**25  # [byte] that must be free: what is compiled for a few cameras takes half of it
-LARGEST = 2**21  # [byte] that one file must be able to take, by a quota or a limit
-SUMS = "gpusim-sums.json"  # beside the files of a program
+)  # of the header: start of the section table; size and count of its entries
+ROOM = 2**25  # [byte] that must be free: kernels for a few cameras take half of it
+LARGEST = 2**21  # [byte] that quotas and limits must allow for one file
+SUMS = "gpusim-sums.json"  # next to the files of a program
 CHANGING = (
     SUMS,
     PREFIX,
     "last_accessed",
-)  # beginnings of names of what is written without being built
+)  # beginnings of names of files that no build writes
 log = logging.getLogger(__name__)
 
 
 def lent_folder() -> Path:
-    """Return an empty folder that goes with the process; those of killed processes go, too.
+    """Return an empty folder that is removed with the process, even with a killed one (later).
 
-    Raises DeviceError if no folder for temporary files has room.
+    Raises:
+        DeviceError: No folder for temporary files has room.
     """
     places = ["/dev/shm", "/var/tmp"]
     with suppress(OSError):  # it tries to write
@@ -57,7 +59,7 @@ def lent_folder() -> Path:
 
 
 def has_room(folder: Path) -> bool:
-    """Whether files can be made in the folder and have room; it is made if it is not there."""
+    """Return whether files can be created in the folder and have room. Create it if necessary."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -68,23 +70,23 @@ def has_room(folder: Path) -> bool:
 
 
 def prepare_opencl():
-    """Make PoCL's cache usable, before it is loaded: programs with a damaged file are removed, and built again."""
+    """Make PoCL's cache usable before PoCL is loaded: remove damaged programs."""
     folder = pocl_folder()
-    if folder is None:  # nobody's home: PoCL takes the system's folder for temporary files
+    if folder is None:  # no home folder: PoCL takes the system's folder for temporary files
         return
     strays = [
         path for path in folder.glob("??") if not path.is_dir()
-    ]  # in the place of a folder of programs
+    ]  # files in the place of folders of programs
     if not has_room(folder) or not keep_sound([*strays, *folder.glob("*/*")]):
         os.environ["POCL_CACHE_DIR"] = str(lent_folder())
         return
     weakref.finalize(
         log, lambda: [note(program) for program in folder.glob("*/*")]
-    )  # after the devices' own ends
+    )  # after the devices have ended
 
 
 def pocl_folder() -> Path | None:
-    """Where PoCL keeps what it compiled."""
+    """Return PoCL's folder of compiled kernels; None without a home folder."""
     try:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:
@@ -93,7 +95,7 @@ def pocl_folder() -> Path | None:
 
 
 def keep_sound(programs) -> bool:
-    """Remove damaged programs, folders of files, with a line in the log; False if one could not be removed."""
+    """Remove damaged programs (folders of files) and log it; return False if one stays."""
     damaged = [
         program
         for program in programs
@@ -113,16 +115,16 @@ def keep_sound(programs) -> bool:
 
 
 def remove(program: Path):
-    """Remove what is kept of a program, whatever stands in its place, as far as that is allowed."""
+    """Remove the files of a program, or anything in their place, if permitted."""
     shutil.rmtree(program, ignore_errors=True)
     with suppress(OSError):
         program.unlink()
 
 
 def is_sound(program: Path) -> bool:
-    """Whether a program's files are what was noted of them, and those that were not noted are whole.
+    """Return whether a program's files are as recorded, and files without a record are complete.
 
-    A file with the noted size and times is not read: 0.1 ms a program in place of 1.
+    A file with the recorded size and times is not read: 0.1 ms a program instead of 1.
     """
     try:
         noted, found = _read(program), _files(program)
@@ -135,7 +137,7 @@ def is_sound(program: Path) -> bool:
 
 
 def note(program: Path):
-    """Note the checksums of a program's files, if that can be done."""
+    """Record the checksums of a program's files, if possible."""
     with suppress(OSError, KeyError, TypeError, ValueError, RecursionError):
         noted, found = _read(program), _files(program)
         if not found or {name: state for name, (state, _) in noted.items()} == found:
@@ -156,7 +158,7 @@ def note(program: Path):
 
 
 def _read(program):
-    """Name -> state and checksum that were noted; none if nothing was. Raises what JSON raises."""
+    """Return name -> (state, checksum) as recorded; none if nothing was. Raise like JSON."""
     try:
         return dict(json.loads((program / SUMS).read_bytes()))
     except FileNotFoundError:
@@ -166,13 +168,13 @@ def _read(program):
 
 
 def _files(program):
-    """Name -> state of a program's files: size and times, which no write leaves as they were."""
+    """Return name -> state of a program's files: size and times, which every write changes."""
     found = {}
     for folder, _, names in os.walk(program, onerror=_raise):
         for name in names:
             if not name.startswith(CHANGING) and not name.endswith(
                 ".temp"
-            ):  # which another process writes just now
+            ):  # another process is writing it
                 path = os.path.join(folder, name)
                 state = os.stat(path)
                 found[os.path.relpath(path, program)] = [
@@ -192,12 +194,15 @@ def _checksum(path):
 
 
 def _is_whole(path):
-    """Whether a file that was not noted ends where its format says; others than PoCL's are taken as they are."""
+    """Return whether a file without a record is complete; formats other than PoCL's pass."""
     return {".bc": _is_whole_bitcode, ".so": _is_whole_elf}.get(path.suffix, os.path.isfile)(path)
 
 
 def _is_whole_bitcode(path):
-    """Whether the blocks of LLVM's bitcode fill the file: each says its length in words of 4 bytes after its header."""
+    """Return whether the blocks of LLVM bitcode fill the file.
+
+    Each block's header has its length in words of 4 bytes.
+    """
     try:
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -214,7 +219,7 @@ def _is_whole_bitcode(path):
 
 
 def _is_whole_elf(path):
-    """Whether a shared library reaches to the end of its section table, which linkers put last."""
+    """Return whether a shared library contains its whole section table, its last part."""
     try:
         with open(path, "rb") as file:
             header = file.read(64)

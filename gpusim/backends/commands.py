@@ -1,4 +1,4 @@
-"""What an OpenCL device starts: kernels with arguments of their own, copies between arrays, transfers from the host."""
+"""Commands of an OpenCL device: kernels with arguments, copies, transfers from the host."""
 
 import numpy as np
 
@@ -7,9 +7,10 @@ from gpusim.backends.device import Transfer
 
 
 class Command:
-    """A kernel of its own with its arguments.
+    """A separate kernel object with its arguments.
 
-    stage: that is charged. name: of the kernel. spare: where the kernel goes in the end.
+    stage: stage that is charged. name: name of the kernel. spare: list to which the kernel finally
+    returns.
     """
 
     def __init__(self, device, stage, name, kernel, pieces, args, spare):
@@ -60,7 +61,7 @@ class Command:
 
 
 class Arriving(Transfer):
-    """An array that is written by a queue of its own, beside the kernels."""
+    """An array that a separate queue writes while kernels run."""
 
     def __init__(self, device, array, event):
         super().__init__(array)
@@ -77,7 +78,7 @@ class Arriving(Transfer):
 
 
 class Copy:
-    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
+    """A copy between two arrays, in turn with the kernels. args: target and source."""
 
     def __init__(self, device, target, source, count, start, to):
         self.device, self.args, size = device, (target, source), source.dtype.itemsize
@@ -89,7 +90,7 @@ class Copy:
         }
 
     def set(self, args):
-        """Other arrays of the same kinds."""
+        """Set other arrays of the same kinds."""
         self.args = args
 
     def start(self):

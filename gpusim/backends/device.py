@@ -1,16 +1,18 @@
-"""The protocol every backend fulfils."""
+"""The protocol of every backend."""
 
 import os
 import threading
 import time
 import weakref
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.foreign import to_host
@@ -23,18 +25,19 @@ class Transfer:
     def __init__(self, array):
         self.array = array
 
-    def join(self):
-        """Let what is launched from now on wait for it; returns the array."""
+    def join(self) -> Any:
+        """Make later launches wait for the array, and return it."""
         return self.array
 
-    def wait(self):
-        """Wait until it has arrived, and its source may be written to."""
+    def wait(self) -> None:
+        """Wait until the array has arrived and its source may be overwritten."""
 
 
 class _Clock(threading.local):
-    """What one thread times on a device: milliseconds per stage, if any, the stage that is charged, events.
+    """Times of one thread on a device.
 
-    host_work: whether it works on the host just now.
+    times: milliseconds per stage, or None. charged: stage that is charged. events: not read yet.
+    host_work: whether the thread is working on the host.
     """
 
     def __init__(self):
@@ -45,33 +48,36 @@ class _Clock(threading.local):
 
 
 class Device:
-    """A place where kernels run: allocate, move, launch, time. Threads may share it; it is pickled by its name.
+    """A place where kernels run: it allocates, copies, launches and times.
 
-    Drivers do not survive a fork: in the child process every use raises DeviceError.
+    Threads may share it. It is pickled by its name. Drivers do not survive a fork: in the child
+    process every use raises DeviceError.
 
-    kind: "numpy", "opencl" or "warp"; name: what `open_device` was asked for, made definite, such as "opencl:0".
-    on_host: arrays live in host memory, so `numpy()` is a view that costs nothing.
-    array_type: class of this device's arrays; they have `shape`, `dtype` and `len()`, their first axis can be indexed,
-        and `np.asarray` waits and gives their values.
+    Attributes:
+        kind: "numpy", "opencl" or "warp".
+        name: The name given to `open_device`, made definite, for example "opencl:0".
+        on_host: Whether arrays lie in host memory, where `numpy()` is a view without cost.
+        array_type: Class of this device's arrays. They have `shape`, `dtype` and `len()`, are
+            indexed along their first axis, and `np.asarray` waits and returns their values.
+        is_gpu: Whether the device is a GPU.
+        has_fp64: Whether kernels may use float64.
+        group_limit: Most work-items of a group.
+        local_bytes: Local memory of a group that kernels may use [byte].
     """
 
     kind = "numpy"
     name = "numpy"
     on_host = True
-    opened_by: Callable[[str], "Device"]  # by name; `gpusim.backends.select` sets it
+    opened_by: Callable[[str], "Device"]  # `open_device`; `gpusim.backends.select` sets it
     array_type: type = type(None)  # no foreign arrays: everything is NumPy
     is_gpu = False
     has_fp64 = True
-    group_limit = 1024  # work-items of a group at most
-    local_bytes = (
-        48 * 1024
-    )  # local memory of a group that kernels may use: as every GPU of the last ten years has
+    group_limit = 1024
+    local_bytes = 48 * 1024  # on every GPU of the last ten years
 
     def __init__(self):
         self._clock = _Clock()
-        self._lock = (
-            threading.RLock()
-        )  # held while a kernel is built, or given its arguments and started
+        self._lock = threading.RLock()  # held while a kernel is built, or set up and started
         if self.kind != "numpy":
             _in_use.add(self)
 
@@ -83,107 +89,140 @@ class Device:
 
     @property
     def memory(self) -> int:
-        """What may still be allocated in all [byte]: the host's free memory, for devices on the host."""
+        """Memory that may still be allocated [byte]; on the host, its free memory."""
         return host_memory()
 
     @property
     def largest_array(self) -> int:
-        """What one array may take [byte]."""
+        """Largest size of one array [byte]."""
         return self.memory
 
-    def array(self, values, dtype=np.float32):
-        """Array of this device with these values; one that is there already is returned as it is.
+    def array(self, values: Any, dtype: DTypeLike = np.float32) -> Any:
+        """Return an array of this device with these values.
 
-        values: NumPy's, or an array of another device or library with `__dlpack__`, `__cuda_array_interface__` or
-        `__array__`. Of the same memory where that is this device's and the type and the layout fit, else a copy.
-        Raises BadData for memory that cannot be read, such as CUDA's by OpenCL where its owner gives no copy.
+        An array that is already on this device is returned unchanged. Memory is shared if it is
+        this device's and type and layout fit; else it is copied.
+
+        Args:
+            values: NumPy array, or an array of another device or library with `__dlpack__`,
+                `__cuda_array_interface__` or `__array__`.
+            dtype: Type of new arrays.
+
+        Returns:
+            Array of this device.
+
+        Raises:
+            BadData: The memory cannot be read, for example CUDA memory by OpenCL if its owner
+                offers no copy.
         """
         return np.ascontiguousarray(to_host(values, self.name), dtype)
 
-    def samples(self, values, dtype):
-        """`array` whose type is `dtype`, contiguous, whosever it is."""
+    def samples(self, values: Any, dtype: DTypeLike) -> Any:
+        """Return `array` in the type `dtype` and contiguous, for arrays of any origin."""
         return self.array(values, dtype)
 
-    def empty(self, shape, dtype=np.float32):
-        """Uninitialised array of this device."""
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Any:
+        """Return an uninitialised array of this device."""
         return np.empty(shape, dtype)
 
-    def reshape(self, array, shape):
-        """The same memory with another shape of the same size."""
+    def reshape(self, array: Any, shape: tuple[int, ...]) -> Any:
+        """Return the same memory in another shape of the same size."""
         return array.reshape(shape)
 
-    def numpy(self, array) -> np.ndarray:
-        """Wait, then the values as NumPy: a view where `on_host`, else a copy. Of arrays of others, too."""
+    def numpy(self, array: Any) -> np.ndarray:
+        """Wait, and return the values as NumPy array: a view if `on_host`, else a copy.
+
+        Arrays of other devices and libraries are read, too.
+        """
         return to_host(array, self.name)
 
-    def stack(self, arrays):
-        """Copies of arrays of this device, all of one shape and type, as one array: its first axis counts them."""
+    def stack(self, arrays: Sequence[Any]) -> Any:
+        """Return copies of arrays of one shape and type as one array with a new first axis."""
         return np.stack(arrays)
 
-    def part(self, array, index: int):
-        """A copy of `array[index]`, on the device."""
+    def part(self, array: Any, index: int) -> Any:
+        """Return a copy of `array[index]` on the device."""
         return np.array(array[index])
 
-    def on_stream(self, stream):
-        """Inside the block, work on a CUDA stream of another library's, in turn with what that does there.
+    def on_stream(self, stream: Any) -> Any:
+        """Work on another library's CUDA stream inside the block, in turn with its own work.
 
-        stream: its address, or an object with `__cuda_stream__`, `cuda_stream` (PyTorch) or `ptr` (CuPy). Raises
-        BadData for devices that have none.
+        Args:
+            stream: Its address, or an object with `__cuda_stream__`, `cuda_stream` (PyTorch) or
+                `ptr` (CuPy).
+
+        Raises:
+            BadData: The device has no CUDA streams.
         """
         raise BadData(f"{self.name} has no CUDA streams; wanted device warp:cuda:0")
 
-    def pinned(self, shape, dtype=np.float32) -> Pinned:
-        """Uninitialised array of the host that is copied to this device at the full rate of the bus."""
+    def pinned(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Pinned:
+        """Return an uninitialised host array for copies at the full rate of the bus."""
         return np.empty(shape, dtype).view(Pinned)
 
-    def send(self, values, target=None, after=None):
-        """Begin to copy `values` to this device, beside what it computes: a `Transfer`, or what is done by then.
+    def send(self, values: np.ndarray, target: Any = None, after: Any = None) -> Transfer:
+        """Begin to copy `values` to this device while it computes.
 
-        target: array of this device to copy to, of their shape and type; a new one if None. after: what `mark` gave
-        when the last kernel that reads the target had been launched. The values stay as they are until `Transfer.join`.
+        The values must stay unchanged until `Transfer.join`.
+
+        Args:
+            values: Host array.
+            target: Array of this device to copy to, of the same shape and type; None for a new one.
+            after: `mark()` after the launch of the last kernel that reads the target.
+
+        Returns:
+            The transfer.
         """
         return Transfer(self.array(values, values.dtype))
 
-    def fetch(self, array):
-        """Begin to copy an array of this device to the host, after what was launched; call the result for values."""
+    def fetch(self, array: Any) -> Callable[[], np.ndarray]:
+        """Begin to copy an array to the host after earlier launches; call the result for it."""
         return lambda: self.numpy(array)
 
-    def mark(self):
-        """A place in what was launched, for `send`."""
+    def mark(self) -> Any:
+        """Return the place after all earlier launches, for `send`."""
 
     def launch(
         self,
         stage: str,
         kernel: str,
-        grid: tuple,
-        *args,
+        grid: tuple[int, ...],
+        *args: Any,
         numbers: dict | None = None,
-        words=None,
+        words: Callable[..., tuple] | None = None,
         defines: dict | None = None,
-        group=None,
-    ):
-        """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
+        group: tuple[int, ...] | None = None,
+    ) -> None:
+        """Start `kernel` of `stage` over `grid`.
 
-        args: arrays of this device, ints and floats, in the kernel's order. numbers: numbers by name that may change
-        from frame to frame, the kernel's last arguments; a recorded launch can be given others. words: function that
-        makes these arguments, `words(**numbers)`; by default each number is a float. defines: compile-time constants.
-        group: work-group (block) shape, slowest axis first, or None for the backend's choice.
+        Args:
+            stage: Stage, or another file of kernels, as `area.name`.
+            kernel: Name of the kernel.
+            grid: Work-items along each axis, the slowest axis first. Kernels guard their bounds.
+            *args: Arrays of this device, ints and floats, in the kernel's order.
+            numbers: Numbers by name that may change from frame to frame, the kernel's last
+                arguments. A recorded launch can be given others.
+            words: Function that makes these arguments, `words(**numbers)`; by default each number
+                is a float.
+            defines: Compile-time constants.
+            group: Shape of the work-groups (blocks), the slowest axis first; None for the backend's
+                choice.
         """
         raise NotImplementedError
 
-    def sync(self):
-        """Wait for everything that was launched."""
+    def sync(self) -> None:
+        """Wait for all earlier launches."""
 
     @contextmanager
-    def timed(self):
-        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block.
+    def timed(self) -> Iterator[dict[str, float]]:
+        """Collect milliseconds per stage: `with device.timed() as ms: ...`.
 
-        What is timed inside belongs to blocks around it, too.
+        `ms` is complete after the block. Times inside a block also count in blocks around it.
         """
         self.sync()
         clock = self._clock
         if clock.times is not None:
-            self._collect(clock)  # what was launched before is the outer block's
+            self._collect(clock)  # earlier launches belong to the outer block
         clock.times, outer = defaultdict(float), clock.times
         times = clock.times
         try:
@@ -191,29 +230,29 @@ class Device:
             self.sync()
             self._collect(clock)
         finally:
-            clock.events.clear()  # those of a block that failed
+            clock.events.clear()  # events of a block that failed
             clock.times = outer
             for stage, spent in times.items() if outer is not None else ():
                 outer[stage] += spent
 
     def _collect(self, clock):
-        """Add the device's own event times to `clock.times`."""
+        """Add the device's event times to `clock.times`."""
 
     @contextmanager
-    def charged(self, stage: str):
-        """Count what is launched inside the block as the time of `stage`, whatever file the kernels are in."""
+    def charged(self, stage: str) -> Iterator[None]:
+        """Count launches inside the block as time of `stage`, also from other kernel files."""
         clock = self._clock
         outer, clock.charged = clock.charged, stage
         if clock.times is not None:
-            clock.times[stage] += 0.0  # in the order of their calls, whenever their times are known
+            clock.times[stage] += 0.0  # keeps the order of the calls; times are known later
         try:
             yield
         finally:
             clock.charged = outer
 
     @contextmanager
-    def host_work(self):
-        """Count the time of work done on the host, a library's FFT say."""
+    def host_work(self) -> Iterator[None]:
+        """Count the time of work on the host, for example a library's FFT."""
         self.sync()
         start = time.perf_counter()
         yield
@@ -222,7 +261,7 @@ class Device:
 
 
 class _Forked(Device):
-    """What a device is in a child process that was forked after its driver had started."""
+    """A device in a child process that was forked after its driver had started."""
 
     def _refuse(self, *_, **__):
         refuse_fork(self.name)
@@ -238,7 +277,7 @@ def _after_fork():
     global _is_forked
     for device in list(_in_use):
         _is_forked = True
-        device.kind = device.kind  # of its class until now
+        device.kind = device.kind  # moves it from the class to the instance
         device.__class__ = _Forked
 
 
@@ -252,15 +291,15 @@ def refuse_fork(name):
         raise DeviceError(
             f"{name}: this process was forked from one that had used a device, which drivers do not "
             'survive; start it by "spawn" (multiprocessing.get_context("spawn"), '
-            'DataLoader(multiprocessing_context="spawn")), or use devices in child processes alone'
+            'DataLoader(multiprocessing_context="spawn")), or use devices only in child processes'
         )
 
 
 def kernel_folder() -> Path:
-    """Return the folder of the kernels' files. Raises ImportError without one."""
+    """Return the folder of the kernels' files. Raise ImportError if there is none."""
     spec = find_spec(
         "gpusim.kernels.common"
-    )  # beside the package in a checkout, inside it when it is installed
+    )  # next to the package in a checkout, inside an installed package
     if spec is None or not spec.submodule_search_locations:
         raise ImportError("no kernels")
     return Path(spec.submodule_search_locations[0]).parent

@@ -1,4 +1,4 @@
-"""OpenCL's driver: how it is loaded, what devices it has, and how it ends."""
+"""OpenCL's driver: how it is loaded, its devices, and how it ends."""
 
 import os
 import sys
@@ -12,7 +12,7 @@ LAST = 60  # [s] that the end of a process waits for a thread that launches some
 
 
 def pyopencl():
-    """The package, and PoCL with a cache that it can use. Raises DeviceError where it is missing."""
+    """Return the package with PoCL's cache prepared. Raise DeviceError if it is missing."""
     if "pyopencl" not in sys.modules:
         prepare_opencl()
         _import_apart()
@@ -26,9 +26,10 @@ def pyopencl():
 
 
 class _Forgetful(dict):
-    """What pyopencl keeps of how arguments are set, for this process: its file saves less than 1 ms a kernel.
+    """pyopencl's record of how arguments are set, for this process only.
 
-    That file is code in a data base, opened on import: what is damaged there ends in an error or in other code.
+    pyopencl's file of it saves less than 1 ms a kernel. The file is code in a data base, opened on
+    import; damage there ends in an error or in other code.
     """
 
     def store_if_not_present(self, key, value):
@@ -36,13 +37,13 @@ class _Forgetful(dict):
 
 
 def _import_apart():
-    """Import pyopencl without its file of code; its cache of compiled programs, for some drivers, stays in use."""
+    """Import pyopencl without its file of code; its cache of programs stays in use."""
     before = os.environ.get("PYOPENCL_NO_CACHE")
     os.environ["PYOPENCL_NO_CACHE"] = "1"
     try:
         import pyopencl
         import pyopencl.invoker as invoker
-    except ImportError:  # said by who needs it
+    except ImportError:  # the caller reports it
         return
     finally:
         del os.environ["PYOPENCL_NO_CACHE"]
@@ -54,7 +55,7 @@ def _import_apart():
 
 
 def cl_devices() -> list:
-    """Every OpenCL device of every platform, in the ICD loader's order."""
+    """Return every OpenCL device of every platform, in the ICD loader's order."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
@@ -70,10 +71,10 @@ def cl_devices() -> list:
 
 
 def finish(lock, queues, waits: list, process: int):
-    """Wait for everything that was launched, and let no other thread launch more: a device or the process ends.
+    """Wait for all launches and let no other thread launch more: a device or the process ends.
 
-    waits: of threads in the driver; Python ends them when they come back, which C++ does not survive. process: that the
-    queues are of; those of a forked one do not work.
+    waits: threads in the driver. Python would end them on their return, which C++ does not survive.
+    process: owner of the queues; queues of a forked process do not work.
     """
     if os.getpid() != process:
         return

@@ -1,7 +1,8 @@
 """OpenCL kernels on Warp's CUDA devices: the same text, as a native function of a Warp kernel.
 
-For kernels whose work-items share local memory, which Warp itself has only inside tiles (their transforms refuse
-lengths such as 1200). The text keeps to what both languages have, see kernels/common/fft.clh.
+It serves kernels whose work-items share local memory. Warp has that only inside tiles, whose
+transforms refuse lengths like 1200. The text keeps to the common part of both languages, see
+kernels/common/fft.clh.
 """
 
 # mypy: ignore-errors
@@ -10,7 +11,7 @@ import re
 
 from gpusim.backends.opencl import stage_source
 
-# What OpenCL C calls otherwise than CUDA C++; a structure with operators in place of the vector type.
+# OpenCL C's names in CUDA C++; a structure with operators instead of the vector type.
 DIALECT = """
 #define __kernel
 #define __global
@@ -18,7 +19,7 @@ DIALECT = """
 #define __local __shared__
 #define LOCAL(type, name, count) \\
     extern __shared__ float4 local_memory[]; \\
-    static_assert(sizeof(type) * (count) <= LOCAL_BYTES, "the host told too few LOCAL_BYTES"); \\
+    static_assert(sizeof(type) * (count) <= LOCAL_BYTES, "LOCAL_BYTES is too small"); \\
     type *const name = (type *)local_memory
 #define restrict __restrict__
 #define barrier(fence) __syncthreads()
@@ -50,14 +51,16 @@ ELEMENTS = {
 
 
 def native_kernel(wp, stage, kernel, defines, ranks):
-    """Warp kernel that runs `kernel` of the stage's OpenCL file, launched over whole groups along one axis.
+    """Return a Warp kernel that runs `kernel` of the stage's OpenCL file.
 
-    defines: compile-time constants; REGISTERS among them is the most that a work-item may use, LOCAL_BYTES the size of
-    what LOCAL declares. That is a tile of Warp's, which asks for as much as the device has; arrays declared otherwise
-    end at 48 KB less what Warp itself takes, 4 bytes a work-item.
-    ranks: number of axes of each argument that is an array, None for the others.
+    It is launched in whole groups along one axis.
+
+    defines: compile-time constants. Among them, REGISTERS is the most that a work-item may use, and
+    LOCAL_BYTES the size of the memory that LOCAL declares. That memory is a Warp tile, which may be
+    as large as the device allows; arrays declared otherwise are limited to 48 KB less Warp's own 4
+    bytes a work-item. ranks: number of axes of each argument that is an array, None for the others.
     """
-    text = _included(stage)
+    text = _include_files(stage)
     parameters = re.search(rf"__kernel void {kernel}\((.*?)\)\s*{{", text, re.DOTALL)[1]
     parameters = [p.split() for p in re.sub(r"//.*", "", parameters).replace("*", " * ").split(",")]
     names = [p[-1] for p in parameters]
@@ -97,7 +100,7 @@ def native_kernel(wp, stage, kernel, defines, ranks):
     return namespace[kernel]
 
 
-def _included(stage):
-    """Text of the stage's OpenCL file with its includes in their places."""
+def _include_files(stage):
+    """Return the text of the stage's OpenCL file with its include files inserted."""
     text, folder = stage_source(stage)
     return re.sub(r'#include "(.*)"', lambda found: (folder / found[1]).read_text(), text)

@@ -22,20 +22,20 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 
 PAGE = 4096
-# Of memory, by drivers; a buffer's size is called invalid where it is more than one buffer may have
+# Refused memory, in the drivers' words; a buffer's size is called invalid if it exceeds the limit of one buffer
 REFUSALS = (
     "MEM_OBJECT_ALLOCATION_FAILURE",
     "OUT_OF_RESOURCES",
     "OUT_OF_HOST_MEMORY",
     "INVALID_BUFFER_SIZE",
 )
-# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then what
-# remains. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
+# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then the
+# rest. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
 CPU_GROUPS = (128, 8, 1)
 
 
 class OpenCLDevice(Taped):
-    """One OpenCL device with one in-order queue; another one, which records event times, takes its place in `timed`."""
+    """One OpenCL device with one in-order queue; `timed` uses a second one with event times."""
 
     kind = "opencl"
     array_type = OpenCLArray
@@ -50,18 +50,18 @@ class OpenCLDevice(Taped):
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
-        self.alignment = (
-            cl_device.mem_base_addr_align // 8
-        )  # [byte] at which buffers inside of others may begin
+        self.alignment = cl_device.mem_base_addr_align // 8  # [byte] of buffers inside others
         self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
-        # NVIDIA's takes 15 us for a launch where it records times
+        # NVIDIA's queue takes 15 us for a launch if it records times
         self._queues = (
             cl.CommandQueue(self.context),
             cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE),
         )
         self.queue, self._timing = self._queues[0], 0
-        self._copies = None if self.on_host else cl.CommandQueue(self.context)  # beside the kernels
+        self._copies = (
+            None if self.on_host else cl.CommandQueue(self.context)
+        )  # parallel to kernels
         self._kernels: dict = {}
         self._spare: defaultdict = defaultdict(list)  # kernels without a command
         self._programs: dict = {}
@@ -69,8 +69,8 @@ class OpenCLDevice(Taped):
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._sent: deque = deque()  # small copies to the device that may not have ended
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
-        self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
-        # Python frees arrays in any order when it ends, and with the device: the driver must not write to them then
+        self.build_ms: dict[str, float] = {}  # time to build the programs of each stage
+        # When Python ends, it frees arrays and the device in any order: the driver must not write to them then
         self._waits: list = []  # one entry for each thread that waits in the driver
         weakref.finalize(
             self, finish, self._lock, (*self._queues, self._copies), self._waits, os.getpid()
@@ -89,14 +89,12 @@ class OpenCLDevice(Taped):
         if not values.size:  # OpenCL has no empty buffers
             return self._empty(values.shape, dtype)
         if self.on_host and values.ctypes.data % VECTOR == 0:
-            return OpenCLArray(self, self.wrapped(values), values.shape, dtype, values)
+            return OpenCLArray(self, self.wrap(values), values.shape, dtype, values)
         result = self._empty(values.shape, dtype)
         if values.nbytes > SMALL:
             with self.waiting():
-                self._cl.enqueue_copy(
-                    self.queue, result.buffer, values
-                )  # blocking, so `values` may go
-        else:  # a blocking copy would wait for all that was launched before
+                self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocks: `values` may go
+        else:  # a blocking copy would wait for all earlier launches
             done = self._cl.command_execution_status.COMPLETE
             with self._lock:  # the queue stays
                 self._sent.append(
@@ -132,10 +130,10 @@ class OpenCLDevice(Taped):
         store = np.empty(nbytes + PAGE, np.uint8)  # page-aligned memory is shared, not copied
         start = -store.ctypes.data % PAGE
         host = store[start : start + nbytes]
-        return self.wrapped(host), host
+        return self.wrap(host), host
 
-    def wrapped(self, values: np.ndarray):
-        """Buffer over memory of the host, which must outlive it."""
+    def wrap(self, values: np.ndarray):
+        """Return a buffer over host memory, which must outlive it."""
         flags = self._cl.mem_flags
         access = flags.READ_WRITE if values.flags.writeable else flags.READ_ONLY
         return self._cl.Buffer(self.context, access | flags.USE_HOST_PTR, hostbuf=values)
@@ -180,13 +178,13 @@ class OpenCLDevice(Taped):
         with self._lock:
             event = self._cl.enqueue_copy(self.queue, values, array.buffer, is_blocking=False)
 
-        def fetched():
+        def finish_fetch():
             with self.waiting():
                 event.wait()
             free.append(values)
             return np.array(values, copy=True, subok=False)
 
-        return fetched
+        return finish_fetch
 
     def mark(self):
         if self.on_host:
@@ -243,7 +241,7 @@ class OpenCLDevice(Taped):
             self._keep(args)
 
     def _keep(self, used):
-        """Keep what queued kernels use until they have ended, where that is host memory; a GPU's driver does it."""
+        """Keep queued kernels' arguments until these have ended; GPU drivers do so themselves."""
         if self.is_gpu:
             return
         if len(self._in_flight) > 256:
@@ -263,9 +261,10 @@ class OpenCLDevice(Taped):
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).
 
-        A GPU gets one launch, rounded up to whole groups: its kernels return outside the grid (GUARD). On a CPU such a
-        return stops PoCL from vectorising (3.5x, measured), so GUARD is empty there and the grid is exact: whole
-        vectors first, then what remains of the fastest axis, in the same few groups for frames of all sizes.
+        A GPU gets one launch, rounded up to whole groups; its kernels return outside the grid
+        (GUARD). On a CPU such a return would prevent PoCL from vectorising (3.5x, measured), so
+        GUARD is empty there and the grid is exact: whole vectors first, then the rest of the
+        fastest axis, in the same few groups for frames of all sizes.
         """
         origin = (0,) * len(grid)
         if group is None and self.is_gpu:
@@ -311,17 +310,17 @@ class OpenCLDevice(Taped):
         except self._cl.Error as error:
             raise DeviceError(
                 f"{self.name} ({self.cl_device.name}): cannot load {kernel} of {stage}: {error}; remove "
-                f"what its driver keeps of compiled kernels ({pocl_folder()})"
+                f"the driver's cache of compiled kernels ({pocl_folder()})"
             ) from error
 
     def _program(self, stage, defines):
         key = (stage, *sorted(defines.items()))
         if key not in self._programs:
             source, include = stage_source(stage)
-            # constants go into the text: PoCL's build cache has confused programs that differ in -D alone
+            # constants go into the text: PoCL's build cache has confused programs that differ only in -D
             guard = "if (outside) return;" if self.is_gpu else ""
             head = f"#define GUARD(outside) {guard}\n"
-            if self.processor:  # PoCL's cache does not know that it builds for another one
+            if self.processor:  # PoCL's cache does not know that it builds for another processor
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
@@ -352,11 +351,11 @@ class OpenCLDevice(Taped):
             done, self._in_flight = self._in_flight, []
         with self.waiting():
             self.queue.finish()
-        done.clear()  # not sooner: the kernels that used it have ended now
+        done.clear()  # only now have the kernels that used them ended
 
     @contextmanager
     def waiting(self):
-        """A call of the driver that lets other threads run; the end of the process waits for it."""
+        """Mark a driver call that lets other threads run; the end of the process waits for it."""
         with self._lock:
             self._waits.append(None)
         try:
@@ -374,12 +373,12 @@ class OpenCLDevice(Taped):
             self._record(-1)
 
     def _record(self, more):
-        """Launch on the queue that records times while a block of some thread is timed."""
+        """Launch on the queue that records times while any thread times a block."""
         with self._lock:
             self._timing += more
             queue = self._queues[self._timing > 0]
             if queue is not self.queue:
-                self.queue.finish()  # what follows is in turn with what was launched
+                self.queue.finish()  # keeps the order of launches
                 self.queue = queue
 
     def _collect(self, clock):
@@ -389,7 +388,7 @@ class OpenCLDevice(Taped):
 
 
 def stage_source(stage: str) -> tuple[str, Path]:
-    """Text of `kernels/<area>/<stage>.cl`, and the folder of the files it includes."""
+    """Return the text of `kernels/<area>/<name>.cl`, and the folder of its include files."""
     root = kernel_folder()
     path = root.joinpath(*stage.split(".")).with_suffix(".cl")
     if not path.exists():

@@ -1,10 +1,11 @@
-"""PoCL 3.0, which pip installs, on processors that its compiler does not know or takes for others.
+"""PoCL 3.0, as installed by pip, on processors that its compiler does not know or confuses.
 
-It links built-in functions chosen by a processor's features into kernels compiled for its name, as LLVM 14 knows it.
-Where LLVM knows none, "generic", its C compiler then refuses that very name, so that nothing can be built (PoCL's issue
-1049). Where the name is older than the features, Zen 4 taken for Zen 3 say, the two pass wide vectors in other ways:
-such kernels can be wrong, and are not found when they are loaded from the cache. Neither a build option nor the
-environment can set another name, so it is put in the place where PoCL keeps it.
+It links built-in functions, chosen by a processor's features, into kernels compiled for its name in
+LLVM 14. If LLVM knows no name, "generic", PoCL's C compiler refuses that very name, and nothing can
+be built (PoCL's issue 1049). If the name is older than the features, for example Zen 4 taken for
+Zen 3, the two parts pass wide vectors in different ways: such kernels can be wrong, and are not
+found in the cache. No build option or environment variable sets another name, so it is written to
+PoCL's own memory.
 """
 
 import ctypes
@@ -14,8 +15,8 @@ import struct
 from pathlib import Path
 
 SEARCHED = 2048  # bytes of PoCL's device structure: the name's address was seen at 640
-# Processors to build for and the features that their code uses, best first. The widths of vectors are those of the
-# built-in functions that PoCL chooses by features, so that both pass them alike.
+# Processors to build for and the features that their code uses, best first. The widths of vectors equal those of the
+# built-in functions that PoCL chooses by features, so both pass them in the same way.
 HASWELL = {"avx2", "bmi1", "bmi2", "abm", "cx16", "f16c", "fma", "movbe", "popcnt"}
 PROCESSORS = {
     "skylake-avx512": HASWELL | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
@@ -58,9 +59,9 @@ WITH_AVX = {
 
 
 def known_processor(cl_device) -> str:
-    """Name that PoCL builds for from now on, where that which it found is not right; "" where nothing is changed.
+    """Correct the processor for which PoCL builds, and return its name; "" if it is right.
 
-    cl_device: of pyopencl, before its first build.
+    cl_device: pyopencl's device, before its first build.
     """
     found = re.search(r"-x86_64-unknown-linux-gnu-(\S+)$", cl_device.version)
     if not found or " PoCL 3.0" not in cl_device.platform.version:
@@ -76,15 +77,13 @@ def known_processor(cl_device) -> str:
 
 
 def _renamed(structure, wrong, name):
-    """Whether PoCL's device at this address has `name` for its processor now, in place of the wrong one."""
+    """Write `name` over the wrong processor of PoCL's device at this address; return success."""
     try:
-        memory = os.open(
-            "/proc/self/mem", os.O_RDWR
-        )  # what is not mapped is an error there and not a crash
+        memory = os.open("/proc/self/mem", os.O_RDWR)  # unmapped memory is an error, not a crash
     except OSError:
         return False
     try:
-        # the first: behind the structure lies what else the process keeps, names of processors too
+        # the first one: behind the structure lies other memory, perhaps with names of processors
         place, text = next(
             (
                 (place, text)
@@ -105,7 +104,7 @@ def _renamed(structure, wrong, name):
 
 
 def _text(memory, address):
-    """The text at an address, as far as it may be a processor's name."""
+    """Return the text at an address, up to the length of a processor's name."""
     return (
         b""
         if len(address) < 8
@@ -114,7 +113,7 @@ def _text(memory, address):
 
 
 def _read(memory, address, count):
-    """Bytes at an address, none where nothing is."""
+    """Return bytes at an address, none if it is not mapped."""
     try:
         return os.pread(memory, count, address)
     except (OSError, OverflowError):

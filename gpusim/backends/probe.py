@@ -1,8 +1,8 @@
-"""What devices there are, and whether they work: each is tried in a process of its own, for drivers may abort.
+"""Which devices exist and work: each is tried in its own process, because drivers may abort.
 
-Results are kept in the user's cache folder until the packages, the drivers or the environment change; those of devices
-that fail for ten minutes, and not at all if none works but NumPy.
-`gpusim.backends.probe_child` is what such a process runs.
+Results stay in the user's cache folder until packages, drivers or the environment change. Failures
+stay for ten minutes, and not at all if only NumPy works. The process runs
+`gpusim.backends.probe_child`.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ EMPTY = {
     "error": "",
 }
 KINDS = {key: type(value) for key, value in EMPTY.items()}
-PATIENCE = 600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
+PATIENCE = 600  # [s] until a failed device is tried again: the driver may be repaired, the machine less busy
 HELPER = """
 import runpy, sys
 _, folder, argument = sys.argv
@@ -56,10 +56,20 @@ log = logging.getLogger(__name__)
 
 
 def best(backend: str = "auto", refresh: bool = False) -> dict:
-    """Entry of the device to prefer (see `devices`): a GPU, then OpenCL on the CPU by the newest driver.
+    """Return the entry of the preferred device: a GPU, then OpenCL on the CPU by the newest driver.
 
-    backend: "auto" (any), "opencl" or "warp". Raises DeviceError with every device's reason when none works; where no
-    OpenCL device does and "auto" takes Warp's CPU, which is slow, the log says why.
+    If no OpenCL device works and "auto" takes Warp's CPU device, which is slow, the log gives the
+    reason.
+
+    Args:
+        backend: "auto" (any), "opencl" or "warp".
+        refresh: Measure again instead of reading the cache.
+
+    Returns:
+        An entry of `devices`.
+
+    Raises:
+        DeviceError: No device works; the message has every device's reason.
     """
     entries = [
         entry
@@ -98,12 +108,17 @@ def _preference(entry):
 
 
 def devices(refresh: bool = False) -> list[dict]:
-    """One entry per device: name, device, driver, version, units, fp64, fp16, gpu, memory [byte], copy_gbps, error.
+    """Return one entry per device.
 
-    error is "" for a usable device, else why it is not. refresh: measure again instead of reading the cache.
+    Args:
+        refresh: Measure again instead of reading the cache.
+
+    Returns:
+        Entries with name, device, driver, version, units, fp64, fp16, gpu, memory [byte], copy_gbps
+        [GB/s] and error, "" for a device that works, else the reason.
     """
     cache = cache_file("devices")
-    entries = None if refresh or cache is None else _cached(cache)
+    entries = None if refresh or cache is None else _read_cache(cache)
     if entries:
         return entries
     names, failure = _names()
@@ -117,8 +132,8 @@ def devices(refresh: bool = False) -> list[dict]:
     return entries
 
 
-def _cached(cache):
-    """Entries kept before, None where there are none, they are no such thing, or what failed may have been mended."""
+def _read_cache(cache):
+    """Return the cache's entries; None if they are missing, invalid, or a failure is old."""
     try:
         entries, age = json.loads(cache.read_text()), abs(time.time() - cache.stat().st_mtime)
     except (OSError, ValueError, RecursionError):
@@ -132,7 +147,7 @@ def _cached(cache):
 
 
 def write_cache(cache: Path, entries):
-    """Write plain data to a file in the user's cache folder, where that can be written to."""
+    """Write plain data to a file in the user's cache folder, if it is writable."""
     temporary = cache.with_suffix(f".{os.getpid()}")
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
@@ -144,7 +159,10 @@ def write_cache(cache: Path, entries):
 
 
 def cache_file(name: str) -> Path | None:
-    """A file in the user's cache folder for what was measured with these packages and drivers; None without a home."""
+    """Return a file in the user's cache folder for measurements with these packages and drivers.
+
+    None if there is no home folder.
+    """
     try:
         return _cache_path(name)
     except RuntimeError:
@@ -186,7 +204,7 @@ def _cache_path(name="devices"):
 
 
 def _installation():
-    """Where gpusim and its kernels are, and since when: what failed for want of them may work now."""
+    """Return the folders of gpusim and its kernels, with times: an update may end a failure."""
     try:
         folders = [*map(Path, sys.modules["gpusim"].__path__), kernel_folder()]
     except ImportError:
@@ -195,7 +213,7 @@ def _installation():
 
 
 def _names():
-    """Names of all devices, asked for in a process of its own, and why OpenCL's could not be listed, if so."""
+    """Return all devices' names, listed in a separate process, and OpenCL's failure, if any."""
     try:
         result = _run("list")
     except subprocess.TimeoutExpired:
@@ -221,7 +239,7 @@ def _try(name):
 
 
 def _run(argument):
-    # -P: of this package, and not of another one in the folder where it is run
+    # -P: this package, and not another one in the current folder
     return subprocess.run(
         [sys.executable, "-P", "-c", HELPER, str(Path(__file__).parents[2]), argument],
         capture_output=True,
@@ -232,7 +250,7 @@ def _run(argument):
 
 
 def identity(device) -> dict:
-    """What an entry of `devices` says of an open device, but for what is measured."""
+    """Return the entry of an open device without its measurements."""
     if device.kind == "opencl":
         cl_device = device.cl_device
         extensions = cl_device.extensions.split()
@@ -272,15 +290,18 @@ def identity(device) -> dict:
 
 
 def made_by(device) -> str:
-    """What a result's bits depend on beside what it is of: hardware and driver, whichever of a host's devices it is."""
-    told = identity(device)
-    return f"{device.kind}: {told['device']}, {told['driver']}, {told['version']}"
+    """Return hardware and driver of a device. Results are bit-identical only if these are equal.
+
+    Devices of one make are interchangeable.
+    """
+    found = identity(device)
+    return f"{device.kind}: {found['device']}, {found['driver']}, {found['version']}"
 
 
 def copy_gbps(device) -> float:
-    """Measured bandwidth of a copy kernel [GB/s], bytes read plus bytes written; best of ten.
+    """Return the bandwidth of a copy kernel [GB/s], bytes read plus bytes written; best of ten.
 
-    Raises DeviceError when the copy is not the original.
+    Raise DeviceError if the copy differs from the original.
     """
     values = np.arange(COPY_BYTES // 4, dtype=np.float32)
     source, target = device.array(values), device.empty(values.shape)
@@ -290,5 +311,15 @@ def copy_gbps(device) -> float:
             device.launch("common.copy", "copy", values.shape, source, target, len(values))
         best_ms = min(best_ms, ms["common.copy"])
     if not np.array_equal(device.numpy(target), values):
-        raise DeviceError(f"{device.name}: a copy kernel returned other values than it was given")
+        raise DeviceError(f"{device.name}: a copy kernel changed its values; check the driver")
     return 2 * COPY_BYTES / best_ms / 1e6
+
+
+def vector_width(device) -> int:
+    """Return the width of the vectors that OpenCL kernels of this processor compile for: 8 or 16 floats.
+
+    PoCL before 3.1 aborts on vectors of 16.
+    """
+    driver = device.cl_device.driver_version
+    is_wide = device.cl_device.native_vector_width_float >= 16
+    return 16 if is_wide and not driver.startswith(("1.", "2.", "3.0")) else 8

@@ -1,6 +1,6 @@
-"""Lists the devices, or tries one: the process that `gpusim.backends.probe` starts, for drivers may abort.
+"""List the devices, or try one, in the process that `gpusim.backends.probe` starts.
 
-`python -m gpusim.backends.probe_child opencl:0` prints what it found as JSON.
+`python -m gpusim.backends.probe_child opencl:0` prints the result as JSON.
 """
 
 import json

@@ -1,7 +1,7 @@
-"""Memory that a driver refuses after a frame was planned: one line that says for what, and what to do.
+"""Memory that a driver refuses after planning: one line that names the request and the remedy.
 
-What a frame needs is estimated before anything is allocated (`DoesNotFit`). A driver may refuse it all the same: other
-processes use the device, or it allocates when a kernel first uses an array.
+The need of a frame is estimated before anything is allocated (`DoesNotFit`). A driver may still
+refuse memory: other processes use the device, or it allocates when a kernel first uses an array.
 """
 
 from functools import wraps
@@ -13,23 +13,23 @@ from gpusim.domain.errors import OutOfMemory
 
 
 def of_shape(shape, dtype=np.float32):
-    """A request for an array: what it is, and its size [byte]."""
+    """Return a request for an array: its description and its size [byte]."""
     size = "x".join(map(str, shape)) or "1"
     return f"an array of {size} {np.dtype(dtype)}", prod(shape) * np.dtype(dtype).itemsize
 
 
 def of_values(values, *_):
-    """A request that has these values; those of other libraries may not say how large they are."""
+    """Return a request for a copy of values, size 0 if other libraries do not report it."""
     return "a copy of an array", _nbytes([values])
 
 
 def of_launch(stage, _kernel, _grid, *args, **_):
-    """A launch of a kernel with its arguments."""
+    """Return the request of a launch: the kernel and the size of its arguments [byte]."""
     return f"a kernel of {stage}", _nbytes(args)
 
 
 def of_command(command):
-    """A launch, or a copy, that was noted."""
+    """Return the request of a recorded launch or copy."""
     return f"a kernel of {command.stage}", _nbytes(command.args)
 
 
@@ -38,15 +38,21 @@ def _nbytes(arrays):
 
 
 def refusable(request):
-    """Decorator of a device's method: memory that its driver refuses there raises OutOfMemory.
+    """Decorate a device's method: raise OutOfMemory if the driver refuses memory.
 
-    request: function of the method's arguments to what is asked for, in words, and its size [byte], 0: not known.
-    What the device keeps for reuse is given back then, so that less may be asked for next.
+    The device then frees memory that it keeps for reuse; the next request may fit.
+
+    Args:
+        request: Function from the method's arguments to the description of the request and its size
+            [byte], 0 if unknown.
+
+    Returns:
+        The decorator.
     """
 
     def of_method(method):
         @wraps(method)
-        def asked(self, *args, **kwargs):
+        def call(self, *args, **kwargs):
             try:
                 return method(self, *args, **kwargs)
             except Exception as error:
@@ -58,6 +64,6 @@ def refusable(request):
                     *request(*args, **kwargs), self.name, self.memory, reason
                 ) from error
 
-        return asked
+        return call
 
     return of_method

@@ -1,4 +1,4 @@
-"""From a device's name to the device."""
+"""Devices by name."""
 
 import functools
 import threading
@@ -9,25 +9,32 @@ from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.warp import WarpDevice
 from gpusim.domain.errors import DeviceError
 
-_lock = threading.RLock()  # a device is opened once, whoever asks at the same time
+_lock = threading.RLock()  # a device is opened once, also by several threads
 
 
 def open_device(name: str = "auto") -> Device:
-    """Open a device once per process.
+    """Open a device, once per process.
 
-    name: "numpy" (the float64 reference), "opencl" (the best one), "opencl:0" (by number), "opencl:nvidia" (by a part
-    of its platform's or its own name), "warp:cpu", "warp:cuda:0", or "auto" (the best of all; see `gpusim devices`).
-    Raises DeviceError that lists what there is.
+    Args:
+        name: "numpy" (the float64 reference), "opencl" (the best one), "opencl:0" (by number),
+            "opencl:nvidia" (by a part of its platform's or its own name), "warp:cpu",
+            "warp:cuda:0", or "auto" (the best of all; see `gpusim devices`).
+
+    Returns:
+        The device.
+
+    Raises:
+        DeviceError: There is no such device; the message lists the devices.
     """
     if not isinstance(name, str):
         raise DeviceError(
-            f'device: {type(name).__name__}, wanted a name, such as "auto" or "opencl:0"'
+            f'device: {type(name).__name__}, wanted a name, for example "auto" or "opencl:0"'
         )
     with _lock:
         return _opened(name)
 
 
-Device.opened_by = open_device  # of pickled ones
+Device.opened_by = open_device  # opens pickled devices
 
 
 @functools.cache
@@ -63,7 +70,7 @@ def _opened(name):
 
 
 def _best(backend):
-    """The device to prefer; probed again where the one that was found before has gone or is another one now."""
+    """Return the preferred device; probe again if the cached one is gone or has changed."""
     from gpusim.backends.probe import best, identity
 
     entry = best(backend)

@@ -1,4 +1,7 @@
-"""What a computation asks of a device, noted once: made again, it allocates, builds and copies nothing anew."""
+"""A tape records a computation's requests to a device; a repeated computation reuses its results.
+
+It then allocates, builds and copies nothing.
+"""
 
 import threading
 from contextlib import contextmanager
@@ -9,23 +12,28 @@ from gpusim.backends.device import Device
 from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, refusable
 from gpusim.domain.foreign import to_host
 
-SMALL = (
-    1 << 16
-)  # [byte] of constants whose values are compared; larger ones are given to the device again
+SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are copied again
 
 
 class Tape:
-    """The requests of one computation to one device, in order. It is used by one thread at a time.
+    """The requests of one computation to one device, in order, for one thread at a time.
 
-    When the computation is made again on its tape, each request is compared with the one noted in its place. Equal ones
-    get what was made then: the same arrays, which are written anew, constants and kernels. From the first other request
-    on, the tape is noted anew. So the result never depends on what was noted.
-    `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
-    memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
-    reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
-    commands: the noted kernels and copies, in order. numbered: those that take numbers by name, with these and the
-    function that makes arguments of them. viewed: arrays of which another form was asked for.
-    writes_anew: whether arrays are new each time, for results that are kept; then there is nothing to replay.
+    When the computation runs again on its tape, each request is compared with the recorded one in
+    its place. Equal requests get the recorded results: the same arrays, which are overwritten, and
+    the same constants and kernels. From the first different request on, the tape is recorded again.
+    The result thus never depends on the recording. `replay` starts only the recorded kernels,
+    without the computation's host code. Its inputs must have the same memory and its numbers the
+    same values; `is_replayable` says whether nothing else happened on the host.
+
+    Attributes:
+        reads: Stages in which the host read values of the device.
+        host_work: Stages that worked on the host, as they report.
+        commands: Recorded kernels and copies, in order.
+        numbered: Recorded kernels that take numbers by name, each with these and the function that
+            makes arguments of them.
+        viewed: Arrays of which another form was requested.
+        writes_anew: Whether arrays are new each time, for results that are kept; nothing can then
+            be replayed.
     """
 
     def __init__(self, writes_anew: bool = False):
@@ -39,13 +47,13 @@ class Tape:
         self.host_work: list[str] = []
 
     def begin(self):
-        """The computation is made (again) from here on."""
+        """Start (or restart) the computation."""
         self._at = 0
         self.commands, self.numbered, self.viewed = [], [], []
         self.reads, self.host_work = [], []
 
     def again(self, request, make):
-        """What `make()` gave for the request in this place, or gives now."""
+        """Return the recorded result of the request in this place, or record `make()`."""
         if self._at < len(self._requests) and self._requests[self._at][0] == request:
             found = self._requests[self._at][1]
         else:
@@ -56,7 +64,10 @@ class Tape:
         return found
 
     def constant(self, values, make):
-        """Array of these values: that of this place if it has them, else `make()`; the rest of the tape stays."""
+        """Return an array of these values: the recorded one if its values are equal, else `make()`.
+
+        The rest of the tape stays.
+        """
         text = values.tobytes()
         found = self.again(("array", values.shape, values.dtype.str), lambda: [text, make()])
         if found[0] != text:
@@ -64,14 +75,15 @@ class Tape:
         return found[1]
 
     def start(self, command):
-        """Start a command, and note that."""
+        """Start a command and record it."""
         self.commands.append(command)
         command.start()
 
     def replaced(self, others) -> bool:
-        """Give the noted kernels other arrays, pairs (old, new); False, and nothing is done, unless all are found.
+        """Give the recorded kernels other arrays, pairs (old, new); False if one is not found.
 
-        Kernels that read an array in another form have that form among their arguments, and not the array itself.
+        Nothing changes then. Kernels that read an array in another form have that form among their
+        arguments, not the array itself.
         """
         news = {id(old): new for old, new in others}
         if any(news[id(old)] is not new for old, new in others):  # two for one
@@ -102,19 +114,19 @@ class Tape:
 
     @property
     def is_replayable(self) -> bool:
-        """Whether the noted kernels are all there is to do."""
+        """Whether the recorded kernels are all there is to do."""
         return not (self.writes_anew or self.reads or self.host_work)
 
     def replay(self):
-        """Start the noted kernels once more, for inputs in the memory that they had."""
+        """Start the recorded kernels again, for inputs in the same memory."""
         for command in self.commands:
             command.device.start(command)
 
 
 class OwnTape(threading.local):
-    """A tape of each thread's own, on which results are new arrays. Pickled, it is empty.
+    """A tape per thread, on which results are new arrays; it is pickled empty.
 
-    of: what was noted last, for who uses it. raw: the array that it wrote.
+    of: the computation that was recorded last, for its user. raw: the array that it wrote.
     """
 
     def __init__(self):
@@ -133,7 +145,7 @@ _current = _Current()
 
 @contextmanager
 def noted(tape: Tape | None):
-    """What devices are asked for inside the block is noted on the tape; on none, if that is None."""
+    """Record requests to devices inside the block on the tape, or on none if it is None."""
     outer, _current.tape = _current.tape, tape
     if tape is not None:
         tape.begin()
@@ -141,7 +153,7 @@ def noted(tape: Tape | None):
         yield
     except BaseException:
         if tape is not None:
-            tape._requests.clear()  # what was noted may be half of a request
+            tape._requests.clear()  # the last one may be incomplete
         raise
     finally:
         _current.tape = outer
@@ -153,11 +165,11 @@ def last_arguments(numbers, words=None) -> tuple:
 
 
 class Taped(Device):
-    """A device whose requests can be noted. A backend defines what is asked with a leading underscore.
+    """A device whose requests can be recorded; backends define its underscored methods.
 
-    Of a launch it makes a command: `set(args)` gives it other arguments of the same kinds, `start()` starts it; stage
-    and name are those of its kernel; device: that made it.
-    Memory that the driver refuses raises OutOfMemory.
+    Its launches are commands: `set(args)` gives a command other arguments of the same kinds,
+    `start()` starts it; `stage` and `name` belong to its kernel, `device` is its device. Memory
+    that the driver refuses raises OutOfMemory.
     """
 
     @refusable(of_values)
@@ -177,7 +189,7 @@ class Taped(Device):
             return self._array(values, dtype)
         return tape.constant(
             values, lambda: self._array(values.copy(), dtype)
-        )  # it may use what it is given
+        )  # the array may share the copy's memory
 
     @refusable(of_values)
     def samples(self, values, dtype):
@@ -239,7 +251,7 @@ class Taped(Device):
 
     @refusable(of_values)
     def _copied(self, target, source, count, start, to):
-        """Copy `count` values between arrays in turn with what is launched."""
+        """Copy `count` values between arrays, in turn with launches."""
         tape, what = _current.tape, (target, source, count, start, to)
         if tape is None:
             self._copy(*what).start()
@@ -251,7 +263,7 @@ class Taped(Device):
 
     @refusable(of_command)
     def start(self, command):
-        """Start a command once more."""
+        """Start a command again."""
         command.start()
 
     @refusable(of_launch)
@@ -274,25 +286,25 @@ class Taped(Device):
             tape.start(command)
 
     def refusal(self, error: Exception) -> str:
-        """What a driver said when it refused memory; "" where that is not what the error is."""
+        """Return the driver's message if the error is refused memory, else ""."""
         return (str(error) or "out of memory") if isinstance(error, MemoryError) else ""
 
     def give_back(self):
-        """Let go of memory that is kept for reuse."""
+        """Free memory that is kept for reuse."""
 
     def _array(self, values, dtype):
-        """Array of this device with these values, not one of its own already."""
+        """Return an array of this device with these values, which are not one of its arrays."""
         raise NotImplementedError
 
     def _is_here(self, array) -> bool:
-        """Whether an array of `array_type` is of this device."""
+        """Return whether an array of `array_type` belongs to this device."""
         raise NotImplementedError
 
     def _shared(self, values, dtype):
-        """Array of this type made of memory that only devices read, of another's array; None where the host can."""
+        """Return an array made from another's device memory; None if the host can read it."""
 
     def _fitting(self, array, dtype):
-        """An array of this device with this type, contiguous: itself or a copy."""
+        """Return an array of this device with this type, contiguous: itself or a copy."""
         raise NotImplementedError
 
     def _empty(self, shape, dtype):
@@ -305,19 +317,19 @@ class Taped(Device):
         raise NotImplementedError
 
     def _place(self, array):
-        """What tells an array's memory and its form from another's."""
+        """Return a key that distinguishes an array's memory and form."""
         raise NotImplementedError
 
     def _dtype(self, array) -> np.dtype:
         raise NotImplementedError
 
     def _copy(self, target, source, count, start, to):
-        """Command that copies `count` values of `source` from `start` on to `target` from `to` on."""
+        """Return a command that copies `count` values from `source` to `target`."""
         raise NotImplementedError
 
     def _launch(self, stage, kernel, grid, args, defines, group):
         raise NotImplementedError
 
     def _command(self, stage, kernel, grid, args, defines, group):
-        """Command that launches with these arguments."""
+        """Return a command that launches with these arguments."""
         raise NotImplementedError

@@ -25,7 +25,7 @@ from gpusim.domain.memory import Pinned
 
 
 def started_warp():
-    """Warp, initialised without a word: it has a native warning, on machines without CUDA, that no log level stops."""
+    """Return Warp, initialised silently: no log level stops its warning without CUDA."""
     try:
         import warp as wp
     except ImportError as error:
@@ -52,14 +52,14 @@ log = logging.getLogger(__name__)
 _building = (
     threading.RLock()
 )  # Warp's modules are shared by all devices, and built by one thread at a time
-REFUSALS = "Failed to allocate", "out of memory"  # of memory, in Warp's words and CUDA's
+REFUSALS = "Failed to allocate", "out of memory"  # refused memory, in Warp's words and CUDA's
 
 
 class WarpDevice(Taped):
     """One Warp device: `cpu` or `cuda:N`.
 
-    Nothing here depends on Warp's default device or on the current CUDA context, which are those of another GPU: every
-    array, event, stream and launch names its device.
+    Nothing here depends on Warp's default device or on the current CUDA context, which may belong
+    to another GPU: every array, event, stream and launch names its device.
     """
 
     kind = "warp"
@@ -75,15 +75,15 @@ class WarpDevice(Taped):
         self.name = name
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
-        if self.is_gpu:  # Warp's kernels keep 4 bytes a work-item for themselves
+        if self.is_gpu:  # Warp's kernels use 4 bytes a work-item
             self.local_bytes = min(
                 self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit
             )
         self.array_type = wp.array
         self._as_shown = array_class(wp).of
-        self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # beside the kernels
+        self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # parallel to kernels
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
-        self._modules: dict = {}  # of the stages
+        self._modules: dict = {}  # modules of the stages
         self._natives: dict = {}  # kernels from OpenCL text
         self._loaded: set = set()  # modules that are built, with the sizes of their groups
         self.build_ms: dict[str, float] = {}
@@ -111,8 +111,8 @@ class WarpDevice(Taped):
         try:
             if isinstance(values, wp.array):  # of another of Warp's devices
                 if self.on_host:
-                    return self._array(values.numpy(), dtype)  # which waits
-                array = self._brought(values)
+                    return self._array(values.numpy(), dtype)  # it waits
+                array = self._bring(values)
             elif not self.is_gpu:
                 return None
             elif dlpack_kind(values) in CUDA:
@@ -121,9 +121,8 @@ class WarpDevice(Taped):
                 array = self._by_interface(values)
             else:
                 return None
-        except (
-            Exception
-        ) as error:  # of any class by library: a tensor with a gradient, a type that Warp has not
+        # each library raises its own class: for a tensor with a gradient, a type unknown to Warp
+        except Exception as error:
             raise BadData(
                 f"{self.name}: cannot read an array of {name_of(values)}: "
                 f"{str(error).partition(chr(10))[0][:150]}"
@@ -131,7 +130,7 @@ class WarpDevice(Taped):
         return self._fitting(self._as_shown(array), dtype)
 
     def _by_interface(self, values):
-        """Array over the CUDA memory that the CUDA array interface tells of, of whichever device."""
+        """Return an array over the CUDA memory of the CUDA array interface, on any device."""
         interface = values.__cuda_array_interface__
         number = ordinal_of(interface["data"][0])
         owner = (
@@ -144,27 +143,27 @@ class WarpDevice(Taped):
         kind = self._wp.dtype_from_numpy(np.dtype(interface["typestr"]))
         return self._wp.array(values, dtype=kind, device=owner, copy=False)
 
-    def _brought(self, array):
-        """Copy of an array of another of Warp's devices, in turn with what is launched on both."""
+    def _bring(self, array):
+        """Return a copy of an array of another Warp device, in turn with launches on both."""
         if not array.device.is_cuda:
             return array.to(self.wp_device)
         here, there = self.wp_device.stream, array.device.stream
         wait_for(mark_in(there), here)
         copy = array.to(self.wp_device)
-        wait_for(mark_in(here), there)  # its memory is not written to, or given away, sooner
+        wait_for(mark_in(here), there)  # its memory must not be reused earlier
         return copy
 
     def _fitting(self, array, dtype):
         given = array
         if array.device != self.wp_device:
-            array = self._brought(array)
+            array = self._bring(array)
         if not array.is_contiguous:
             array = array.contiguous()
         if self._dtype(array) != dtype:
             other, array = array, self._empty(array.shape, dtype)
             self._load("casts", self._wp.get_module("warp.utils"))
             self._wp.utils.array_cast(other, array)
-        return array if array is given else self._as_shown(array)  # the caller's own stays as it is
+        return array if array is given else self._as_shown(array)  # the caller's array stays
 
     def _empty(self, shape, dtype):
         return self._as_shown(
@@ -176,7 +175,7 @@ class WarpDevice(Taped):
     @contextmanager
     def on_stream(self, stream):
         if not self.is_gpu:
-            super().on_stream(stream)  # which refuses
+            super().on_stream(stream)  # it raises
         given = (
             stream.__cuda_stream__()[1]
             if hasattr(stream, "__cuda_stream__")
@@ -192,10 +191,10 @@ class WarpDevice(Taped):
         )  # PyTorch's, CuPy's
         if isinstance(of, int) and of not in (-1, self.wp_device.ordinal):
             raise BadData(
-                f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, where the work is"
+                f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, which does the work"
             )
         device = self.wp_device
-        with device.context_guard:  # whose default stream is meant
+        with device.context_guard:  # the default stream is that of this device
             own, before = (
                 self._wp.Stream(device, cuda_stream=given or None),
                 device.stream,
@@ -207,8 +206,8 @@ class WarpDevice(Taped):
                 device.set_stream(before, True)
 
     def _pinned(self, shape, kind):
-        """Warp's array in host memory that CUDA copies at the full rate of the bus."""
-        with self.wp_device.context_guard:  # else of device 0, which then keeps a context for it
+        """Return a Warp array in host memory that CUDA copies at the full rate of the bus."""
+        with self.wp_device.context_guard:  # otherwise device 0 creates a context for it
             return self._wp.empty(shape, dtype=kind, device="cpu", pinned=True)
 
     @refusable(of_shape)
@@ -238,12 +237,12 @@ class WarpDevice(Taped):
         wp.copy(values, array)
         event = mark_in(self.wp_device.stream)
 
-        def fetched():
+        def finish_fetch():
             wp.synchronize_event(event)
             free.append(values)
             return np.array(values.numpy())
 
-        return fetched
+        return finish_fetch
 
     def mark(self):
         return None if self.on_host else mark_in(self.wp_device.stream)
@@ -284,7 +283,7 @@ class WarpDevice(Taped):
             )
 
     def _entry(self, stage, kernel, defines, args, group):
-        """The kernel, and how it is launched."""
+        """Return the kernel and its launch options."""
         options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
         with self._lock:
             return self._kernel(stage, kernel, defines, args, options), options
@@ -297,7 +296,7 @@ class WarpDevice(Taped):
         return Command(self, self._clock.charged or stage, kernel, launch, args)
 
     def _timed(self, stage, start):
-        """Start something on the device, and time it where that is asked for."""
+        """Start something on the device, and time it if a block is timed."""
         clock = self._clock
         if clock.times is None:
             start()
@@ -324,13 +323,13 @@ class WarpDevice(Taped):
             loaded = self._modules[stage] = import_module(module)
         if getattr(loaded, "NATIVE", False):
             return self._native(stage, kernel, defines, args, options)
-        if not hasattr(loaded, "specialised"):
+        if not hasattr(loaded, "specialise"):
             self._load(stage, loaded, **options)
             return getattr(loaded, kernel)
         self._load(stage, loaded)
         with _building:
-            entry = loaded.specialised(kernel, **defines)
-        self._load(stage, entry.module, **options)  # of its own
+            entry = loaded.specialise(kernel, **defines)
+        self._load(stage, entry.module, **options)  # its own module
         return entry
 
     def _native(self, stage, kernel, defines, args, options):
@@ -352,13 +351,11 @@ class WarpDevice(Taped):
 
     def _build(self, stage, module, **options):
         start = time.perf_counter()
-        if not keep_sound(self._kept(module)):
+        if not keep_sound(self._cache_folders(module)):
             self._wp.config.kernel_cache_dir = str(lent_folder())
         try:
             self._wp.load_module(module, device=self.wp_device, **options)
-        except (
-            Exception
-        ) as cause:  # of whatever kind by what is wrong with the cache, if that is why
+        except Exception as cause:  # its class depends on the damage in the cache, if any
             self._forget(module, cause)
             try:
                 self._wp.load_module(module, device=self.wp_device, **options)
@@ -366,18 +363,18 @@ class WarpDevice(Taped):
                 raise DeviceError(
                     f"{self.name}: cannot build {stage}: {str(error).partition(chr(10))[0]}"
                 ) from error
-        for folder in self._kept(module):
+        for folder in self._cache_folders(module):
             note(folder)
         self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
-    def _kept(self, module):
-        """Folders in which Warp keeps a module, by the first digits of its hash."""
+    def _cache_folders(self, module):
+        """Return the folders in which Warp keeps a module, by the first digits of its hash."""
         name = getattr(module, "name", None) or module.__name__
         return list(Path(self._wp.config.kernel_cache_dir).glob(f"wp_{name}_{'[0-9a-f]' * 7}"))
 
     def _forget(self, module, cause):
-        """Drop what is kept of a module; keep nothing beyond this process if the cache has no room."""
-        folders = self._kept(module)
+        """Remove the files of a module; use a temporary folder if the cache has no room."""
+        folders = self._cache_folders(module)
         for folder in folders:
             remove(folder)
         folder = Path(self._wp.config.kernel_cache_dir)

@@ -1,4 +1,4 @@
-"""Arrays of Warp devices, which show themselves as NumPy's do, and the turns of streams, also of two GPUs."""
+"""Arrays of Warp devices with the interface of NumPy's, and the order of streams."""
 
 import ctypes
 import functools
@@ -11,7 +11,10 @@ OWNER = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL of CUDA's driver
 
 @functools.cache
 def array_class(wp):
-    """Warp's array with more of what NumPy's have: its own refuses `np.asarray` in CUDA memory, and empty slices."""
+    """Return a subclass of Warp's array with more of NumPy's interface.
+
+    Warp's own refuses `np.asarray` on CUDA memory, and empty slices.
+    """
 
     class WarpArray(wp.array):
         def __array__(
@@ -19,7 +22,7 @@ def array_class(wp):
         ):  # in host memory NumPy takes `__array_interface__`
             if self.device.is_cuda and copy is False:
                 raise ValueError(
-                    f"the values of an array of warp:{self.device} cannot be had without a copy"
+                    f"the values of an array of warp:{self.device} cannot be read without a copy"
                 )
             return np.array(self.numpy(), dtype, copy=None if self.device.is_cuda else copy)
 
@@ -50,7 +53,7 @@ def array_class(wp):
             elif hasattr(key, "__index__"):
                 if (
                     not -len(self) <= key.__index__() < len(self)
-                ):  # which also ends a loop over the array
+                ):  # the error also ends a loop over the array
                     raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
                 key = key.__index__()
             return as_shown(super().__getitem__(key))
@@ -67,19 +70,19 @@ def array_class(wp):
 
 
 def mark_in(stream):
-    """Event after what a stream has to do, of the stream's own device."""
+    """Return an event after a stream's work, on the stream's own device."""
     with stream.device.context_guard:  # CUDA's default stream is that of the current context
         return stream.record_event()
 
 
 def wait_for(event, stream):
-    """Let what a stream does from now on wait for an event, of whichever device."""
+    """Make later work of a stream wait for an event of any device."""
     with stream.device.context_guard:
         stream.wait_event(event)
 
 
 def ordinal_of(address: int) -> int | None:
-    """Number of the CUDA device that memory is of; None if the driver does not say."""
+    """Return the number of the CUDA device of this memory; None if it is unknown."""
     try:
         driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
     except OSError:

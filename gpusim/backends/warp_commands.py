@@ -1,4 +1,4 @@
-"""What a Warp device starts: kernels with arguments of their own, copies between arrays, transfers from the host."""
+"""Commands of a Warp device: kernels with arguments, copies, transfers from the host."""
 
 import ctypes
 
@@ -9,7 +9,7 @@ from gpusim.backends.warp_arrays import wait_for
 
 
 class Command:
-    """A launch with its arguments packed. stage: that is charged. name: of the kernel."""
+    """A launch with packed arguments. stage: stage that is charged. name: name of the kernel."""
 
     def __init__(self, device, stage, name, launch, args):
         self.device, self.stage, self.name, self.launch, self.args = (
@@ -23,7 +23,7 @@ class Command:
             self._own(index + 1)
 
     def _own(self, place):
-        """Pack an array for this launch alone: Warp packs it once for all launches, and `set` writes there."""
+        """Pack an array for this launch only: Warp shares one pack, and `set` writes to it."""
         params, addresses = self.launch.params, self.launch.params_addr
         if isinstance(params[place], ctypes.Structure):
             params[place] = type(params[place]).from_buffer_copy(params[place])
@@ -43,7 +43,7 @@ class Command:
                 and new.is_contiguous
                 and old.is_contiguous
             ):
-                packed.data = new.ptr  # all that is other; packing an array anew takes 10 us
+                packed.data = new.ptr  # nothing else differs; packing the array again takes 10 us
             else:
                 self.launch.set_param_at_index(index, new)
                 self._own(index + 1)
@@ -54,7 +54,7 @@ class Command:
 
 
 class Arriving(Transfer):
-    """An array that is written by a stream of its own, beside the kernels."""
+    """An array that a separate stream writes while kernels run."""
 
     def __init__(self, device, array, source, event):
         super().__init__(array)
@@ -69,14 +69,14 @@ class Arriving(Transfer):
 
 
 class Copy:
-    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
+    """A copy between two arrays, in turn with the kernels. args: target and source."""
 
     def __init__(self, device, target, source, *places):
         self.device, self.args, self.places = device, (target, source), places
         self.stage, self.name = device._clock.charged or "copies", "copy"
 
     def set(self, args):
-        """Other arrays of the same kinds."""
+        """Set other arrays of the same kinds."""
         self.args = args
 
     def start(self):

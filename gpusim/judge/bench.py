@@ -6,10 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.backends.probe import copy_gbps
+from gpusim.backends.probe import copy_gbps, vector_width
 from gpusim.domain.errors import DeviceError
 from gpusim.judge.verify import verify
-from gpusim.kernels.optics.convolve import vector_defines
 from gpusim.kernels.stage import public_function, stage_module, stage_names
 
 ERROR_SIZE = (
@@ -38,7 +37,7 @@ def fma_gflops(device: Device) -> float:
     """
     is_cpu = not device.is_gpu
     items, steps = (64, CPU_STEPS) if is_cpu else (2**18, GPU_STEPS)
-    width = vector_defines(device)["WIDTH"] if is_cpu and device.kind == "opencl" else 1
+    width = vector_width(device) if is_cpu and device.kind == "opencl" else 1
     defines = (
         {"VECTOR": f"float{width}" if width > 1 else "float"} if device.kind == "opencl" else {}
     )

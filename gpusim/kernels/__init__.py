@@ -1,4 +1,4 @@
-"""In a checkout the kernels lie beside gpusim/: this makes Python find them. An installed package has them here."""
+"""The folder kernels/ of a checkout as a package; an installed gpusim has the kernels here."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Walking a Bayer mosaic row by row: the same as bayer.clh."""
+"""Walking a Bayer mosaic row by row, as in bayer.clh."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -18,7 +18,7 @@ def mirror(i: int, n: int):
 
 @wp.func
 def own_plane(y: int, red_row: int):
-    """Return the plane of the colour that row `y` samples beside green: 0 (red) or 2 (blue)."""
+    """Return the plane of the colour that row `y` samples besides green: 0 (red) or 2 (blue)."""
     return 2 * ((y ^ red_row) & 1)
 
 

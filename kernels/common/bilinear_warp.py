@@ -1,4 +1,4 @@
-"""Bilinear demosaicking: the same as bilinear.clh, one column at a time."""
+"""Bilinear demosaicking as in bilinear.clh, one column at a time."""
 
 # mypy: ignore-errors
 from typing import Any
@@ -23,13 +23,13 @@ def rounded_product(a: float, b: float) -> float:
 
 
 @wp.func
-def digitised(sample: wp.uint16, converter: wp.vec3):
+def digitise(sample: wp.uint16, converter: wp.vec3):
     """Return a digital number as it is."""
     return int(sample)
 
 
 @wp.func
-def digitised(electrons: float, converter: wp.vec3):  # noqa: F811  chosen by type
+def digitise(electrons: float, converter: wp.vec3):  # noqa: F811  chosen by type
     """Return the number that a converter (gain, offset, most) makes of electrons."""
     level = rounded_product(converter[0], electrons) + converter[1]  # as in sensor/noise_warp.py
     if not level > 0.0:  # NaN too
@@ -42,14 +42,14 @@ def line(raw: wp.array2d[Any], converter: wp.vec3, y: int, x: int):
     """Return a row's number at x, and the sum of its two neighbours in it."""
     row = mirror(y, raw.shape[0])
     cols = raw.shape[1]
-    sides = digitised(raw[row, mirror(x - 1, cols)], converter) + digitised(
+    sides = digitise(raw[row, mirror(x - 1, cols)], converter) + digitise(
         raw[row, mirror(x + 1, cols)], converter
     )
-    return wp.vec2i(digitised(raw[row, x], converter), sides)
+    return wp.vec2i(digitise(raw[row, x], converter), sides)
 
 
 @wp.func
-def interpolated(
+def interpolate(
     up: wp.vec2i,
     here: wp.vec2i,
     down: wp.vec2i,
@@ -58,7 +58,7 @@ def interpolated(
     black_level: float,
     scale: float,
 ):
-    """Return red, green and blue of a pixel from its line and those beside it."""
+    """Return red, green and blue of a pixel from its line and its two neighbours."""
     vertical = up[0] + down[0]
     own = 2 * here[1]
     green = 4 * here[0]

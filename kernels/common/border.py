@@ -1,14 +1,35 @@
-"""The world outside the frame: dark, the outermost pixel going on, or mirrored."""
+"""The world outside the frame: dark, the outermost pixel repeated, or mirrored."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from gpusim.backends import Device
 
 BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 
 
-def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 0, 0, 0)):
-    """Planes `first` .. `first + size`, by default all, with what is around them filled in as `border` says.
+def extend(
+    device: Device,
+    planes: Any,
+    border: str,
+    before: Sequence[int],
+    period: Sequence[int],
+    first: int = 0,
+    size: int | None = None,
+) -> Any:
+    """Return planes with their surroundings.
 
-    planes: (planes, rows, cols) of the device. before: place (row, column) of their first pixel in the result. period:
-    (rows, cols) of the result. hole: first and last + 1 row and column of what is not read and need not be written.
-    Returns shape (size, *period).
+    Args:
+        device: The device.
+        planes: Planes, shape (planes, rows, cols).
+        border: "zero", "edge" or "reflect".
+        before: Row and column of the planes' first pixel in the result.
+        period: Rows and columns of the result.
+        first: First of the planes.
+        size: Number of planes; None for all from `first` on.
+
+    Returns:
+        Extended planes, shape (size, *period), float32 of the device.
     """
     count, rows, cols = planes.shape
     extended = device.empty((count - first if size is None else size, *period))
@@ -25,7 +46,6 @@ def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 
         BORDERS[border],
         first,
         *before,
-        *hole,
         extended.shape[0],
         rows,
         cols,

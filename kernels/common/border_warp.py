@@ -1,4 +1,4 @@
-"""The world outside the frame, and planes with what is around them written out."""
+"""The world outside the frame, and planes with their surroundings."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -39,10 +39,6 @@ def extend(
     first: int,
     before_y: int,
     before_x: int,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
     # sizes:
     count: int,
     rows: int,
@@ -51,7 +47,4 @@ def extend(
     period_x: int,
 ):
     k, y, x = wp.tid()
-    if y < top or y >= bottom or x < left or x >= right:
-        extended[k, y, x] = value_at(
-            planes, first + k, y - before_y, x - before_x, rows, cols, border
-        )
+    extended[k, y, x] = value_at(planes, first + k, y - before_y, x - before_x, rows, cols, border)

@@ -1,4 +1,4 @@
-"""Display codes by table: the same as codes.clh."""
+"""Display codes by table, as in codes.clh."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,4 +1,4 @@
-"""Reads and writes every element once: the ceiling that other kernels are measured against."""
+"""Reads and writes every element once: the limit with which other kernels are compared."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

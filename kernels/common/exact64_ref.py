@@ -1,16 +1,17 @@
-"""Elementary functions in float64 with the same bits on every device: see `exact_ref` for why.
+"""Elementary functions in float64 with the same bits on every device; `exact_ref` has the reasons.
 
-The polynomials are the Taylor series, so that no constant needs an origin. Greatest errors measured over random
-arguments [ulp]: log 0.8, exp 0.93, 1 - exp 1.7; of the normal quantile 7e-16 of its value (tests/host/test_poisson.py).
+The polynomials are Taylor series, whose constants need no source. Largest errors over random
+arguments [ulp]: log 0.8, exp 0.93, 1 - exp 1.7; normal quantile 7e-16 of its value
+(tests/host/test_poisson.py).
 """
 
 import numpy as np
 
-LN2_HIGH = np.float64(0.6931471803691238)  # 32 bits, so that a small integer times it is exact
+LN2_HIGH = np.float64(0.6931471803691238)  # 32 bits: a small integer times it is exact
 LN2_LOW = np.float64(1.9082149292705877e-10)
 ONE_OVER_LN2 = np.float64(1.4426950408889634)
 SQRT_HALF_BITS = np.int64(0x3FE6A09E667F3BCD)
-LOG_TERMS = 10  # s^20 2 / 21 < 2^-54 of the first left out, s <= 3 - sqrt(8)
+LOG_TERMS = 10  # the first omitted term is s^20 2 / 21 < 2^-54, s <= 3 - sqrt(8)
 EXP_TERMS = 14  # (ln(2)/2)^14 / 14! < 2^-54
 
 # Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied Statistics 37 (1988), 477-484:
@@ -84,7 +85,7 @@ FAR_TAIL = (
 
 
 def horner(x, coefficients):
-    """Polynomial with the coefficients in rising order."""
+    """Return a polynomial with the coefficients in rising order."""
     result = np.float64(coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         result = result * x + np.float64(coefficient)
@@ -92,7 +93,7 @@ def horner(x, coefficients):
 
 
 def log(x):
-    """Natural logarithm of positive normal float64 numbers."""
+    """Return the natural logarithm of positive normal float64 numbers."""
     bits = np.asarray(x, np.float64).view(np.int64)
     exponent = (bits - SQRT_HALF_BITS) >> np.int64(52)
     f = (bits - (exponent << np.int64(52))).view(np.float64) - 1.0  # exact
@@ -106,7 +107,7 @@ def log(x):
 
 
 def exp_negative(x):
-    """exp(-x) and 1 - exp(-x), each to full relative precision, for 0 <= x <= 700."""
+    """Return exp(-x) and 1 - exp(-x), each to full relative precision, for 0 <= x <= 700."""
     x = np.asarray(x, np.float64)
     n = np.floor(x * ONE_OVER_LN2 + 0.5)
     r = (x - n * LN2_HIGH) - n * LN2_LOW
@@ -120,14 +121,17 @@ def exp_negative(x):
 
 
 def uniform(high, low):
-    """Float64 in (0, 1) from 64 random bits: the upper 52 of them, half a step up (with 53 the last would be 1)."""
+    """Return float64 numbers in (0, 1) from 64 random bits: the upper 52, half a step up.
+
+    With 53 bits the last number would be 1.
+    """
     return (
         high.astype(np.float64) * 1048576.0 + (low >> np.uint32(12)).astype(np.float64) + 0.5
     ) * 2.0**-52
 
 
 def normal_quantile(u):
-    """The standard normal number of which a part u is below, 0 < u < 1 (AS 241)."""
+    """Return the standard normal quantile of u, 0 < u < 1 (AS 241)."""
     q = np.asarray(u, np.float64) - 0.5
     middle = np.abs(q) <= 0.425
     near = 0.180625 - np.where(middle, q, 0.0) ** 2

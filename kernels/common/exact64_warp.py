@@ -1,6 +1,6 @@
-"""Float64 functions with the same bits on every device; `exact64_ref` has the reasons and the constants' origin.
+"""Float64 functions with the same bits on every device; see `exact64_ref`.
 
-Modules that use them must set `fuse_fp=False`, so that every operation is rounded on its own.
+Modules that use them must set `fuse_fp=False`: every operation must be rounded separately.
 """
 
 # mypy: ignore-errors
@@ -35,7 +35,7 @@ FAR_ABOVE, FAR_BELOW = (wp.constant(Eight(*part)) for part in exact64_ref.FAR_TA
 
 @wp.func
 def exact_log64(x: f64):
-    """Natural logarithm of positive normal numbers."""
+    """Return the natural logarithm of positive normal numbers."""
     bits = wp.cast(x, wp.int64)
     exponent = (bits - SQRT_HALF_BITS) >> wp.int64(52)
     f = wp.cast(bits - (exponent << wp.int64(52)), f64) - f64(1.0)
@@ -52,7 +52,7 @@ def exact_log64(x: f64):
 
 @wp.func
 def exact_exp_negative64(x: f64):
-    """exp(-x) and 1 - exp(-x) for 0 <= x <= 700."""
+    """Return exp(-x) and 1 - exp(-x) for 0 <= x <= 700."""
     n = wp.floor(x * ONE_OVER_LN2 + f64(0.5))
     r = (x - n * LN2_HIGH) - n * LN2_LOW
     p = EXP[11]
@@ -65,13 +65,13 @@ def exact_exp_negative64(x: f64):
 
 @wp.func
 def exact_uniform64(high: wp.uint32, low: wp.uint32):
-    """In (0, 1), from the upper 52 of 64 random bits."""
+    """Return a number in (0, 1), from the upper 52 of 64 random bits."""
     return (f64(high) * f64(1048576.0) + f64(low >> wp.uint32(12)) + f64(0.5)) * TWO_TO_MINUS_52
 
 
 @wp.func
 def ratio(x: f64, above: Eight, below: Eight):
-    """Quotient of two polynomials."""
+    """Return the quotient of two polynomials."""
     p = above[7]
     q = below[7]
     for k in range(1, 8):
@@ -82,7 +82,7 @@ def ratio(x: f64, above: Eight, below: Eight):
 
 @wp.func
 def exact_normal_quantile(u: f64):
-    """The standard normal number of which a part u is below (AS 241)."""
+    """Return the standard normal quantile (AS 241)."""
     q = u - f64(0.5)
     if wp.abs(q) <= f64(0.425):
         return q * ratio(f64(0.180625) - q * q, CENTRE_ABOVE, CENTRE_BELOW)

@@ -1,10 +1,11 @@
-"""Elementary functions whose bits are the same on every device, because every operation in them is correctly rounded.
+"""Elementary functions with the same bits on every device: every operation is correctly rounded.
 
-IEEE 754 fixes the bits of + - * / sqrt and of conversions, not those of library functions; so logarithm, exponential,
-sine and cosine are built here from the former, in float32 and without contraction into fused multiply-adds. The
-polynomials are weighted minimax fits (Lawson's iteration) whose coefficients were rounded to float32 one after the
-other, the remaining ones being refitted. Greatest errors over every float32 of the ranges in use [ulp]: log 0.91,
-exp 0.99, 1 - exp 1.47, sine 0.74, cosine 0.99 (tests/host/test_poisson.py). The devices' versions (`exact.clh`,
+IEEE 754 fixes the bits of + - * / sqrt and of conversions, but not of library functions. Logarithm,
+exponential, sine and cosine are therefore built from these operations, in float32 and without
+contraction into fused multiply-adds. The polynomials are weighted minimax fits (Lawson's
+iteration). Their coefficients were rounded to float32 one after the other, and the remaining ones
+fitted again. Largest errors over every float32 of the ranges in use [ulp]: log 0.91, exp 0.99, 1 -
+exp 1.47, sine 0.74, cosine 0.99 (tests/host/test_poisson.py). The devices' versions (`exact.clh`,
 `exact_warp.py`) do the same operations in the same order.
 """
 
@@ -31,7 +32,7 @@ EXP = [f32(c) for c in (0.49999994, -0.166665211, 0.0416682735, -0.00836868584, 
 # (sin(a) - a) / a^3 and (cos(a) - 1 + a^2/2) / a^4, in a^2, on [0, (pi/4)^2]
 SIN = [f32(c) for c in (-0.166666552, 0.00833218917, -0.000195182918)]
 COS = [f32(c) for c in (0.0416666456, -0.00138873095, 2.44323273e-05)]
-LN2_HIGH = f32(0.693145752)  # 16 bits, so that a small integer times it is exact
+LN2_HIGH = f32(0.693145752)  # 16 bits: a small integer times it is exact
 LN2_LOW = f32(1.42860677e-06)
 ONE_OVER_LN2 = f32(1.44269502)
 TWO_TO_MINUS_32 = f32(2.0**-32)
@@ -40,7 +41,7 @@ SQRT_HALF_BITS = np.int32(0x3F3504F3)
 
 
 def horner(x, coefficients):
-    """Polynomial with the coefficients in rising order."""
+    """Return a polynomial with the coefficients in rising order."""
     result = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         result = result * x + coefficient
@@ -48,7 +49,7 @@ def horner(x, coefficients):
 
 
 def log(x):
-    """Natural logarithm of positive normal float32 numbers."""
+    """Return the natural logarithm of positive normal float32 numbers."""
     bits = np.asarray(x, f32).view(np.int32)
     exponent = (bits - SQRT_HALF_BITS) >> np.int32(23)
     f = (bits - (exponent << np.int32(23))).view(f32) - f32(
@@ -64,7 +65,7 @@ def log(x):
 
 
 def exp_negative(x):
-    """exp(-x) and 1 - exp(-x), each to full relative precision, for 0 <= x <= 87."""
+    """Return exp(-x) and 1 - exp(-x), each to full relative precision, for 0 <= x <= 87."""
     x = np.asarray(x, f32)
     n = np.floor(x * ONE_OVER_LN2 + f32(0.5))
     r = (x - n * LN2_HIGH) - n * LN2_LOW
@@ -75,7 +76,7 @@ def exp_negative(x):
 
 
 def sine_cosine(a):
-    """sin(a) and cos(a) for |a| <= pi/4."""
+    """Return sin(a) and cos(a) for |a| <= pi/4."""
     square = a * a
     return (
         a + (a * square) * horner(square, SIN),
@@ -84,16 +85,16 @@ def sine_cosine(a):
 
 
 def uniform(high, low):
-    """Float32 in (0, 1] from 64 random bits, with full relative precision down to 2^-65."""
+    """Return float32 numbers in (0, 1] from 64 random bits, fully precise down to 2^-65."""
     return (high.astype(f32) + (low.astype(f32) + f32(0.5)) * TWO_TO_MINUS_32) * TWO_TO_MINUS_32
 
 
 def normal_pair(radial, angular):
-    """Two independent standard normal numbers from two random words.
+    """Return two independent standard normal numbers from two random words.
 
-    Box & Muller, Annals of Mathematical Statistics 29 (1958), p. 610. The radius comes from `radial`. The top two bits
-    of `angular` choose one of four arcs around the axes, the other thirty the angle a in [-pi/4, pi/4) within it.
-    |z| reaches sqrt(66 ln 2) = 6.76.
+    Source: Box and Muller, Annals of Mathematical Statistics 29 (1958), p. 610. The radius comes
+    from `radial`. The top two bits of `angular` choose one of four arcs around the axes, the other
+    thirty the angle a in [-pi/4, pi/4) within it. |z| reaches sqrt(66 ln 2) = 6.76.
     """
     u = (radial.astype(f32) + f32(0.5)) * TWO_TO_MINUS_32
     radius = np.sqrt(f32(-2) * log(u))

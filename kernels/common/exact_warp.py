@@ -1,6 +1,6 @@
-"""Elementary functions with the same bits on every device; `exact_ref` has the reasons and the constants' origin.
+"""Elementary functions with the same bits on every device; see `exact_ref`.
 
-Modules that use them must set `fuse_fp=False`, so that every operation is rounded on its own.
+Modules that use them must set `fuse_fp=False`: every operation must be rounded separately.
 """
 
 # mypy: ignore-errors
@@ -16,7 +16,7 @@ SWAP = wp.constant(wp.uint32(0x40000000))
 
 @wp.func
 def exact_log(x: float):
-    """Natural logarithm of positive normal numbers."""
+    """Return the natural logarithm of positive normal numbers."""
     bits = wp.cast(x, wp.int32)
     exponent = (bits - SQRT_HALF_BITS) >> 23
     f = wp.cast(bits - (exponent << 23), wp.float32) - 1.0
@@ -38,7 +38,7 @@ def exact_log(x: float):
 
 @wp.func
 def exact_exp_negative(x: float):
-    """exp(-x) and 1 - exp(-x) for 0 <= x <= 87."""
+    """Return exp(-x) and 1 - exp(-x) for 0 <= x <= 87."""
     n = wp.floor(x * 1.44269502 + 0.5)
     r = (x - n * LN2_HIGH) - n * LN2_LOW
     p = r * 0.00138201355 + -0.00836868584
@@ -52,13 +52,13 @@ def exact_exp_negative(x: float):
 
 @wp.func
 def exact_uniform(high: wp.uint32, low: wp.uint32):
-    """In (0, 1], from 64 random bits."""
+    """Return a number in (0, 1], from 64 random bits."""
     return (float(high) + (float(low) + 0.5) * TWO_TO_MINUS_32) * TWO_TO_MINUS_32
 
 
 @wp.func
 def exact_normal_pair(radial: wp.uint32, angular: wp.uint32):
-    """Two independent standard normal numbers from two random words (Box & Muller 1958)."""
+    """Return two independent standard normal numbers from two random words (Box-Muller)."""
     radius = wp.sqrt(-2.0 * exact_log((float(radial) + 0.5) * TWO_TO_MINUS_32))
     a = float(wp.cast(angular << wp.uint32(2), wp.int32)) * 3.6572953e-10
     square = a * a

@@ -19,8 +19,8 @@ float2 of_column(__global const float2 *restrict spectra, const int pitch, const
     return IS_DARK(y) ? PAIR(0.0f, 0.0f) : spectra[y * pitch];
 }
 
-// Real rows to half spectra, two rows as the real and imaginary part of one line; what lies beside the frame is filled
-// in as BORDER says.
+// Real rows to half spectra, two rows as the real and imaginary part of one line. Pixels left and right of the frame
+// are filled in according to BORDER.
 __kernel void rows_forward(
     // in:
     __global const float *restrict planes,   // [][cols], all planes' rows one after the other
@@ -73,8 +73,8 @@ __kernel void rows_inverse(
     }
 }
 
-// Columns of half spectra, LINES neighbours at a time: what is read and written together lies together. Above and
-// below the frame is filled in as BORDER says; in place where there is nothing to fill in.
+// Columns of half spectra, LINES neighbours at a time: values that are read and written together are adjacent. Rows
+// above and below the frame are filled in according to BORDER. In place if there are none.
 __kernel void columns(
     // in:
     __global const float2 *spectra,          // [planes][rows][pitch]

@@ -1,52 +1,73 @@
-"""Two-dimensional transforms of real planes: scipy.fft where arrays are in host memory, kernels elsewhere.
+"""Two-dimensional transforms of real planes: scipy.fft for arrays in host memory, else kernels.
 
-A spectrum is float32 of shape (planes, rows, pitch, 2): real and imaginary parts of the columns 0 .. cols // 2, which
-determine the rest; what lies between cols // 2 + 1 and the pitch is scratch.
+A spectrum is float32 of shape (planes, rows, pitch, 2): real and imaginary parts of the columns 0
+.. cols // 2, which determine the rest. Values between cols // 2 + 1 and the pitch are scratch.
 
-GPUs transform whole lines in local memory (fft.cl, whose text Warp's CUDA devices run too), so that a plane is read and
-written twice in all. Source: Stockham's self-sorting form (Van Loan, Computational Frameworks for the Fast Fourier
-Transform, 1.7).
+GPUs transform whole lines in local memory (fft.cl, whose text Warp's CUDA devices run too); a plane
+is read and written twice in all. Source: Stockham's self-sorting form (Van Loan, Computational
+Frameworks for the Fast Fourier Transform, 1.7).
 """
 
 import functools
 import os
 from math import prod
+from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.optics.lengths import LENGTHS
 
 GROUP = 512  # work-items at most
 REGISTERS = (
     65536 // GROUP
-)  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
+)  # of a work-item at most: a group must be able to start; fewer spill (measured on an H200)
 RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 SECTOR = 4  # complex values that memory moves at once, 32 bytes
 
 
 def operations(period) -> float:
-    """Nominal multiplications and additions of a plane's real transform, 2.5 N log2 N, as FFTW counts them."""
+    """Return nominal operations of a plane's real transform, 2.5 N log2 N, as in FFTW."""
     return 2.5 * prod(period) * np.log2(prod(period))
 
 
 def pitch_of(device, cols) -> int:
-    """Complex values from one row of a spectrum of `cols` columns to the next: whole sectors on a GPU."""
+    """Return complex values from row to row of a spectrum: whole sectors on GPUs."""
     half = cols // 2 + 1
     return half if device.on_host else -(-half // SECTOR) * SECTOR
 
 
-def forward(device, planes):
-    """Spectra of `planes` (planes, rows, cols), shape (planes, rows, pitch, 2); `planes` may be overwritten."""
+def forward(device: Device, planes: Any) -> Any:
+    """Return the spectra of planes, which may be overwritten.
+
+    Args:
+        device: The device.
+        planes: Planes, shape (planes, rows, cols), float32.
+
+    Returns:
+        Spectra, shape (planes, rows, pitch, 2), float32 of the device.
+    """
     if device.on_host or room(max(planes.shape[1:])) > device.local_bytes:
         return _host_forward(device, planes)
     return _local_forward(device, planes, 0, planes.shape[0], "zero", planes.shape[1:])
 
 
-def forward_extended(device, planes, first, size, border, period):
-    """The same of planes `first` .. `first + size` in the middle of a period, what is around them as `border` says.
+def forward_extended(
+    device: Device, planes: Any, first: int, size: int, border: str, period: tuple[int, int]
+) -> Any:
+    """Return the spectra of planes in the middle of a period, with surroundings; the planes stay.
 
-    Returns shape (size, period[0], pitch, 2); `planes` stay.
+    Args:
+        device: The device.
+        planes: Planes, shape (planes, rows, cols), float32.
+        first: First of the planes.
+        size: Number of planes.
+        border: "zero", "edge" or "reflect", for the surroundings.
+        period: Lengths of the transform [pixel].
+
+    Returns:
+        Spectra, shape (size, period[0], pitch, 2), float32 of the device.
     """
     if device.on_host or room(max(period)) > device.local_bytes:
         before = middle(planes.shape[1:], period)
@@ -55,12 +76,21 @@ def forward_extended(device, planes, first, size, border, period):
 
 
 def middle(shape, period):
-    """Place of a frame's first pixel in the middle of a period, (row, column)."""
+    """Return the place (row, column) of a frame's first pixel in the middle of a period."""
     return tuple((length - n) // 2 for length, n in zip(period, shape, strict=True))
 
 
-def inverse(device, spectra, cols):
-    """Planes (planes, rows, cols) whose spectra these are, normalised; `spectra` is overwritten."""
+def inverse(device: Device, spectra: Any, cols: int) -> Any:
+    """Return the planes of spectra, normalised; the spectra are overwritten.
+
+    Args:
+        device: The device.
+        spectra: Spectra, shape (planes, rows, pitch, 2), float32.
+        cols: Columns of the planes.
+
+    Returns:
+        Planes, shape (planes, rows, cols), float32 of the device.
+    """
     count, rows, pitch, _ = spectra.shape
     if device.on_host or room(max(rows, cols)) > device.local_bytes:
         return _host_inverse(device, spectra, cols)
@@ -81,13 +111,16 @@ def inverse(device, spectra, cols):
 
 
 def room(length, lines=1) -> int:
-    """Bytes of local memory that complex lines take (ROOM in fft.clh)."""
+    """Return the bytes of local memory of complex lines (ROOM in fft.clh)."""
     padded = length + (length // 16 if length % 128 == 0 else 0)
     return 8 * lines * (-(-padded // 16) * 16 + 4)
 
 
 def passes(length, lines, sign, step=1) -> str:
-    """The PASSes of a transform (fft.clh): sign -1 forward, +1 inverse; roots are those of length x step."""
+    """Return the PASSes of a transform (fft.clh).
+
+    sign: -1 forward, +1 inverse. Roots are those of length x step.
+    """
     radices = _radices(length)
     return " ".join(
         f"PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f)"
@@ -96,32 +129,36 @@ def passes(length, lines, sign, step=1) -> str:
 
 
 def threads(device, length, lines) -> int:
-    """Work-items of a group: one transform of the second largest radix each, or the passes leave many idle."""
+    """Return the work-items of a group.
+
+    Each makes one transform of the second largest radix; with more work-items, the passes leave
+    many idle.
+    """
     radix = _radices(length)[:2][-1]
     return min(GROUP, device.group_limit, -(-lines * length // (radix * 32)) * 32)
 
 
 @functools.cache
 def roots(device, length):
-    """Roots of unity exp(2 pi i n / length), float64 mathematics rounded once, shape (length, 2)."""
+    """Return roots of unity exp(2 pi i n / length), float64 rounded once, shape (length, 2)."""
     values = np.exp(2j * np.pi * np.arange(length) / length)
     return device.array(np.stack([values.real, values.imag], axis=-1))
 
 
 @functools.lru_cache(maxsize=64)
-def constant(device, values, shape):
-    """Array of these bytes on the device: a copy would wait for all that was launched before."""
-    return device.array(np.frombuffer(values, np.float32).reshape(shape))
+def constant(device, values, shape, dtype=np.float32):
+    """Return a cached array of these bytes: a copy would wait for earlier launches."""
+    return device.array(np.frombuffer(values, dtype).reshape(shape), dtype)
 
 
 def roots_text(count) -> str:
-    """Roots of unity exp(2 pi i n / count), as PAIRs between commas."""
+    """Return roots of unity exp(2 pi i n / count), as PAIRs between commas."""
     values = np.exp(2j * np.pi * np.arange(count) / count).round(12) + 0.0
     return ", ".join(f"PAIR({value.real:.9f}f, {value.imag:.9f}f)" for value in values)
 
 
 def _local_forward(device, planes, first, size, border, period):
-    """Rows first, those of the frame alone: what is above and below is filled in as the columns read."""
+    """Transform the frame's rows, then columns, which fill in the surroundings as they read."""
     _, rows, cols = planes.shape
     pitch = pitch_of(device, period[1])
     before_y, before_x = middle((rows, cols), period)
@@ -216,7 +253,7 @@ def _host_inverse(device, spectra, cols):
 
 @functools.cache
 def _radices(length):
-    """Fewest radices whose product is the length, the largest of them as small as can be, large ones first."""
+    """Return the fewest radices of this length, the largest as small as possible, falling."""
     if length == 1:
         return (1,)
     best = {1: ()}

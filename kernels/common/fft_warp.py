@@ -1,3 +1,3 @@
-"""CUDA devices run the text of fft.cl: Warp has local memory in tiles alone, whose transform refuses 1200, say."""
+"""CUDA devices run the text of fft.cl: transforms of Warp's tiles refuse lengths like 1200."""
 
 NATIVE = True  # see gpusim.backends.native

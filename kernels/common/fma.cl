@@ -1,4 +1,4 @@
-// Multiplies and adds in registers alone: the ceiling of arithmetic. Ten chains hide an operation's latency and leave
+// Multiplies and adds only in registers: the limit of arithmetic. Ten chains hide an operation's latency and leave
 // room for both factors among 16 registers; VECTOR is as wide as the device's registers.
 #define STEP(s) s = s * a + b;
 #define EACH(DO) DO(s0) DO(s1) DO(s2) DO(s3) DO(s4) DO(s5) DO(s6) DO(s7) DO(s8) DO(s9)

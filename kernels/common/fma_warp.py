@@ -1,4 +1,4 @@
-"""Multiplies and adds in registers alone: the ceiling of arithmetic."""
+"""Multiplies and adds only in registers: the limit of arithmetic."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,6 +1,7 @@
-"""Philox4x32-10: random words as a pure function of (key, counter), so that order and device cannot matter.
+"""Philox4x32-10: random words as a pure function of (key, counter) on every device.
 
-Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011, section 3.3.
+Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011, section
+3.3.
 """
 
 import numpy as np
@@ -9,16 +10,20 @@ MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 WEYL = (
     np.uint32(0x9E3779B9),
     np.uint32(0xBB67AE85),
-)  # golden ratio and sqrt(3) - 1: what the key grows by each round
+)  # golden ratio and sqrt(3) - 1: increments of the key each round
 ROUNDS = 10
 
 
 def philox(counter, key):
-    """Four random words per counter.
+    """Return four random words per counter.
 
-    counter: four uint32 arrays or numbers that broadcast; gpusim counts (pixel, draw, frame, stream).
-    key: two uint32 numbers, the low and the high half of the seed.
-    Returns four uint32 arrays of the broadcast shape.
+    Args:
+        counter: Four uint32 arrays or numbers that broadcast; gpusim counts (pixel, draw, frame,
+            stream).
+        key: Two uint32 numbers, the low and the high half of the seed.
+
+    Returns:
+        Four uint32 arrays of the broadcast shape.
     """
     c0, c1, c2, c3 = np.broadcast_arrays(*(np.asarray(word, np.uint32) for word in counter))
     k0, k1 = (
@@ -47,7 +52,7 @@ def signed(word: int) -> int:
 
 
 def chance_word(chance: float, bits: int = 32) -> int:
-    """The largest of those `bits` bits that a random word is at most with this chance, in steps of 2^-bits."""
+    """Return the limit that a word of `bits` bits does not exceed with this chance."""
     return max(round(chance * 2**bits), 1) - 1
 
 

@@ -19,7 +19,7 @@ def philox(
     key_low: wp.uint32,
     key_high: wp.uint32,
 ):
-    """Four random words; key: the low and the high half of the seed."""
+    """Return four random words; key: the low and the high half of the seed."""
     a, b, c, d = pixel, draw, frame, stream
     k0, k1 = key_low, key_high
     for _ in range(10):

@@ -1,8 +1,8 @@
-"""Poisson numbers: the order of correctly rounded operations written here is the specification for all devices.
+"""Poisson numbers: the order of correctly rounded operations here specifies all devices.
 
-Two samplers. `poisson` is float32 and within 1e-4 of the distribution in total variation at every mean that float32
-counts (1.6e7); `poisson_exact` is float64 and within 1e-6. Both search where the mean is small and expand the quantile
-where it is not.
+There are two samplers. `poisson` is float32 and within 1e-4 of the distribution in total variation
+at every mean up to float32's exact integers (1.6e7). `poisson_exact` is float64 and within 1e-6.
+Both search at small means and expand the quantile at large ones.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ EXACT_SEARCH_BELOW = f32(24)  # the same for 1e-6 (2.4e-7 there)
 EXACT_MOST_BY_SEARCH = 96  # P(k > 96) < 1e-26 at mean 24
 
 # Cornish-Fisher terms of order m^0, m^(-1/2), ...: coefficients of z^0, z^2, ... or z^1, z^3, ... in turn. The first
-# has the half that rounding down wants.
+# contains the half for rounding down.
 TERMS = (
     (1 / 3, 1 / 6),
     (-1 / 36, -1 / 72),
@@ -31,9 +31,10 @@ FAST_TERMS = [[f32(c) for c in term] for term in TERMS[:4]]
 
 
 def poisson(mean, z, u):
-    """Poisson numbers of float32 `mean`: by search where it is below SEARCH_BELOW, else by expansion; NaN gives NaN.
+    """Return Poisson numbers of float32 `mean`; NaN gives NaN.
 
-    z: standard normal numbers; u: uniform numbers in (0, 1].
+    Means below SEARCH_BELOW are searched, larger ones expanded. z: standard normal numbers. u:
+    uniform numbers in (0, 1].
     """
     few = mean < SEARCH_BELOW
     count = np.empty_like(mean)
@@ -45,9 +46,10 @@ def poisson(mean, z, u):
 def poisson_by_search(mean, u):
     """Walk up the distribution while P(k >= j) > u, the inversion of its upper tail.
 
-    Small u are many photons, so that rare events keep the relative precision of u, and mean 1e-8 its one in 1e8. The
-    tail is 1 less the probabilities so far; where that is rounding error only, its bound by a geometric series,
-    P(k >= j) <= p_j (j + 1) / (j + 1 - mean), ends the walk. Without it up to 7 pixels in 1e8 ran to the cap.
+    Small u give many photons: rare events keep the relative precision of u, and a mean of 1e-8 its
+    one in 1e8. The tail is 1 minus the probabilities so far. If only rounding error is left of it,
+    its bound by a geometric series, P(k >= j) <= p_j (j + 1) / (j + 1 - mean), ends the walk.
+    Without the bound, up to 7 pixels in 1e8 reached the cap.
     """
     p, above = exp_negative(mean)
     count = np.zeros_like(mean)
@@ -63,12 +65,13 @@ def poisson_by_search(mean, u):
 
 
 def poisson_by_expansion(mean, z):
-    """Cornish-Fisher expansion of the Poisson quantile at Phi(z) to the fourth order, rounded down.
+    """Expand the Poisson quantile at Phi(z) to the fourth order (Cornish-Fisher), rounded down.
 
-    Cornish & Fisher, Revue de l'Institut International de Statistique 5 (1938), 307-320, with the cumulants of a
-    Poisson number less those of a uniform one, which make the lattice smooth; the first orders are those of Giles,
-    "Algorithm 955", ACM TOMS 42 (2016). The whole part of the mean stays apart, so that large counts are rounded once:
-    rounded twice, odd ones would be rarer than even ones.
+    Source: Cornish and Fisher, Revue de l'Institut International de Statistique 5 (1938), 307-320,
+    with the cumulants of a Poisson number minus the cumulants of a uniform one, which make the
+    lattice smooth; the first orders as in Giles, "Algorithm 955", ACM TOMS 42 (2016). The whole
+    part of the mean is added separately, and large counts are thus rounded once. Rounded twice, odd
+    counts would be rarer than even ones.
     """
     root, whole = np.sqrt(mean), np.floor(mean)
     shift = root * z + series(z, f32(1) / root, FAST_TERMS, horner)
@@ -77,7 +80,7 @@ def poisson_by_expansion(mean, z):
 
 
 def series(z, inverse, terms, horner):
-    """Sum over n of  inverse^n terms[n](z), inverse = 1 / sqrt(mean)."""
+    """Return the sum over n of inverse^n terms[n](z), inverse = 1 / sqrt(mean)."""
     square, rest = z * z, None
     for order in reversed(range(len(terms))):
         term = horner(square, terms[order])
@@ -87,9 +90,12 @@ def series(z, inverse, terms, horner):
 
 
 def poisson_exact(mean, u):
-    """Poisson numbers of float32 `mean` from float64 uniform numbers u in (0, 1), in float64; NaN gives NaN.
+    """Return Poisson numbers of float32 `mean` from float64 uniform numbers; NaN gives NaN.
 
-    The expansion is that of `poisson_by_expansion` to the sixth order.
+    u is in (0, 1).
+
+    The computation is in float64, the expansion as in `poisson_by_expansion` but to the sixth
+    order.
     """
     few = mean < EXACT_SEARCH_BELOW
     count = np.empty(mean.shape)
@@ -114,7 +120,7 @@ def exact_by_search(mean, u):
 
 
 def exact_by_expansion(mean, u):
-    """Cornish-Fisher expansion of the quantile at u to the sixth order, rounded down."""
+    """Expand the quantile at u to the sixth order (Cornish-Fisher), rounded down."""
     z, root = exact64_ref.normal_quantile(u), np.sqrt(mean)
     count = np.floor(mean + (root * z + series(z, 1.0 / root, TERMS, exact64_ref.horner)))
     return np.where(count < 0, 0.0, count)

@@ -61,7 +61,7 @@ def poisson_by_expansion(mean: float, z: float):
 
 @wp.func
 def poisson(mean: float, high: wp.uint32, low: wp.uint32, z: float):
-    """Within 1e-4 of Poisson in total variation."""
+    """Return a number within 1e-4 of Poisson in total variation."""
     if mean < SEARCH_BELOW:
         return poisson_by_search(mean, exact_uniform(high, low))
     return poisson_by_expansion(mean, z)
@@ -100,7 +100,7 @@ def exact_by_expansion(mean: f64, u: f64):
 
 @wp.func
 def poisson_exact(mean: float, high: wp.uint32, low: wp.uint32):
-    """Within 1e-6 of Poisson in total variation."""
+    """Return a number within 1e-6 of Poisson in total variation."""
     u = exact_uniform64(high, low)
     if mean < EXACT_SEARCH_BELOW:
         return float(exact_by_search(f64(mean), u))

@@ -1,41 +1,55 @@
 """Display encoding: linear RGB to 8-bit codes, by any increasing curve.
 
-Ports: rgb (3, rows, cols) float32, linear; thresholds (255,) float32 -> codes (rows, cols, 3) uint8.
+Ports: rgb (3, rows, cols) float32, linear; thresholds (255,) float32 -> codes (rows, cols, 3)
+uint8.
 
-The code of a value is the number of thresholds at or below it, threshold k being the least value with code k. So the
-devices need no power function and agree bit for bit.
+The code of a value is the number of thresholds at or below it; threshold k is the least value with
+code k. Devices need no power function and agree bit for bit.
 
-Curves of displays are steep near black and shallow near white, close to a power law, so bins that are as wide as their
-distance from black suit them: a bin is the floats that share their exponent and the first bits of their mantissa, as
-few bits as leave at most one threshold in a bin. Seven for sRGB and exponents of 1.8 to 2.6, in 1632 to 3004 bins. With
-s the number of bits below those, and `place` the value's bits counted from the first bin's, so that bin b begins at
-place b 2^s, the code in a bin whose threshold is at place t, with c thresholds before, is
+Curves of displays are steep near black and shallow near white, close to a power law, so bins whose
+width is proportional to their distance from black suit them. A bin holds the floats that share
+their exponent and the first bits of their mantissa, with the fewest bits that leave at most one
+threshold in a bin. Seven bits, in 1632 to 3004 bins, are enough for sRGB and exponents of 1.8 to
+2.6. With s the number of bits below those, and `place` the value's bits counted from the first
+bin's, bin b begins at place b 2^s. The code in a bin whose threshold is at place t, with c
+thresholds before, is
 
     c + (place >= t) = (c 2^s + 2^s - t + place) >> s     as 0 <= place - b 2^s, t - b 2^s <= 2^s,
 
-one entry c 2^s + 2^s - t of a table, modulo 2^32, one sum and one shift; t is the bin's end where it has none.
+one entry c 2^s + 2^s - t of a table, modulo 2^32, one sum and one shift. In a bin without a
+threshold, t is the bin's end.
 """
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 MANTISSA = 23  # bits
 MOST_BINS = 2**15  # 128 KiB; the table should stay in a core's own cache
-LEAST = 1e-30  # of a threshold: devices may take denormals for 0
+LEAST = 1e-30  # least threshold: devices may treat denormals as 0
 
 
 @stage
-def encode(device, rgb, thresholds):
-    """Codes of linear values; those outside the thresholds get 0 or 255, and NaN is black.
+def encode(device: Device, rgb: Array, thresholds: Array) -> Array:
+    """Return codes of linear values; values outside the thresholds get 0 or 255, and NaN is black.
 
-    rgb: shape (3, rows, cols). thresholds: shape (255,), float32, increasing: the smallest value with code 1, 2, ...
-    255; see the function `thresholds`. A tone curve before the display's makes one curve with it.
-    Returns shape (rows, cols, 3), uint8. Raises BadData.
+    Args:
+        rgb: Linear values, shape (3, rows, cols).
+        thresholds: Least values with code 1, 2, ... 255, shape (255,), float32, increasing; see the
+            function `thresholds`. A tone curve before the display's makes one curve with it.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Codes, shape (rows, cols, 3), uint8.
+
+    Raises:
+        BadData: The thresholds are not 255 increasing values, or too steep.
     """
     _, rows, cols = rgb.shape
     pixels = rows * cols
@@ -59,20 +73,29 @@ def encode(device, rgb, thresholds):
     return out
 
 
-def thresholds(decode) -> np.ndarray:
-    """The smallest float32 with code 1, 2, ... 255, codes rounded to the nearest: decode at k - 1/2, rounded up.
+def thresholds(decode: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the least float32 with code 1, 2, ... 255, with codes rounded to the nearest.
 
-    decode: increasing function from codes as fractions of the largest, 0 .. 1, to linear values, float64, such as
-    `gpusim.domain.display.Display.decode`. Returns shape (255,). Raises BadData.
+    Args:
+        decode: Increasing function from codes as fractions of the largest, 0 .. 1, to linear
+            values, float64; for example `gpusim.domain.display.Display.decode`.
+
+    Returns:
+        decode((k - 1/2) / 255) rounded up to float32, shape (255,).
+
+    Raises:
+        BadData: The curve does not increase, or is not finite.
     """
     linear = np.asarray(decode((np.arange(1, 256) - 0.5) / 255), np.float64)
     with np.errstate(over="ignore"):
         nearest = linear.astype(np.float32)
-    return checked(np.where(nearest < linear, np.nextafter(nearest, np.float32(np.inf)), nearest))
+    return check_thresholds(
+        np.where(nearest < linear, np.nextafter(nearest, np.float32(np.inf)), nearest)
+    )
 
 
-def checked(thresholds) -> np.ndarray:
-    """Thresholds as float32. Raises BadData."""
+def check_thresholds(thresholds) -> np.ndarray:
+    """Return the thresholds as float32. Raise BadData as `encode` does."""
     edges = np.asarray(thresholds, np.float32)
     if edges.shape != (255,):
         raise BadData(
@@ -92,10 +115,12 @@ def checked(thresholds) -> np.ndarray:
 
 
 class CodeTable:
-    """Thresholds as the kernels want them; kernels/common/codes.clh.
+    """Thresholds in the form that the kernels read (kernels/common/codes.clh).
 
-    entries: array of the device, uint32. numbers: value at which the first bin begins, last threshold, bits of a float
-    below those that name its bin.
+    Attributes:
+        entries: Array of the device, uint32.
+        numbers: Value at which the first bin begins, last threshold, and number of bits of a float
+            below those that name its bin.
     """
 
     def __init__(self, device, edges):
@@ -106,7 +131,7 @@ class CodeTable:
                 break
         first = (
             bits[0] - 1
-        ) >> shift  # what is clamped to the first bin's beginning lies below the first threshold
+        ) >> shift  # values clamped to the first bin's start are below the first threshold
         if named[-1] - first >= MOST_BINS:
             code = int(np.argmin(np.diff(edges) / edges[1:])) + 1
             raise BadData(
@@ -123,17 +148,17 @@ class CodeTable:
 
 
 def code_table(device, thresholds) -> CodeTable:
-    """Table of these thresholds on a device, kept for the next call. Raises BadData."""
+    """Return the table of these thresholds on a device, cached. Raise BadData as `encode` does."""
     return _code_table(device, np.asarray(device.numpy(thresholds), np.float32).tobytes())
 
 
 @functools.lru_cache(maxsize=16)
 def _code_table(device, content):
-    return CodeTable(device, checked(np.frombuffer(content, np.float32)))
+    return CodeTable(device, check_thresholds(np.frombuffer(content, np.float32)))
 
 
 def codes_defines(device, cols) -> dict:
-    """What codes.clh wants to know: whether rows of `cols` pixels begin at whole words, and how to read the table."""
+    """Return the defines of codes.clh: alignment of rows of `cols` pixels, access to the table."""
     if device.kind != "opencl":
         return {}
     packed = not device.is_gpu or cols % 4 != 0
@@ -145,7 +170,10 @@ def codes_defines(device, cols) -> dict:
 
 
 def cases():
-    """A fine grid, every boundary of several curves, HDR, negative, NaN, infinities; odd sizes."""
+    """Yield cases.
+
+    A fine grid, every boundary of several curves, HDR, negative, NaN, infinities; odd sizes.
+    """
     why = "the code is a count of exact comparisons: bit for bit"
     random = np.random.default_rng(6)
     srgb = thresholds(DISPLAYS["srgb"].decode)
@@ -186,7 +214,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A full range of values, sRGB."""
+    """Return inputs: a full range of values, sRGB."""
     return {
         "rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
         "thresholds": thresholds(DISPLAYS["srgb"].decode),

@@ -1,30 +1,44 @@
 """Transfer tables of a diffraction-limited lens, integrated over the pixel, one per wavelength.
 
-Ports: q (bands,) [1], the wavelength times the working f-number over the pixel pitch -> tables
-(bands, rows // 2 + 1, cols // 2 + 1) float32 [1], the quarter of the transform that its symmetry does not repeat.
+Ports: q (bands,) [1], wavelength times working f-number over pixel pitch -> tables (bands, rows //
+2 + 1, cols // 2 + 1) float32 [1]. The transfer function is even along both axes, so a table holds
+one quarter.
 
-The pixel-integrated point spread, sampled once per pixel, has the discrete transform
+The point spread function, integrated over the pixel and sampled once per pixel, has the transform
 
     T(f) = sum over integers (a, b) of  O(|f + (a, b)| q) sinc(h (fy + a)) sinc(w (fx + b)),
 
-f in cycles per pixel, h and w the aperture's height and width in pixels, O the transfer function of a circular pupil.
-The sum is finite because O ends at 1/q. Cutting it at Nyquist instead (a = b = 0 alone) rings by 2 % of a highlight's
-peak.
+f in cycles per pixel, h and w the aperture's height and width in pixels, O the transfer function of
+a circular pupil. The sum is finite because O ends at 1/q. Cutting it at Nyquist instead (a = b = 0
+only) rings by 2 % of a highlight's peak.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def airy(device, q, aperture, rows, cols):
-    """Quarter tables of the pixel-integrated transfer function.
+def airy(
+    device: Device, q: Array, aperture: float | tuple[float, float], rows: int, cols: int
+) -> Array:
+    """Return quarter tables of the pixel-integrated transfer function of a circular pupil.
 
-    q: lambda N / pitch per band, shape (bands,), each > 0. aperture: height and width of the pixel's aperture over the
-    pitch, or one number for a square. rows, cols: the period of the transform [pixel].
-    Returns shape (bands, rows // 2 + 1, cols // 2 + 1); entry (l, i, j) is at the frequency (i / rows, j / cols).
-    Source: Hopkins, Proc. R. Soc. A 231 (1955) for O; the folding is the sampling theorem.
+    Args:
+        q: lambda N / pitch of each band [1], shape (bands,), each > 0.
+        aperture: Height and width of the pixel's aperture over the pitch [1], or one number for a
+            square.
+        rows: Period of the transform along the columns [pixel].
+        cols: Period of the transform along the rows [pixel].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Tables [1], shape (bands, rows // 2 + 1, cols // 2 + 1), float32. Entry (l, i, j) belongs to
+        the frequency (i / rows, j / cols) cycles per pixel.
+
+    Source:
+        Hopkins, Proc. R. Soc. A 231 (1955), for O; the folding is the sampling theorem.
     """
     q = np.asarray(device.numpy(q), np.float32)
     shape = (len(q), rows // 2 + 1, cols // 2 + 1)
@@ -57,7 +71,11 @@ def airy(device, q, aperture, rows, cols):
 
 
 def cases():
-    """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong apertures."""
+    """Yield cases.
+
+    Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong
+    apertures.
+    """
     why = (
         "a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
         "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors"
@@ -79,7 +97,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """31 bands of a 1.4 um f/1.8 camera."""
+    """Return inputs: 31 bands of a 1.4 um f/1.8 camera."""
     return {
         "q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6,
         "aperture": 1.0,

@@ -1,4 +1,4 @@
-"""Pixel-integrated transfer function of a diffraction-limited lens, float64; the planner reads it as well."""
+"""Pixel-integrated transfer function of a diffraction-limited lens, float64, as for plans."""
 
 from gpusim.optics.tables import airy, otf
 

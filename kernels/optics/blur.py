@@ -1,38 +1,57 @@
-"""Blur of every plane by its own transfer function, summed into channels: the exact per-band form.
+"""Blur of every plane by its own transfer function, summed into channels: the exact form per band.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], mix (channels, planes) float32
--> channels (channels, rows, cols) float32:
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], mix (channels,
+planes) float32 -> channels (channels, rows, cols) float32:
 
-    e_c = sum over k of  mix[c, k] (planes_k * kernel_k),
+    e_c = sum over k of  mix[c, k] (planes_k * kernel_k).
 
-kernel_k given by its transfer function, tables[0, k] for every channel or tables[c, k] for each its own: a quarter,
-(period_y // 2 + 1, period_x // 2 + 1), for kernels that are even along both axes, whose transfer is real; a half,
-(period_y, 2 (period_x // 2 + 1)), real and imaginary parts side by side, for any other kernel.
-The sum is taken in the frequency domain: one transform per plane, one inverse per channel. The scene goes on beyond
-the frame as `border` says, up to half of what the period has more than the frame; only what lies farther away than
-the period minus the frame wraps around, which the planner reports as the energy of the kernel out there.
+kernel_k is given by its transfer function: tables[0, k] for all channels, or tables[c, k] for each.
+A table is a quarter, (period_y // 2 + 1, period_x // 2 + 1), if the kernel is even along both axes
+and its transfer function is therefore real. It is a half, (period_y, 2 (period_x // 2 + 1)), real
+and imaginary parts side by side, for any other kernel.
+
+The sum is taken in the frequency domain: one transform per plane, one inverse transform per
+channel. The scene continues beyond the frame according to `border`, by up to half of the difference
+between period and frame. Light from farther away wraps around; the planner reports it as the energy
+of the kernel out there.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.common import fft
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import fft_length
 
 BATCH = 8  # planes transformed at once: the sums are read and written once per batch
 
 
 @stage
-def blur(device, planes, tables, mix, border, period, margin=0):
-    """Convolve each plane with its kernel and add up per channel.
+def blur(
+    device: Device,
+    planes: Array,
+    tables: Array,
+    mix: Array,
+    border: str,
+    period: tuple[int, int],
+    margin: int = 0,
+) -> Array:
+    """Convolve each plane with its kernel and sum per channel.
 
-    planes: shape (planes, rows, cols). tables: shape (1 or channels, planes, period[0] // 2 + 1, period[1] // 2 + 1) or
-    (1 or channels, planes, period[0], 2 (period[1] // 2 + 1)), entry (i, j) at the frequency (i / period[0],
-    j / period[1]) cycles per pixel. mix: shape (channels, planes).
-    border: "zero", "edge" or "reflect" (the outermost pixel is repeated); a scene with surroundings of its own passes
-    them in `planes`. period: transform lengths, at least
-    (rows, cols). margin: pixels of the planes on each side that are surroundings and not in the result.
-    Returns shape (channels, rows - 2 margin, cols - 2 margin).
+    Args:
+        planes: Light of each plane, shape (planes, rows, cols). A scene that has its own
+            surroundings passes them here.
+        tables: Transfer functions [1], shape (1 or channels, planes, period[0] // 2 + 1, period[1]
+            // 2 + 1), or (1 or channels, planes, period[0], 2 (period[1] // 2 + 1)). Entry (i, j)
+            belongs to the frequency (i / period[0], j / period[1]) cycles per pixel.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        border: "zero", "edge" or "reflect" (the outermost pixel is repeated).
+        period: Transform lengths [pixel], at least (rows, cols).
+        margin: Pixels on each side of the planes that are surroundings and not in the result.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Channels, shape (channels, rows - 2 margin, cols - 2 margin), float32.
     """
     count, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
@@ -59,30 +78,17 @@ def blur(device, planes, tables, mix, border, period, margin=0):
             pitch,
         )
         defines = {"SIZE": size, "CHANNELS": channels}
-        if tables.shape[3] == half:
-            device.launch(
-                "optics.blur",
-                "accumulate",
-                (period[0], half),
-                spectra,
-                tables,
-                some,
-                sums,
-                *arguments,
-                defines=defines,
-            )
-        else:
-            device.launch(
-                "optics.blur",
-                "accumulate_complex",
-                (period[0], half),
-                spectra,
-                tables,
-                some,
-                sums,
-                *arguments,
-                defines=defines,
-            )
+        device.launch(
+            "optics.blur",
+            "accumulate" if tables.shape[3] == half else "accumulate_complex",
+            (period[0], half),
+            spectra,
+            tables,
+            some,
+            sums,
+            *arguments,
+            defines=defines,
+        )
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
     device.launch(
@@ -99,7 +105,11 @@ def blur(device, planes, tables, mix, border, period, margin=0):
 
 
 def cases():
-    """All borders, shared and own tables, one plane to more than a batch, odd periods, a highlight of 1e6."""
+    """Yield cases.
+
+    All borders, shared and own tables, one plane to more than a batch, odd periods, a highlight of
+    1e6.
+    """
     random = np.random.default_rng(3)
     why = (
         "a float32 transform errs by about 3e-7 of the field's root mean square (numerics: 2.5e-7), and the maximum "
@@ -130,7 +140,7 @@ def cases():
             )
             for i in (
                 (0, period[0] // 2) if period[0] % 2 == 0 else (0,)
-            ):  # what is its own opposite is real
+            ):  # a frequency that is its own opposite has a real value
                 for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
@@ -151,7 +161,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to three channels, 64 pixels of border."""
+    """Return inputs: four planes to three channels, 64 pixels of border."""
     random = np.random.default_rng(3)
     period = (fft_length(rows + 128), fft_length(cols + 128))
     return {
@@ -164,7 +174,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, border, period):
-    """Transforms there and back; per frequency each plane times its table, and that times the mix, added up."""
+    """Count operations.
+
+    Transforms there and back; per frequency each plane times its table, and that times the mix,
+    added up.
+    """
     frequencies = period[0] * (period[1] // 2 + 1)
     channels, count = mix.shape
     return (count + channels) * fft.operations(period) + frequencies * count * (

@@ -6,7 +6,7 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
 def blur(planes, tables, mix, border, period, margin=0):
-    """See the contract; `H_ck` is the quarter or half table unfolded over all frequencies, one at a time."""
+    """Return the stage's result; `H_ck` is the table unfolded over all frequencies."""
     count, rows, cols = planes.shape
     more = np.array(period) - (rows, cols)
     pad = [(m // 2, m - m // 2) for m in more]
@@ -15,14 +15,14 @@ def blur(planes, tables, mix, border, period, margin=0):
         spectrum = np.fft.fft2(np.pad(np.asarray(planes[k], np.float64), pad, mode=MODES[border]))
         for c, weights in enumerate(np.asarray(mix, np.float64)):
             if c < len(tables):
-                whole = _unfolded(np.asarray(tables[c, k], np.float64), period)
+                whole = _unfold(np.asarray(tables[c, k], np.float64), period)
             sums[c] += weights[k] * whole * spectrum
     blurred = np.fft.ifft2(sums).real
     y, x = pad[0][0] + margin, pad[1][0] + margin
     return blurred[:, y : y + rows - 2 * margin, x : x + cols - 2 * margin]
 
 
-def _unfolded(table, period):
+def _unfold(table, period):
     opposite = [(n - np.arange(n)) % n for n in period]
     half = period[1] // 2 + 1
     if table.shape[1] == 2 * half:  # the half at the frequency, or the conjugate of its opposite's

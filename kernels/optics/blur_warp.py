@@ -1,4 +1,4 @@
-"""The transforms are elsewhere (common/fft.py); these kernels weight and sum, and crop, all memory-bound."""
+"""Weights, sums and crops around the transforms of common/fft.py; all kernels are memory-bound."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,9 +1,9 @@
-// One pixel of one channel per work-item; memory-bound. ENTRIES comes from the host, so that the loop is unrolled.
+// One pixel of one channel per work-item; memory-bound. ENTRIES comes from the host and unrolls the loop.
 __kernel void composite(
     // in:
     __global const float *restrict lights,  // [ENTRIES][channels][pixels]
     __global const float *restrict alphas,  // [ENTRIES][channels or 1][pixels]
-    __constant float *ends,                 // [ENTRIES] 1 where a layer ends, 0 else
+    __constant float *ends,                 // [ENTRIES] 1 at the end of a layer, 0 else
     // out:
     __global float *restrict out,           // [channels][pixels]
     // params:

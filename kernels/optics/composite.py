@@ -1,30 +1,47 @@
-"""Layers of different depth, each blurred by itself, laid over one another: nearer ones hide what is behind them.
+"""Blurred layers of different depth, composed: near layers hide far ones.
 
-Ports: lights (entries, channels, rows, cols) float32, alphas (entries, channels or 1, rows, cols) float32 [1]
--> out (channels, rows, cols) float32 of the lights' unit. An entry is what one kernel spread of one layer: its light
-and its coverage, both blurred. Entries of a layer add up to B_k and A_k; layers are counted from the nearest:
+Ports: lights (entries, channels, rows, cols) float32, alphas (entries, channels or 1, rows, cols)
+float32 [1] -> out (channels, rows, cols) float32 in the lights' unit. An entry is the part of one
+layer that one kernel has spread: its light and its coverage, both blurred. The entries of a layer
+add up to B_k and A_k. Layers are counted from the nearest:
 
     out = sum over k < last of  B_k T_k  +  (B_last / A_last) T_last,    T_k = product over nearer j of (1 - A_j).
 
-The last layer covers everything, so its blurred coverage differs from 1 only where kernels of different width meet:
-dividing by it keeps an even surface even, whatever its slope.
+The last layer covers everything. Its blurred coverage differs from 1 only where kernels of
+different width meet. Division by it keeps an even surface even, at any slope.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def composite(device, lights, alphas, layers):
-    """Lay blurred layers over one another.
+def composite(
+    device: Device, lights: Array, alphas: Array, layers: Sequence[int] | np.ndarray
+) -> Array:
+    """Compose blurred layers, the nearest on top.
 
-    lights: shape (entries, channels, rows, cols), each already multiplied by its coverage before it was blurred.
-    alphas: blurred coverage, shape (entries, channels or 1, rows, cols); sums of a layer beyond 0 .. 1 are clipped.
-    layers: layer of each entry, counted from the nearest, shape (entries,), not decreasing.
-    Returns shape (channels, rows, cols). Source: Porter and Duff, SIGGRAPH 1984 (the operator "over").
-    Raises BadData.
+    Args:
+        lights: Light of each entry, multiplied by its coverage before the blur, shape (entries,
+            channels, rows, cols).
+        alphas: Blurred coverage [1], shape (entries, channels or 1, rows, cols). Sums of a layer
+            are clipped to 0 .. 1.
+        layers: Layer of each entry, counted from the nearest, shape (entries,), not decreasing.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Light of the composed layers, shape (channels, rows, cols), float32.
+
+    Raises:
+        BadData: `layers` has another length or decreases.
+
+    Source:
+        Porter and Duff, SIGGRAPH 1984 (the operator "over").
     """
     count, channels, rows, cols = lights.shape
     layers = checked_layers(layers, count)
@@ -52,7 +69,7 @@ def composite(device, lights, alphas, layers):
 
 
 def checked_layers(layers, count) -> np.ndarray:
-    """`layers` as an array of `count` integers that do not decrease. Raises BadData."""
+    """Return `layers` as an array of `count` integers. Raise BadData if they decrease."""
     layers = np.asarray(layers)
     if layers.shape != (count,) or not count or (np.diff(layers) < 0).any():
         raise BadData(
@@ -62,7 +79,7 @@ def checked_layers(layers, count) -> np.ndarray:
 
 
 def cases():
-    """One layer, several of one and of more entries, shared and own coverage."""
+    """Yield cases: one layer, several of one and of more entries, shared and own coverage."""
     random = np.random.default_rng(12)
     for layers, channels, own, rows, cols in (
         ((0,), 1, 0, 1, 1),
@@ -94,7 +111,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three layers of three kernels each, three channels."""
+    """Return inputs: three layers of three kernels each, three channels."""
     random = np.random.default_rng(12)
     return {
         "lights": random.random((9, 3, rows, cols), np.float32),

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def composite(lights, alphas, layers):
-    """See the contract."""
+    """Return the stage's result, see `composite.py`."""
     lights, alphas, layers = (
         np.asarray(lights, np.float64),
         np.asarray(alphas, np.float64),

@@ -1,5 +1,5 @@
 // One pixel of all PLANES that share a grid per work-item: its place and weights are found once.
-// Places stay differences from the pixel's own index, so that float32 keeps its fractions.
+// Places stay differences from the pixel's own index: float32 then keeps its fractions.
 
 #include "border.clh"
 
@@ -11,7 +11,7 @@ float4 keys(const float s)  // weights of the samples -1, 0, 1, 2 at s in 0 .. 1
 }
 
 // First of four nodes and the weights of all for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers
-// as long as possible: the fraction is then as exact in the last cell as in the first.
+// while possible: the fraction is then equally exact in the first and the last cell.
 int nodes(const int half_steps, const int n, const int count, float *weights)
 {
     const int at = half_steps * (count - 1);
@@ -103,7 +103,7 @@ __kernel void cubic(
 
 float mean_clamped(const float t0, const float t1)  // mean of clamp(t, 0, 1) over t between t0 and t1
 {
-    // (difference of the antiderivatives) / (t1 - t0), arranged so that nothing cancels when t1 is close to t0
+    // (difference of the antiderivatives) / (t1 - t0), arranged without cancellation for t1 close to t0
     const float low = fmin(t0, t1), high = fmax(t0, t1), d = high - low;
     const float a = clamp(low, 0.0f, 1.0f), b = clamp(high, 0.0f, 1.0f);
     const float sum = (b - a) * (0.5f * (a + b)) + (fmax(high, 1.0f) - fmax(low, 1.0f));
@@ -119,8 +119,8 @@ float below(const float y0, const float x0, const float y1, const float x1)
     return (b - a) * mean_clamped(y0 + t0 * (y1 - y0), y0 + t1 * (y1 - y0));
 }
 
-// How much of the samples next to a cell, outside of it, its interpolants take before they fall below 0: the least ratio
-// of what weighs in and what weighs against, at nine places in it; 1 - 2 (1 - ratio) of it, or all from a ratio of 1 on.
+// Part of the samples next to a cell, outside of it, that its interpolants can take without falling below 0: the least
+// ratio of positive to negative terms at nine places in it; 1 - 2 (1 - ratio) of it, or all from a ratio of 1 on.
 __kernel void rooms(
     // in:
     __global const float *restrict light,  // [channels][rows + 3][cols + 3], 3 samples around the frame's
@@ -154,7 +154,7 @@ __kernel void rooms(
     room[y * cols + x] = least;
 }
 
-// Share of every sample that is interpolated by cubics: as much as the cells allow where its weight is negative.
+// Share of every sample that is interpolated by cubics: the most that the cells with a negative weight allow.
 __kernel void shares(
     // in:
     __global const float *restrict room,  // [rows + 3][cols + 3]
@@ -266,7 +266,7 @@ __kernel void area(
                                 + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
             const int sy = inside(first_y + a, source_rows, BORDER), sx = inside(first_x + b, source_cols, BORDER);
             const int dropped = BORDER == 0 && (sy != first_y + a || sx != first_x + b);
-            // neighbours share their corners to rounding: what one pixel misses the other has; below zero is rounding
+            // neighbours share their corners to rounding: one pixel's loss is the other's gain; below zero is rounding
             const float w = dropped ? 0.0f : fmax(overlap, 0.0f);
 #pragma unroll
             for (int p = 0; p < PLANES; ++p)

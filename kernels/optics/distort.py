@@ -1,42 +1,71 @@
 """Geometric resampling that conserves flux: distortion and lateral colour.
 
-Ports: planes (planes, source_rows, source_cols) float32, grids (1 or planes, ny, nx, 3) float32
-[, light (channels, source_rows, source_cols) float32] -> distorted (planes, rows, cols) float32 of the planes' unit
-(energy per area).
+Ports: planes (planes, source_rows, source_cols) float32, grids (1 or planes, ny, nx, 3) float32 [,
+light (channels, source_rows, source_cols) float32] -> distorted (planes, rows, cols) float32 in the
+planes' unit (energy per area).
 
-A grid divides the frame evenly, its outermost nodes on the frame's edges (half a pixel beyond the outermost pixels'
-indices). Each node holds what to add to a pixel's row and column for its place among the source samples, and the flux
-factor J, source area over pixel area (physical areas). Between nodes the values are cubic Lagrange interpolants, of the
-four nearest nodes there are. Two methods:
+A grid divides the frame evenly. Its outermost nodes lie on the frame's edges, half a pixel beyond
+the indices of the outermost pixels. Each node holds the offsets from a pixel's row and column to
+its place among the source samples, and the flux factor J, source area over pixel area (physical
+areas). Values between nodes are cubic Lagrange interpolants of the four nearest nodes. There are
+two methods:
 
-    "cubic"  J(p) times the Keys cubic interpolant of the source at the pixel's place: sharp; flux conserved as far as
-             the source is smooth on the scale of a pixel (and it aliases beyond two source samples per pixel).
-             The cubic's weights next to a bright sample are negative. Given `light`, only as much of each sample is
-             interpolated as its negative weights leave the interpolant above 0, in every channel; the
-             rest of it goes by area, as bright as J says. A star in the dark keeps its energy then, and nothing is
-             below 0;
-    "area"   the integral of the source, constant within each sample, over the quadrilateral that is imaged onto the
-             pixel, times `density` (source sample's area over pixel's area): never negative, and neighbours share their
-             corners, so that every source sample's energy arrives exactly once.
+    "cubic"  J(p) times the Keys cubic interpolant of the source at the pixel's place. It is sharp. It
+             conserves flux if the source is smooth on the scale of a pixel, and aliases beyond two
+             source samples per pixel. The cubic's weights next to a bright sample are negative. With
+             `light`, each sample is interpolated only in part, so much that the interpolant stays
+             above 0 in every channel. The rest is spread by area, as bright as J says. A star in the
+             dark then keeps its energy, and no value is below 0;
+    "area"   the integral of the source, constant within each sample, over the quadrilateral that is
+             imaged onto the pixel, times `density` (area of a source sample over area of a pixel). It
+             is never negative. Neighbours share their corners, so every source sample's energy
+             arrives exactly once.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def distort(device, planes, grids, shape, border, method="cubic", density=1.0, light=None):
+def distort(
+    device: Device,
+    planes: Array,
+    grids: Array,
+    shape: tuple[int, int],
+    border: str,
+    method: str = "cubic",
+    density: float = 1.0,
+    light: Array | None = None,
+) -> Array:
     """Resample every plane through the inverse mapping of `grids`.
 
-    planes: shape (planes, source_rows, source_cols). grids: shape (1 or planes, ny, nx, 3), ny and nx
-    at least 4. shape: (rows, cols) of the result. border: "zero", "edge" or "reflect" (the
-    outermost sample is repeated), for places outside the source. density: see above; the method "cubic" has it in J.
-    light: of the source in each channel, of any unit, for the method "cubic" of up to two samples per pixel; None: it
-    may fall below 0.
-    Returns shape (planes, rows, cols). Source: Keys, IEEE Trans. ASSP 29 (1981) for the cubic; the area method is the
-    drizzle of Fruchter and Hook, PASP 114 (2002) at full pixel size, read backwards.
+    Args:
+        planes: Energy per area, shape (planes, source_rows, source_cols).
+        grids: Offsets [sample], [sample] and J [1] at the nodes, shape (1 or planes, ny, nx, 3), ny
+            and nx at least 4.
+        shape: Rows and columns of the result.
+        border: "zero", "edge" or "reflect" (the outermost sample is repeated), for places outside
+            the source.
+        method: "cubic" or "area", see above.
+        density: Area of a source sample over area of a pixel [1]; for the method "cubic" J contains
+            it.
+        light: The source in each channel, any unit, shape (channels, source_rows, source_cols), for
+            the method "cubic" with up to two samples per pixel. Without it, results may be
+            negative.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The resampled planes, shape (planes, rows, cols), float32.
+
+    Raises:
+        ValueError: The method is neither "cubic" nor "area".
+
+    Source:
+        Keys, IEEE Trans. ASSP 29 (1981), for the cubic. The area method is the drizzle of Fruchter
+        and Hook, PASP 114 (2002), at full pixel size, read backwards.
     """
     count, source_rows, source_cols = planes.shape
     span = _span(np.asarray(device.numpy(grids)), shape) if method == "area" else 0
@@ -60,26 +89,14 @@ def distort(device, planes, grids, shape, border, method="cubic", density=1.0, l
         shape[0],
         defines=defines,
     )
-    if method == "cubic" and light is not None:
+    if method == "cubic":
         device.launch(
             "optics.distort",
-            "limited",
+            "cubic" if light is None else "limited",
             (maps, *shape),
             planes,
             lines,
-            _shares(device, light, border),
-            out,
-            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
-            *sizes,
-            defines=defines,
-        )
-    elif method == "cubic":
-        device.launch(
-            "optics.distort",
-            "cubic",
-            (maps, *shape),
-            planes,
-            lines,
+            *(() if light is None else (_shares(device, light, border),)),
             out,
             *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
             *sizes,
@@ -102,7 +119,7 @@ def distort(device, planes, grids, shape, border, method="cubic", density=1.0, l
 
 
 def _shares(device, light, border):
-    """Part of every sample that cubics may interpolate, (rows, cols)."""
+    """Return the part of every sample that cubics may interpolate, (rows, cols)."""
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
@@ -119,7 +136,7 @@ def _shares(device, light, border):
 
 
 def _span(grids, shape):
-    """Source samples that one pixel's quadrilateral can touch along an axis."""
+    """Return the most source samples that a pixel's quadrilateral touches along an axis."""
     slopes = [
         np.abs(np.diff(grids[..., :2], axis=1 + axis)).max(axis=(0, 1, 2))
         * (grids.shape[1 + axis] - 1)
@@ -131,7 +148,10 @@ def _span(grids, shape):
 
 
 def grid_of(shape, step, place):
-    """Grid (ny, nx, 3) of the analytic mapping place(rows, cols) -> (rows, cols, flux factor), for cases."""
+    """Return the grid (ny, nx, 3) of an analytic mapping, for cases.
+
+    place: function of (rows, cols) to (rows, cols, flux factor).
+    """
     rows, cols = (np.linspace(0, n, max(4, n // step + 1)) - 0.5 for n in shape)
     y, x, flux = place(*np.meshgrid(rows, cols, indexing="ij"))
     return np.stack([y - rows[:, None], x - cols, flux * np.ones_like(x)], axis=-1).astype(
@@ -140,7 +160,7 @@ def grid_of(shape, step, place):
 
 
 def _barrel(shape, strength, turn=0.0):
-    """Barrel of the given relative strength at the corner, turned by `turn` [rad], with its flux factor."""
+    """Return a barrel mapping of this relative strength at the corner, turned by `turn` [rad]."""
     middle, corner2 = (np.array(shape) - 1) / 2, (np.hypot(*shape) / 2) ** 2
 
     def place(rows, cols):
@@ -157,7 +177,11 @@ def _barrel(shape, strength, turn=0.0):
 
 
 def cases():
-    """Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one pixel; stars."""
+    """Yield cases.
+
+    Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one
+    pixel; stars.
+    """
     random = np.random.default_rng(8)
     for rows, cols, maps, strength, turn, border in (
         (1, 1, 1, 0.0, 0.0, "zero"),
@@ -221,7 +245,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three planes with lateral colour, 5 % barrel."""
+    """Return inputs: three planes with lateral colour, 5 % barrel."""
     random = np.random.default_rng(8)
     grids = [
         grid_of((rows, cols), 32, _barrel((rows, cols), 0.05 * (1 + 0.01 * m))) for m in range(3)

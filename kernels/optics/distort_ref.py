@@ -6,7 +6,7 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
 def _lagrange(grid, shape, rows, cols):
-    """Grid values at the pixel indices rows x cols of a frame of `shape`."""
+    """Return grid values at the pixel indices rows x cols of a frame of `shape`."""
 
     def matrix(indices, length, count):
         t = (indices + 0.5) * (count - 1) / length
@@ -30,7 +30,7 @@ def _lagrange(grid, shape, rows, cols):
 
 
 def _keys(t):
-    """The interpolation kernel of Keys, a = -1/2."""
+    """Return the interpolation kernel of Keys, a = -1/2."""
     t = np.abs(t)
     return np.where(
         t <= 1,
@@ -54,7 +54,7 @@ def _cubic(planes, grid, shape, border):
 
 
 def _pad(planes, border, first_y, first_x, size):
-    """Planes with as much around them as the indices first .. first + size - 1 need, and the offsets to them."""
+    """Return planes with the surroundings that the indices need, and the offsets to them."""
     pads = [
         (max(0, -int(first.min())), max(0, int(first.max()) + size - n))
         for first, n in ((first_y, planes.shape[1]), (first_x, planes.shape[2]))
@@ -64,9 +64,10 @@ def _pad(planes, border, first_y, first_x, size):
 
 
 def _clip(polygons, axis, low):
-    """Part of each polygon (..., vertices, 2) with coordinate `axis` >= low (or <= -low when axis is negative).
+    """Return the part of each polygon (..., vertices, 2) with coordinate `axis` >= low.
 
-    Crossings of the line are inserted and what is beyond it is projected onto it, where it encloses no area.
+    A negative axis means <= -low. Crossings of the line are inserted, and vertices beyond it are
+    projected onto it, which encloses no area.
     """
     sign, axis = (-1, ~axis) if axis < 0 else (1, axis)
     p, q = polygons, np.roll(polygons, -1, axis=-2)
@@ -82,7 +83,7 @@ def _clip(polygons, axis, low):
 
 
 def _quads(grid, shape):
-    """Corners of every pixel among the samples, sample i from i to i + 1: (rows, cols, 4, 2)."""
+    """Return the corners of every pixel, (rows, cols, 4, 2); sample i covers i to i + 1."""
     rows, cols = np.arange(shape[0] + 1) - 0.5, np.arange(shape[1] + 1) - 0.5
     v, u, _ = _lagrange(grid, shape, rows, cols)
     corners = np.stack([v + rows[:, None], u + cols], axis=-1) + 0.5  # sample i covers i .. i + 1
@@ -113,7 +114,7 @@ def _area(planes, grid, shape, border, density):
 
 
 def _share(light, border):
-    """Part of every sample that cubics may interpolate, (rows, cols): the least over the channels."""
+    """Return the part of every sample that cubics may interpolate in all channels."""
     (rows, cols), room, weights = (
         light.shape[1:],
         1.0,
@@ -140,12 +141,12 @@ def _share(light, border):
         (2, 0),
         (1, 3),
         (2, 3),
-    )  # cells where weights are negative
+    )  # cells with negative weights
     return np.min([room[y : y + rows, x : x + cols] for y, x in around], axis=0)
 
 
 def _as_bright_as_j(grid, shape):
-    """J over the area of each pixel's quadrilateral, (rows, cols)."""
+    """Return J over the area of each pixel's quadrilateral, (rows, cols)."""
     quads, flux = _quads(grid, shape), _lagrange(grid, shape, *map(np.arange, shape))[2]
     after = np.roll(quads, -1, axis=-2)
     doubled = np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1)
@@ -153,7 +154,7 @@ def _as_bright_as_j(grid, shape):
 
 
 def distort(planes, grids, shape, border, method="cubic", density=1.0, light=None):
-    """See the contract."""
+    """Return the stage's result, see `distort.py`."""
     share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
     out = []
     for grid, own in zip(grids, np.split(np.asarray(planes), len(grids)), strict=True):

@@ -1,4 +1,4 @@
-"""One pixel of all planes that share a grid per thread; places are differences from the pixel's own index."""
+"""One pixel of all planes with one grid per thread; places are offsets from its index."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -15,7 +15,7 @@ def first_node(half_steps: int, n: int, count: int):
 
 @wp.func
 def lagrange(half_steps: int, n: int, count: int, first: int):
-    # Weights of four nodes for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers as long as
+    # Weights of four nodes for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers while
     # possible: the fraction is then as exact in the last cell as in the first.
     s = float(half_steps * (count - 1) - first * 2 * n) * (0.5 / float(n))
     s1 = s - 1.0
@@ -106,7 +106,7 @@ def cubic(
 
 @wp.func
 def mean_clamped(t0: float, t1: float):  # mean of clamp(t, 0, 1) over t between t0 and t1
-    # (difference of the antiderivatives) / (t1 - t0), arranged so that nothing cancels when t1 is close to t0
+    # (difference of the antiderivatives) / (t1 - t0), arranged without cancellation for t1 close to t0
     low = wp.min(t0, t1)
     high = wp.max(t0, t1)
     a = wp.clamp(low, 0.0, 1.0)
@@ -242,7 +242,7 @@ def shares(
 
 @wp.func
 def overlap(c00: wp.vec3, c10: wp.vec3, c11: wp.vec3, c01: wp.vec3, v: float, u: float):
-    # area of the pixel's quadrilateral within a sample; v, u: from it to where the corners are counted from
+    # area of the pixel's quadrilateral within a sample; v, u: from it to the origin of the corners
     y00 = c00[0] - v
     y10 = c10[0] + 1.0 - v
     y11 = c11[0] + 1.0 - v

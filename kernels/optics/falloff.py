@@ -1,20 +1,31 @@
-"""Fall-off of every pixel: relative illumination of a measured lens, falloff of microlenses toward the corner.
+"""Fall-off at every pixel: relative illumination of a lens, loss of microlenses in corners.
 
-Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1]
--> planes (planes, rows, cols) float32 of the planes' unit. The cos^4 law alone needs no map: `sensor.collect` has it.
+Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1] -> planes
+(planes, rows, cols) float32 in the planes' unit. The cos^4 law needs no map: `sensor.collect`
+applies it.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def falloff(device, planes, gains):
-    """Multiply every plane by a map, its own or one for all.
+def falloff(device: Device, planes: Array, gains: Array) -> Array:
+    """Multiply every plane by a map of gains.
 
-    planes: shape (planes, rows, cols). gains: shape (1 or planes, rows, cols).
-    Returns shape (planes, rows, cols). Source: Farrell and Wandell, section 4.1 (relative illumination).
+    Args:
+        planes: Light of each plane, shape (planes, rows, cols).
+        gains: Gain of every pixel [1], shape (1 or planes, rows, cols): one map for all planes, or
+            one for each.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The products, shape (planes, rows, cols), float32.
+
+    Source:
+        Farrell and Wandell, section 4.1 (relative illumination).
     """
     count, rows, cols = planes.shape
     planes, gains = device.array(planes), device.array(gains)
@@ -25,7 +36,7 @@ def falloff(device, planes, gains):
 
 
 def cases():
-    """One map for all planes and one for each, over nine decades."""
+    """Yield cases: one map for all planes and one for each, over nine decades."""
     random = np.random.default_rng(9)
     for planes, maps, rows, cols in ((1, 1, 1, 1), (3, 1, 3, 5), (4, 4, 63, 65), (2, 1, 5, 200)):
         yield Case(
@@ -41,7 +52,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three planes, one map."""
+    """Return inputs: three planes, one map."""
     random = np.random.default_rng(9)
     return {
         "planes": random.random((3, rows, cols), np.float32),
@@ -50,5 +61,5 @@ def bench(rows, cols):
 
 
 def operations(planes, gains):
-    """A multiplication for each value."""
+    """Count operations: a multiplication for each value."""
     return planes.size

@@ -4,5 +4,5 @@ import numpy as np
 
 
 def falloff(planes, gains):
-    """See the contract."""
+    """Return the stage's result, see `falloff.py`."""
     return np.asarray(planes, np.float64) * np.asarray(gains, np.float64)

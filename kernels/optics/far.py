@@ -1,12 +1,13 @@
-"""The far field of a blur: Gaussians over a world that goes on without end as its border says, added to a frame.
+"""The far field of a blur: wide Gaussians over a world without end, added to a frame.
 
-Ports: onto, mosaic (rows, cols) or channels (channels, rows, cols) float32; planes (planes, rows, cols) float32,
-weights (channels, planes, G), sigmas (G,), cfa (ph, pw) -> the shape of onto, float32:
+Ports: onto, a mosaic (rows, cols) or channels (channels, rows, cols) float32; planes (planes, rows,
+cols) float32, weights (channels, planes, G), sigmas (G,), cfa (ph, pw) -> the shape of onto,
+float32:
 
     out(y, x) = onto(y, x) + sum over k, g of  weights[c, k, g] (gaussian_g * planes_k)(y, x),
 
-c = cfa[y mod ph, x mod pw] of a mosaic. The Gaussians are wide, so that grids of cubic splines carry them
-(`gpusim.optics.splines`): a chain of matrices of few entries along one axis after the other.
+c = cfa[y mod ph, x mod pw] for a mosaic. Grids of cubic splines represent the wide Gaussians
+(`gpusim.optics.splines`): a chain of sparse matrices along one axis after the other.
 """
 
 import functools
@@ -15,39 +16,67 @@ from math import prod
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.common.fft import constant
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.ladder import LEAST
 from gpusim.optics.splines import SPACINGS, axes
 
 LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 
-BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly of the same places
+BLOCK = 4  # rows of a matrix that a CPU makes at once: most of their entries have the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
 GROUP = (
     4,
     16,
 )  # its work-items at a time, whose results fill whole lines of the cache when they are turned
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
-WIDE, LINES = 32, 8  # columns of a work-group's result there, and its lines of so many work-items
+WIDE, LINES = 32, 8  # columns of a work-group's result on a GPU, and its lines of work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
-MANY = 256  # work-groups, so that all of a GPU is busy
-STEP = 8192  # bytes of local memory: few sizes, so that few kernels are built
+MANY = 256  # work-groups that keep a whole GPU busy
+STEP = 8192  # bytes of local memory: few sizes need few kernels
 
 
 @stage
-def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=SPACINGS):
-    """Add the far field of planes to what is blurred of them.
+def far(
+    device: Device,
+    onto: Array,
+    planes: Array,
+    weights: Array,
+    sigmas: Array,
+    cfa: Array | None,
+    border: str,
+    margin: int = 0,
+    spacings: float = SPACINGS,
+) -> Array:
+    """Add the far field of planes to their near blur.
 
-    onto: shape (rows - 2 margin, cols - 2 margin), a mosaic, or (channels, ...), every channel. planes: shape (planes,
-    rows, cols). weights: energy of each Gaussian of a plane in a channel, shape (channels, planes, G). sigmas: their
-    standard deviations, shape (G,) [sample], growing; infinite: the mean of the four corners of a world that goes on
-    as its edge, of the frame of one that is mirrored, 0 of a dark one. cfa: channel of each pixel of one period of the
-    mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect". margin: samples of the planes
-    on each side that `onto` is without, or, below 0, that it has more, up to LEAST_SIGMA / 3. spacings: of splines in
-    the first of the standard deviations: 2.8 errs by 1e-7 of a scene's root mean square, 1.6 by 1e-6, 1 by 3e-5.
-    Returns the shape of onto. Raises OutOfRange for planes of less than LEAST_SIDE samples a side and Gaussians below
-    LEAST_SIGMA. Source: the sum is the formula; for its grids see `gpusim.optics.splines`.
+    Args:
+        onto: The near blur, a mosaic of shape (rows - 2 margin, cols - 2 margin), or every channel,
+            (channels, ...).
+        planes: Light of each plane, shape (planes, rows, cols).
+        weights: Energy of each Gaussian of a plane in a channel, shape (channels, planes, G).
+        sigmas: Standard deviations [sample], increasing, shape (G,). An infinite one gives the mean
+            of the four corners for border "edge", the frame's mean for "reflect", 0 for "zero".
+        cfa: Channel of each pixel in one period of the mosaic, shape (ph, pw); None for every
+            channel.
+        border: "zero", "edge" or "reflect".
+        margin: Samples on each side of the planes that `onto` lacks; if negative, that it has in
+            addition, up to LEAST_SIGMA / 3.
+        spacings: Splines per standard deviation of the first Gaussian of a level. The error is 1e-7
+            of a scene's root mean square at 2.8, 1e-6 at 1.6, 3e-5 at 1.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The sum, in the shape of `onto`, float32.
+
+    Raises:
+        OutOfRange: Planes have a side below LEAST_SIDE samples, or Gaussians are below LEAST_SIGMA
+            or do not increase.
+
+    Source:
+        The sum is the formula. For its grids see `gpusim.optics.splines`.
     """
     shape = tuple(planes.shape[1:])
     weights, sigmas = (np.asarray(device.numpy(values), np.float64) for values in (weights, sigmas))
@@ -61,11 +90,14 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=S
     grids = None if device.on_host else _Grids(device, down, across)
     chain = grids if grids is not None and grids.fit else _Chain(device, down, across)
     light = chain.coefficients(device.array(planes), weights.astype(np.float32))
-    return chain.added(device.array(onto), light, cfa, margin)
+    return chain.add_far(device.array(onto), light, cfa, margin)
 
 
 class _Chain:
-    """Products on a device. Arrays are (batch, axis, lanes): a product is along the axis, and may turn the two."""
+    """Products on a device with arrays (batch, axis, lanes).
+
+    A product is along the axis, and may exchange axis and lanes.
+    """
 
     def __init__(self, device, down, across):
         self.device, self.down, self.across = device, down, across
@@ -76,7 +108,7 @@ class _Chain:
         self.defines = defines if device.kind == "opencl" else None
 
     def coefficients(self, planes, weights):
-        """Splines of the first level, (channels, rows, cols), that are the far field."""
+        """Return the far field as splines of the first level, (channels, rows, cols)."""
         own = self._product(planes, self._matrices(self.down, "analysis"), turned=True)
         own = self._product(
             own, self._matrices(self.across, "analysis")
@@ -84,9 +116,9 @@ class _Chain:
         return self._of_level(own, weights, 0)
 
     def _of_level(self, own, weights, level):
-        """The same of a level and those beyond it, from what it has, (planes, cols, rows)."""
+        """Return the same from this level on. own: its splines, (planes, cols, rows)."""
         some = weights[:, :, self.down.of_level(level)]
-        light = self._filtered(own, some, level) if some.size else None
+        light = self._apply_filters(own, some, level) if some.size else None
         if level == self.down.levels - 1:
             return light
         wide = self._product(own, self._matrices(self.across, "restriction", level), turned=True)
@@ -97,8 +129,8 @@ class _Chain:
             wide, self._matrices(self.across, "prolongation", level), turned=True, onto=light
         )
 
-    def _filtered(self, own, weights, level):
-        """Coefficients (channels, rows, cols) of a level's Gaussians."""
+    def _apply_filters(self, own, weights, level):
+        """Return the coefficients of a level's Gaussians, (channels, rows, cols)."""
         device, (channels, count, sigmas) = self.device, weights.shape
         _, cols, rows = own.shape
         places, size = channels * sigmas, cols * rows
@@ -108,7 +140,7 @@ class _Chain:
             "combine",
             (-(-places // each), -(-size // self.width)),
             own,
-            _constant(device, weights.tobytes(), weights.shape),
+            constant(device, weights.tobytes(), weights.shape),
             mixed,
             each,
             places,
@@ -120,8 +152,8 @@ class _Chain:
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
-    def added(self, onto, light, cfa, margin):
-        """The mosaic, or every channel, with the splines' values."""
+    def add_far(self, onto, light, cfa, margin):
+        """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols) = self.device, onto.shape[-2:]
         lines = self._product(light, self._matrices(self.down, "synthesis", margin))
         (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
@@ -150,9 +182,10 @@ class _Chain:
         return device.reshape(out, onto.shape)
 
     def _product(self, given, bands, turned=False, sums=1, onto=None):
-        """Along the axis: (batch, rows, lanes), or (batch, lanes, rows) if turned, added to `onto` if there is one.
+        """Multiply along the axis: (batch, rows, lanes), or (batch, lanes, rows) if turned.
 
-        sums: matrices in turn whose products are added up: as many of the batch become one.
+        The product is added to `onto` if that is given. sums: number of successive matrices whose
+        products are added; so many entries of the batch become one.
         """
         start, count, values, rows = bands
         (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
@@ -192,7 +225,7 @@ class _Chain:
 
 
 class _Grids:
-    """The same on a GPU, both axes at once: a work-group's local memory has what is between them."""
+    """The same on a GPU, both axes at once, with the intermediate result in local memory."""
 
     def __init__(self, device, down, across):
         self.device, self.down, self.across = device, down, across
@@ -206,15 +239,17 @@ class _Grids:
             *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
             *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)]),
         ]
-        return all(self._shared(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made)
+        return all(
+            self._both_matrices(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made
+        )
 
     def coefficients(self, planes, weights):
-        """Splines of the first level, (channels, 1, rows, cols), that are the far field."""
+        """Return the far field as splines of the first level, (channels, 1, rows, cols)."""
         planes = self.device.reshape(planes, (planes.shape[0], 1, *planes.shape[1:]))
         return self._of_level(self._both(planes, "analysis"), weights, 0)
 
     def _of_level(self, own, weights, level):
-        """What a level and those beyond it make of what it has, in parts whose sum it is: (channels, parts, ...)."""
+        """Return parts (channels, parts, ...) whose sum is the field from this level on."""
         some, is_last = (
             np.ascontiguousarray(weights[:, :, self.down.of_level(level)]),
             level == self.down.levels - 1,
@@ -227,10 +262,10 @@ class _Grids:
         wide = self._of_level(self._both(own, "restriction", level), weights, level + 1)
         return self._both(wide, "prolongation", level, onto=light)
 
-    def _shared(self, name, of, high):
-        """Matrices of both axes, and bytes in local memory."""
+    def _both_matrices(self, name, of, high):
+        """Return the matrices of both axes, and their bytes in local memory."""
         down, across = (
-            _tiled(self.device, axis, name, of, *by)
+            _tile_bands(self.device, axis, name, of, *by)
             for axis, by in ((self.down, (4, high)), (self.across, (1, WIDE)))
         )
         return (
@@ -240,21 +275,22 @@ class _Grids:
         )
 
     def _both(self, given, name, of=None, weights=None, onto=None, in_parts=False):
-        """Both axes' products of (batch, parts, rows, cols), of which the parts are added up, and to `onto` if given.
+        """Multiply (batch, parts, rows, cols) along both axes and sum the parts.
 
-        weights: shape (channels, batch, matrices), which mix channels of the batch for each of the matrices, whose
-        products are added up; with `in_parts` they stay parts where there is too little to do for all of a GPU.
+        The product is added to `onto` if that is given. weights: shape (channels, batch, matrices);
+        for each matrix they mix the batch into channels, and the products are added. With
+        `in_parts` these stay apart if there is too little work for a whole GPU.
         """
         device, (batch, planes, *size) = self.device, given.shape
         stride, sums = planes, 1
         if weights is not None:
             (batch, planes, sums), stride = weights.shape, 0
-        high, parts, (down, across, room) = HIGH, 1, self._shared(name, of, HIGH)
+        high, parts, (down, across, room) = HIGH, 1, self._both_matrices(name, of, HIGH)
         if batch * down.tiles * across.tiles < MANY:
             high, parts, (down, across, room) = (
                 LOW,
                 sums if in_parts else 1,
-                self._shared(name, of, LOW),
+                self._both_matrices(name, of, LOW),
             )
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
@@ -263,7 +299,7 @@ class _Grids:
             "both",
             (groups * WIDE * LINES,),
             given,
-            given if weights is None else _constant(device, weights.tobytes(), weights.shape),
+            given if weights is None else constant(device, weights.tobytes(), weights.shape),
             *down.arrays,
             *across.arrays,
             out,
@@ -287,8 +323,8 @@ class _Grids:
         )
         return out
 
-    def added(self, onto, light, cfa, margin):
-        """The mosaic, or every channel, with the splines' values."""
+    def add_far(self, onto, light, cfa, margin):
+        """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
         pattern = (
             np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
@@ -303,7 +339,7 @@ class _Grids:
             light,
             *_at_samples(device, self.down, margin),
             *_at_samples(device, self.across, margin),
-            _constant(device, pattern.tobytes(), pattern.shape, np.int32),
+            constant(device, pattern.tobytes(), pattern.shape, np.int32),
             out,
             rows,
             cols,
@@ -319,11 +355,16 @@ class _Grids:
 
 @dataclass(frozen=True)
 class _Tiled:
-    """Matrices on the device, of which a work-group makes some rows.
+    """Matrices on the device; a work-group makes some rows of a product.
 
-    arrays: values, start and count of their rows, and first column and number of columns of every work-group's, as
-    the kernel takes them. rows: of a matrix. blocks: of rows. most: entries of a row. tiles: work-groups along the
-    axis. span: columns of a work-group at most.
+    Attributes:
+        arrays: Values, start and count of their rows, and first column and number of columns of
+            every work-group, in the kernel's order.
+        rows: Rows of a matrix.
+        blocks: Blocks of rows.
+        most: Entries of a row.
+        tiles: Work-groups along the axis.
+        span: Most columns of a work-group.
     """
 
     arrays: tuple
@@ -335,8 +376,8 @@ class _Tiled:
 
 
 @functools.lru_cache(maxsize=128)
-def _tiled(device, axis, name, of, block, high):
-    """An axis's matrices of this name, `block` of their rows at a time, `high` blocks to a work-group."""
+def _tile_bands(device, axis, name, of, block, high):
+    """Return an axis's matrices: `block` rows at a time, `high` blocks per work-group."""
     made = getattr(axis, name)
     made = (made if of is None else made(of)).in_blocks(block)
     number, blocks, most, _ = made.values.shape
@@ -359,7 +400,7 @@ def _tiled(device, axis, name, of, block, high):
 
 @functools.lru_cache(maxsize=32)
 def _at_samples(device, axis, margin):
-    """Weights of the four splines at the samples of an axis, (samples, 4), and the first of them."""
+    """Return the four splines' weights at an axis's samples, (samples, 4), and the first spline."""
     bands = axis.synthesis(margin)
     assert bands.values.shape[2] == 4
     return device.array(bands.values[0]), device.array(bands.start[0], np.int32)
@@ -367,9 +408,9 @@ def _at_samples(device, axis, margin):
 
 @functools.lru_cache(maxsize=128)
 def _bands(device, axis, name, of, block):
-    """Bands of an axis on the device: start, count, values and number of their rows, a block of these at a time.
+    """Return bands of an axis on the device: start, count, values and number of rows, in blocks.
 
-    of: what they are of, such as a level.
+    of: argument of the axis's method, for example a level; None if it has none.
     """
     made = getattr(axis, name)
     bands = (made if of is None else made(of)).in_blocks(block)
@@ -383,9 +424,10 @@ def _bands(device, axis, name, of, block):
 
 @functools.lru_cache(maxsize=32)
 def _along_rows(device, axis, margin, plane, pattern, period):
-    """Weights of the four splines at the samples of a row, (4, cols), and where they begin in each phase of a mosaic.
+    """Return the four splines' weights at a row's samples, (4, cols), and their first places.
 
-    plane: values of a channel. pattern: bytes of the mosaic's channels, of shape `period`.
+    The places are those in each phase of a mosaic. plane: values per channel. pattern: bytes of the
+    mosaic's channels, of shape `period`.
     """
     bands = axis.synthesis(margin)
     cfa = np.frombuffer(pattern, np.int32).reshape(period)
@@ -394,14 +436,12 @@ def _along_rows(device, axis, margin, plane, pattern, period):
     return device.array(bands.values[0].T), device.array(start, np.int32)
 
 
-@functools.lru_cache(maxsize=64)
-def _constant(device, values, shape, dtype=np.float32):
-    """Array of these bytes on the device: a copy would wait for all that was launched before."""
-    return device.array(np.frombuffer(values, dtype).reshape(shape), dtype)
-
-
 def cases():
-    """All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin, highlights."""
+    """Yield cases.
+
+    All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin,
+    highlights.
+    """
     random = np.random.default_rng(11)
     why = (
         "a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each axis, "
@@ -445,7 +485,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    """Return inputs: four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(11)
     sigmas = np.append(23.3 * 1.6 ** np.arange(13), np.inf)
     return {

@@ -1,5 +1,5 @@
-// The far field on GPUs: both axes of a grid at once, what is between them in the local memory of a work-group.
-// From the host: HIGH, how many blocks of four rows are a work-group's result, 8 or a part of it; LOCAL_BYTES.
+// The far field on GPUs: both axes of a grid at once, with the intermediate result in a work-group's local memory.
+// From the host: HIGH, blocks of four rows in a work-group's result, 8 or a part of it; LOCAL_BYTES.
 //
 // OpenCL C that is also CUDA C++, see common/fft.clh.
 #ifndef LOCAL
@@ -26,7 +26,7 @@ __kernel void both(
     const int planes, const int size_y, const int size_x, const int rows, const int cols, const int blocks,
     const int most_y, const int most_x, const int sums, const int down, const int across)
 {
-    LOCAL(float, strip, LOCAL_BYTES / 4);  // [STRIP][pitch] of what is given, then [rows of a tile][WIDE]
+    LOCAL(float, strip, LOCAL_BYTES / 4);  // [STRIP][pitch] of the input, then [rows of a tile][WIDE]
     const int between = STRIP * pitch, lane = get_local_id(0) % WIDE, line = get_local_id(0) / WIDE;
     const int tile_x = get_group_id(0) % across, tile_y = get_group_id(0) / across % down;
     const int batch = get_group_id(0) / (across * down), channel = batch / parts;

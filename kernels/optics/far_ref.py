@@ -4,7 +4,7 @@ import numpy as np
 
 
 def far(onto, planes, weights, sigmas, cfa, border, margin=0, spacings=2.8):
-    """See the contract."""
+    """Return the stage's result, see `far.py`."""
     onto, planes = np.array(onto, np.float64), np.asarray(planes, np.float64)
     light = 0.0
     for sigma, gains in zip(
@@ -23,7 +23,7 @@ def far(onto, planes, weights, sigmas, cfa, border, margin=0, spacings=2.8):
 
 
 def _spread(n, sigma, border, margin):
-    """What the samples margin .. n - margin - 1 of an axis get from each of n and the world beyond."""
+    """Return weights of an axis's n samples, with the world beyond, in those inside the margin."""
     at, own = np.arange(margin, n - margin)[:, None], np.arange(n)
     if np.isinf(sigma):
         row = {
@@ -49,6 +49,6 @@ def _spread(n, sigma, border, margin):
 
 
 def _at(gauss, distance):
-    """Values of a Gaussian at distances, 0 beyond its end."""
+    """Return values of a Gaussian at distances, 0 beyond its end."""
     middle = len(gauss) // 2
     return np.where(abs(distance) <= middle, gauss[middle + np.clip(distance, -middle, middle)], 0)

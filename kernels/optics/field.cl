@@ -84,7 +84,7 @@ __kernel void assemble(
     __global const int2 *restrict cover_y, __global const int2 *restrict cover_x,  // first and last tile in reach
     __global const float *base,
     // out:
-    __global float *out,  // may be `base` where that is not added
+    __global float *out,  // may be `base` if that is not added
     // params:
     const int reach_y, const int reach_x, const int add_base,
     // sizes:

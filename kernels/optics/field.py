@@ -1,26 +1,29 @@
-"""Field-varying blur: planes weighted by coefficient maps, each convolved with its kernel, and added up.
+"""Field-varying blur: planes weighted by coefficient maps, convolved with kernels, and summed.
 
-Ports: planes (planes, rows, cols) float32, coefficients (terms, rows, cols) float32 [1], kernels (kernels, 1 or planes,
-m, n) float32 [1], m and n odd, index (tiles, terms) int32, mix (channels, planes) float32
-[, base (channels, rows, cols) float32] -> channels (channels, rows, cols) float32:
+Ports: planes (planes, rows, cols) float32, coefficients (terms, rows, cols) float32 [1], kernels
+(kernels, 1 or planes, m, n) float32 [1], m and n odd, index (tiles, terms) int32, mix (channels,
+planes) float32 [, base (channels, rows, cols) float32] -> channels (channels, rows, cols) float32:
 
     e_c = base_c + sum over tiles t, terms k, planes p of
           mix[c, p] kernels[index[t, k], p] * (coefficients_k planes_p in t)
 
-The weights are those of the *source* pixel (light is spread from where it falls, flux is kept). Tiles divide the
-source. Two methods are this one sum (optics/field.py makes the maps): overlap-add of interpolated kernels, with a
-tile for each cell of a grid of kernels and a term for each kernel that is mixed there; and eigen-kernels, with one
-tile and a term for each. A tile's terms are transformed, added up, and transformed back once per channel.
+The weights belong to the *source* pixel: light is spread from its place, and flux is conserved.
+Tiles divide the source. Two methods are this one sum (optics/field.py makes the maps). Overlap-add
+of interpolated kernels has a tile for each cell of a grid of kernels, and a term for each kernel
+that is mixed there. Eigen-kernels have one tile, and a term for each of them. The terms of a tile
+are transformed, summed, and transformed back once per channel.
 """
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import fft_length
 
 BATCH_BYTES = (
@@ -33,32 +36,48 @@ NEVER = float(np.finfo(np.float32).max)
 
 @stage
 def field(
-    device,
-    planes,
-    coefficients,
-    kernels,
-    index,
-    edges,
-    mix,
-    border,
-    margin=0,
-    base=None,
-    threshold=None,
-    tables=None,
-):
+    device: Device,
+    planes: Array,
+    coefficients: Array,
+    kernels: Array,
+    index: Array,
+    edges: Sequence[np.ndarray],
+    mix: Array,
+    border: str,
+    margin: int = 0,
+    base: Array | None = None,
+    threshold: float | None = None,
+    tables: Array | None = None,
+) -> Array:
     """Spread each pixel's light with the kernel of its place.
 
-    planes: shape (planes, rows, cols). coefficients: shape (terms, rows, cols); outside the frame the outermost value
-    goes on. kernels: shape (kernels, 1 or planes, m, n), m and n odd, the centre is the pixel itself. index: kernel of
-    each tile's terms, shape (tiles, terms), tiles row by row. edges: boundaries of the tiles' rows and columns, two
-    rising lists of source pixels from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2. mix: shape
-    (channels, planes). border: "zero", "edge" or "reflect". margin: pixels of the planes on each side that are
-    surroundings and not in the result; negative: of the result that are not in the planes. base: what is added, 0 if
-    not given. threshold: values above it are spread by direct sums, so that what is dark beside them keeps its float32
-    accuracy (a transform errs by 2.5e-7 of its largest values everywhere). tables: `transfer(device, kernels, edges)`,
-    to save its time when the same kernels are used again.
-    Returns shape (channels, rows - 2 margin, cols - 2 margin).
-    Source: Hirsch et al., CVPR 2010 (efficient filter flow); Lauer, Proc. SPIE 4847 (2002) (eigen-PSFs).
+    Args:
+        planes: Light of each plane, shape (planes, rows, cols).
+        coefficients: Weight of each term at every pixel [1], shape (terms, rows, cols). Outside the
+            frame the outermost value is repeated.
+        kernels: Kernels [1], shape (kernels, 1 or planes, m, n), m and n odd; the centre is the
+            pixel itself.
+        index: Kernel of each term of a tile, shape (tiles, terms), tiles row by row.
+        edges: Boundaries of the tiles' rows and columns: two increasing lists of source pixels,
+            from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        border: "zero", "edge" or "reflect".
+        margin: Pixels on each side of the planes that are surroundings and not in the result; if
+            negative, pixels of the result outside the planes.
+        base: Light to add to, shape of the result; None for 0.
+        threshold: Values above it are spread by direct sums. Dark pixels next to them then keep
+            their float32 accuracy (a transform errs by 2.5e-7 of its largest values everywhere).
+            None for transforms only.
+        tables: `transfer(device, kernels, edges)`, to save its time if the same kernels are used
+            again.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Channels, shape (channels, rows - 2 margin, cols - 2 margin), float32.
+
+    Source:
+        Hirsch et al., CVPR 2010 (efficient filter flow); Lauer, Proc. SPIE 4847 (2002)
+        (eigen-PSFs).
     """
     _, rows, cols = planes.shape
     m, n = kernels.shape[2:]
@@ -67,7 +86,7 @@ def field(
     channels, (tiles_y, tiles_x) = len(mix), (len(edge) - 1 for edge in edges)
     tables = transfer(device, kernels, edges) if tables is None else tables
     period, limit = _period(kernels.shape, edges), NEVER if threshold is None else float(threshold)
-    if border == "zero":  # there is no light outside
+    if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
     padded = blur(
@@ -126,7 +145,7 @@ def field(
 
 
 def _on_device(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
-    """Blurred tiles, shape (channels, tiles, *period), by kernels and transforms of many tiles at once."""
+    """Return blurred tiles, (channels, tiles, *period), by transforms of many tiles at once."""
     count, rows, cols = planes.shape
     (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
@@ -201,7 +220,7 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
 
 
 def _on_host(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
-    """The same, a thread to a tile: all of a tile stays in its core's cache (a third less time, measured)."""
+    """Return the same, one thread per tile: it stays in a core's cache (a third less time)."""
     import scipy.fft
 
     padded = device.empty((len(mix), len(index), *period))
@@ -250,13 +269,22 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, mix, borde
         out[:, t] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(blur, range(len(index))):  # raises what a thread raised
+        for _ in pool.map(blur, range(len(index))):  # raises the threads' errors
             pass
     return padded
 
 
 def transfer(device, kernels, edges):
-    """Spectra of the kernels in the tiles' period, shape (kernels times 1 or planes, period rows, half, 2)."""
+    """Return the spectra of kernels in the tiles' period.
+
+    Args:
+        device: The device.
+        kernels: As for `field`.
+        edges: As for `field`.
+
+    Returns:
+        Spectra, shape (kernels times 1 or planes, period rows, pitch, 2), float32 of the device.
+    """
     kernels = np.asarray(device.numpy(kernels), np.float32)
     count, own, m, n = kernels.shape
     padded = np.zeros((count * own, *_period(kernels.shape, edges)), np.float32)
@@ -272,7 +300,7 @@ def _period(shape, edges):
 
 
 def _covering(edges, pixels, reach):
-    """First and last tile whose light reaches each of `pixels`, shape (pixels, 2)."""
+    """Return the first and last tile whose light reaches each of `pixels`, (pixels, 2)."""
     edges = np.asarray(edges)
     first = np.searchsorted(edges, pixels - reach, side="right") - 1
     last = np.searchsorted(edges, pixels + reach, side="right") - 1
@@ -280,7 +308,7 @@ def _covering(edges, pixels, reach):
 
 
 def _sources(length, reach, border):
-    """Source pixel behind each place from -reach to length + reach, -1 for nothing."""
+    """Return the source pixel for each place from -reach to length + reach, -1 if there is none."""
     places = np.arange(-reach, length + reach)
     if border == "zero":
         return np.where((places < 0) | (places >= length), -1, places)
@@ -293,7 +321,10 @@ def _sources(length, reach, border):
 def _add_highlights(
     device, out, planes, coefficients, kernels, index, edges, mix, border, threshold, margin
 ):
-    """Add what `weigh` left out: one kernel per bright place, mixed on the host in float64, summed on the device."""
+    """Add the bright pixels that `weigh` left out.
+
+    Their kernels are mixed on the host in float64 and summed on the device.
+    """
     values = np.asarray(device.numpy(planes))
     bright = np.unique(np.concatenate([np.flatnonzero(value > threshold) for value in values]))
     if not len(bright):
@@ -353,7 +384,11 @@ def _add_highlights(
 
 
 def cases():
-    """One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6 spread directly."""
+    """Yield cases.
+
+    One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6
+    spread directly.
+    """
     random = np.random.default_rng(11)
     for rows, cols, count, channels, terms, tiles, own, border, m, threshold in (
         (1, 1, 1, 1, 1, (1, 1), 0, "edge", 1, None),
@@ -376,10 +411,10 @@ def cases():
         number = (len(edges[0]) - 1) * (len(edges[1]) - 1)
         why = (
             "a float32 transform errs by 2.5e-7 of the root mean square of its input, at most 5 such sigmas over "
-            "1e4 pixels; a kernel of noise with mean 1/2 raises the sum and that error alike; three transforms"
+            "1e4 pixels; a kernel of noise with mean 1/2 raises sum and error equally; three transforms"
         )
         if threshold:
-            why += "; what is above the threshold is summed directly, relative to the local value"
+            why += "; values above the threshold are summed directly, relative to the local value"
         yield Case(
             f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
             {
@@ -404,7 +439,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """One plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
+    """Return inputs: one plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
     random = np.random.default_rng(11)
     y, x = (np.round(np.linspace(0, size - 1, 8)).astype(int) for size in (rows, cols))
     fractions = [

@@ -1,4 +1,4 @@
-"""Every source pixel spreads the kernel of its own place, float64: direct sums over the kernel's entries."""
+"""Every source pixel spreads the kernel of its place, float64: direct sums over kernel entries."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def field(
     threshold=None,
     tables=None,
 ):
-    """See the contract; `threshold` and `tables` only matter to how it is computed."""
+    """Return the stage's result; `threshold` and `tables` do not change it."""
     _, rows, cols = planes.shape
     kernels = np.asarray(kernels, np.float64)
     m, n = kernels.shape[2:]

@@ -1,4 +1,4 @@
-"""The transforms are elsewhere (common/fft.py); these kernels cut into tiles and weigh, add up, put together."""
+"""Cuts, weights and sums of tiles around the transforms of common/fft.py."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,24 +1,26 @@
 """Blur of weighted planes straight to the mosaic: each pixel gets only its own channel.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2 + 1) float32 [1],
-mix (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2
++ 1) float32 [1], mix (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
 
     e(y, x) = sum over k of  mix[c, k] (planes_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
 
-The same as `optics.blur` and taking one channel per pixel, for less: the pixels of one phase (dy, dx) of the mosaic are
-every ph-th row and pw-th column of their channel, and sampling folds its spectrum F, so that they are the inverse
-transform, 1/(ph pw) of the size, of
+The result equals `optics.blur` followed by a choice of one channel per pixel, at less cost. The
+pixels of one phase (dy, dx) of the mosaic are every ph-th row and every pw-th column of their
+channel. Sampling folds its spectrum F, so they are the inverse transform, 1/(ph pw) of the size, of
 
     G(k) = 1/(ph pw) sum over aliases f = k + (a M_y, b M_x) of  F(f) exp(2 pi i (f_y dy / P_y + f_x dx / P_x)),
 
-M = P / (ph, pw). All phases together are one inverse transform of the frame in place of one per channel.
+M = P / (ph, pw). All phases together cost one inverse transform of the frame instead of one per
+channel.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import transform_lengths
 
 LINES = "optics.mosaic_lines"  # the kernels of GPUs
@@ -26,12 +28,34 @@ BATCH = 8  # planes transformed at once: the folded sums are read and written on
 
 
 @stage
-def mosaic(device, planes, tables, mix, cfa, border, period, margin=0):
-    """Convolve each plane with its kernels, add up per channel, and keep each pixel's own channel.
+def mosaic(
+    device: Device,
+    planes: Array,
+    tables: Array,
+    mix: Array,
+    cfa: Array,
+    border: str,
+    period: tuple[int, int],
+    margin: int = 0,
+) -> Array:
+    """Convolve each plane with its kernels, sum per channel, and keep each pixel's own channel.
 
-    planes, tables, mix, border, margin: as in `optics.blur`. cfa: channel of each pixel of one period of the mosaic,
-    shape (ph, pw). period: transform lengths, at least (rows, cols) and multiples of (ph, pw).
-    Returns shape (rows - 2 margin, cols - 2 margin). Source: the folding of a sampled signal's spectrum (Shannon).
+    Args:
+        planes: Light of each plane, shape (planes, rows, cols).
+        tables: Quarters of the transfer functions [1], shape (1 or channels, planes, period[0] // 2
+            + 1, period[1] // 2 + 1), as for `optics.blur`.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        cfa: Channel of each pixel in one period of the mosaic, shape (ph, pw).
+        border: "zero", "edge" or "reflect".
+        period: Transform lengths [pixel], at least (rows, cols) and multiples of (ph, pw).
+        margin: Pixels on each side of the planes that are surroundings and not in the result.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The mosaic, shape (rows - 2 margin, cols - 2 margin), float32.
+
+    Source:
+        The folding of a sampled signal's spectrum (Shannon).
     """
     _, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
@@ -51,7 +75,7 @@ def mosaic(device, planes, tables, mix, cfa, border, period, margin=0):
 
 
 def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
-    """Transforms of whole planes with the fold between them."""
+    """Transform whole planes, with the fold between the transforms."""
     count, channels, own_tables = len(mix[0]), len(mix), int(tables.shape[0] > 1)
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
@@ -109,7 +133,7 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
 
 
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
-    """On a GPU: transforms of columns, of rows with the fold between forward and inverse, of columns."""
+    """Transform columns, then rows forward, fold, rows back, columns: the form of GPUs."""
     count, rows, cols = planes.shape
     (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = (
         lines,
@@ -218,9 +242,10 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
 
 
 def _lines(local_bytes, period, cfa_shape):
-    """Lines of a work-group in each of the kernels, as many as local memory holds and are of use; None if too few.
+    """Return how many lines a work-group has in each kernel, or None if local memory holds too few.
 
-    Columns forward (two real columns to a line), rows forward and inverse of the fold, columns of all phases inverse.
+    The numbers are: columns forward (two real columns to a line), rows forward and inverse of the
+    fold, columns of all phases inverse. Each is as large as local memory and use allow.
     """
 
     def most(choices, length):
@@ -240,13 +265,17 @@ def _lines(local_bytes, period, cfa_shape):
 
 
 def _turns(length, count):
-    """exp(2 pi i f d / length) / count for every frequency f and phase d < count, shape (length, count, 2)."""
+    """Return exp(2 pi i f d / length) / count, d < count, shape (length, count, 2)."""
     angle = 2 * np.pi * (np.outer(np.arange(length), np.arange(count)) % length) / length
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1) / count
 
 
 def cases():
-    """All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a highlight of 1e6."""
+    """Yield cases.
+
+    All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a
+    highlight of 1e6.
+    """
     random = np.random.default_rng(5)
     why = (
         "as optics.blur, 1.2e-6 of the peak for each of the two transforms; the folded sum adds one rounding of a "
@@ -289,7 +318,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    """Return inputs: four planes to a Bayer mosaic, 64 pixels of border."""
     random = np.random.default_rng(5)
     period, _ = transform_lengths((rows + 128, cols + 128), (2, 2))
     return {
@@ -303,7 +332,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, cfa, border, period):
-    """Transforms there; per frequency and channel each plane times its table, added up; back one for each phase."""
+    """Count operations.
+
+    Transforms there; per frequency and channel each plane times its table, added up; back one for
+    each phase.
+    """
     frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
     back = cfa.size * fft.operations(
         [length // n for length, n in zip(period, phases, strict=True)]

@@ -1,7 +1,7 @@
 // The mosaic by transforms of whole lines in local memory: columns forward, rows forward - weighted, summed and folded
 // - inverse, columns inverse. Spectra of whole planes are never in global memory.
 // From the host, for each kernel's own program: THREADS of a group, FORWARD and INVERSE, lists of PASS(...),
-// BORDER, PERIOD_Y, PERIOD_X, CHANNELS and CFA of the mosaic, the transforms' LENGTH_Y and LENGTH_X, and what is told below.
+// BORDER, PERIOD_Y, PERIOD_X, CHANNELS and CFA of the mosaic, the transforms' LENGTH_Y and LENGTH_X, and others below.
 #include "border.clh"
 #include "fft.clh"
 
@@ -140,7 +140,7 @@ __kernel void fold(
 #endif
 
 #ifdef COLUMNS_INVERSE  // so many columns of all phases, two real ones of them to a line
-// Real columns c and c + 1 of the group as one line; column c is that of phase c % PHASES at c / PHASES.
+// Real columns c and c + 1 of the group as one line; column c belongs to phase c % PHASES at c / PHASES.
 float2 of_two_phases(__global const float2 *restrict folded, const int left, const int c, const int y)
 {
     const int is_mirrored = y > SMALL_Y / 2, row = is_mirrored ? SMALL_Y - y : y;

@@ -6,7 +6,7 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
 def mosaic(planes, tables, mix, cfa, border, period, margin=0):
-    """See the contract; nothing is folded: every channel is transformed back whole, and then sampled."""
+    """Return the stage's result from whole channels, which are then sampled."""
     count, rows, cols = planes.shape
     pad = [
         ((length - n) // 2, length - n - (length - n) // 2)

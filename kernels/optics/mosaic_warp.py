@@ -1,4 +1,4 @@
-"""Weighted spectra, folded as the mosaic samples them; the transforms are elsewhere (common/fft.py)."""
+"""Weighted spectra, folded by the mosaic's sampling, between the transforms of common/fft.py."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -8,6 +8,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def times(a: wp.vec2, b: wp.vec2):
+    """Return the product of two complex numbers."""
     return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 

@@ -1,29 +1,49 @@
-"""The near field of a blur: transfer tables less those of the Gaussians that `optics.far` spreads over the world.
+"""The near field of a blur: transfer tables minus the Gaussians that `optics.far` spreads.
 
-Ports: tables (groups, planes, ny, nx), energies (groups, planes, G), sigmas (G,) -> float32 (groups, planes, ny, nx):
+Ports: tables (groups, planes, ny, nx), energies (groups, planes, G), sigmas (G,) -> float32
+(groups, planes, ny, nx):
 
     out(f) = tables(f) - sum over g of  energies_g exp(-2 pi^2 sigma_g^2 |f|^2),
 
-f = i / P along each axis, P the period; an infinite sigma is 1 at f = 0 and 0 elsewhere.
+f = i / P along each axis, P the period. An infinite sigma gives 1 at f = 0 and 0 elsewhere.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def near(device, tables, energies, sigmas, period):
-    """Transfer tables less those of Gaussians.
+def near(
+    device: Device,
+    tables: Array,
+    energies: Array,
+    sigmas: Sequence[float] | np.ndarray,
+    period: tuple[int, int],
+) -> Array:
+    """Subtract the transfer functions of Gaussians from tables.
 
-    tables: quarters, shape (groups, planes, period_y // 2 + 1, period_x // 2 + 1) [1]. energies: shape (groups, planes,
-    G). sigmas: standard deviations, shape (G,) [sample]. period: lengths of the transforms [sample]. Returns the shape
-    of tables. Source: the transform of a Gaussian.
+    Args:
+        tables: Quarters of transfer functions [1], shape (groups, planes, period[0] // 2 + 1,
+            period[1] // 2 + 1).
+        energies: Energy of each Gaussian [1], shape (groups, planes, G).
+        sigmas: Standard deviations [sample], shape (G,).
+        period: Lengths of the transforms [sample].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The differences, in the shape of `tables`, float32.
+
+    Source:
+        The transform of a Gaussian.
     """
     groups, planes, rows, cols = tables.shape
     energies = np.asarray(device.numpy(energies), np.float32)
     down, across = (
-        _passed(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
+        _gaussians(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
     )
     out = device.empty(tables.shape)
     device.launch(
@@ -42,8 +62,8 @@ def near(device, tables, energies, sigmas, period):
     return out
 
 
-def _passed(count, length, sigmas):
-    """Of each Gaussian at the frequencies of an axis, shape (G, count)."""
+def _gaussians(count, length, sigmas):
+    """Return the transfer of each Gaussian at the frequencies of an axis, shape (G, count)."""
     f = np.arange(count) / length
     sigmas = np.asarray(sigmas, np.float64)[:, None]
     return np.where(
@@ -52,7 +72,10 @@ def _passed(count, length, sigmas):
 
 
 def cases():
-    """One and several groups, odd and even periods, one Gaussian and many, an infinite one."""
+    """Yield cases.
+
+    One and several groups, odd and even periods, one Gaussian and many, an infinite one.
+    """
     random = np.random.default_rng(12)
     why = "a float32 sum of up to 15 terms, each below the largest value, and the rounding of each of its factors"
     for groups, planes, period, count in (
@@ -75,7 +98,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Tables of twelve, 64 pixels of border."""
+    """Return inputs: tables of twelve, 64 pixels of border."""
     random = np.random.default_rng(12)
     period = rows + 128, cols + 128
     return {

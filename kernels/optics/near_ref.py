@@ -4,7 +4,7 @@ import numpy as np
 
 
 def near(tables, energies, sigmas, period):
-    """See the contract."""
+    """Return the stage's result, see `near.py`."""
     out = np.array(tables, np.float64)
     fy, fx = np.arange(out.shape[2])[:, None] / period[0], np.arange(out.shape[3]) / period[1]
     for energy, sigma in zip(

@@ -7,7 +7,7 @@ float4 cubic(const float t)
                     -(t + 1.0f) * t * (t - 2.0f) / 2.0f, (t + 1.0f) * t * (t - 1.0f) / 6.0f);
 }
 
-// Node below the place of s < 1 among `length` nodes even in 1 - sqrt(1 - s), kept so that a cubic has all its nodes.
+// Node below the place of s < 1 among `length` nodes even in 1 - sqrt(1 - s), limited to nodes with a whole cubic.
 int node(const float s, const int length, float *rest)
 {
     // 1 - sqrt(1 - s) without its cancellation

@@ -1,30 +1,32 @@
-"""Transfer tables of a lens of any pupil and wavefront, integrated over the pixel, one per wavelength.
+"""Transfer tables of a lens with any pupil and wavefront, integrated over the pixel.
 
-Ports: waves (bands, n, n) [waves], coefficients [i, j] of x^i y^j, and q (bands,) [1], the wavelength times the
-working f-number over the pixel pitch -> tables float32 [1]: the quarter (bands, rows // 2 + 1, cols // 2 + 1) when
-pupil and wavefront are the same at every angle and the apertures are in their pixels' middles, else the half (bands,
-rows, 2 (cols // 2 + 1)) of the transform, real and imaginary parts side by side; row i >= rows / 2 is the frequency
-i - rows.
+Ports: waves (bands, n, n) [waves], coefficients [i, j] of x^i y^j, and q (bands,) [1], wavelength
+times working f-number over pixel pitch -> tables float32 [1]. They are the quarter (bands, rows //
+2 + 1, cols // 2 + 1) if pupil and wavefront are the same at every angle and the apertures lie in
+the middles of their pixels. Else they are the half (bands, rows, 2 (cols // 2 + 1)) of the
+transform, real and imaginary parts side by side; row i >= rows / 2 belongs to the frequency i -
+rows.
 
-As in optics.airy the transfer function O of the optics is folded,
+As in optics.airy, the transfer function O of the optics is folded,
 
     T(f) = sum over integers (a, b) of  O((f + (a, b)) q) K(fy + a) K(fx + b),
     K(f) = sinc(w f) cos(pi d f) exp(-2 (pi sigma f)^2) exp(2 pi i m f),
 
-w the aperture's width, d the distance of the two images that a birefringent plate makes along that axis, sigma the
-width of a Gaussian diffuser, m how far the middle of the aperture is moved [pixel]. O is tabulated in float64 on the
-host, radially or along rays, and interpolated by cubics on the device. The nodes are even in sqrt(1 - s), s = 1 at the
-cut-off, where O ends as (1 - s)^(3/2).
-For a polygon, s is counted along each ray up to its own cut-off, and no cubic reaches across a ray on which O has an
-edge: the directions of the polygon's sides, and the corners of the cut-off.
+w the aperture's width, d the distance of the two images that a birefringent plate makes along that
+axis, sigma the width of a Gaussian diffuser, m the displacement of the aperture's middle [pixel].
+The host tabulates O in float64, radially or along rays, and the device interpolates it by cubics.
+The nodes are even in sqrt(1 - s), s = 1 at the cut-off, because O ends as (1 - s)^(3/2). For a
+polygon, s is counted along each ray up to its own cut-off, and no cubic reaches across a ray on
+which O has an edge: the directions of the polygon's sides, and the corners of the cut-off.
 """
 
 from math import floor
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
@@ -32,23 +34,40 @@ BLOCK = 32  # bands of a CPU's work-item
 
 @stage
 def pupil(
-    device,
-    outline,
-    waves,
-    q,
-    aperture,
-    rows,
-    cols,
-    spots=(0.0, 0.0),
-    diffuser=0.0,
-    displacement=(0.0, 0.0),
-):
-    """Tables of the pixel-integrated transfer function: quarter (real) or half (complex), see above.
+    device: Device,
+    outline: Pupil,
+    waves: Array,
+    q: Array,
+    aperture: float | tuple[float, float],
+    rows: int,
+    cols: int,
+    spots: tuple[float, float] = (0.0, 0.0),
+    diffuser: float = 0.0,
+    displacement: tuple[float, float] = (0.0, 0.0),
+) -> Array:
+    """Return tables of the pixel-integrated transfer function: quarter (real) or half (complex).
 
-    outline: Pupil. waves: shape (bands, n, n). q: shape (bands,), each > 0. aperture: height and width of the
-    pixel's aperture over the pitch, or one number for a square. rows, cols: the period of the transform [pixel].
-    spots: distance of the images of a birefringent low-pass along (y, x) [pixel], 0 for one image. diffuser: standard
-    deviation [pixel]. displacement: (y, x) of the apertures' middles from those of the scene's samples [pixel].
+    Args:
+        outline: The pupil's outline.
+        waves: Wavefront polynomials [waves], shape (bands, n, n).
+        q: lambda N / pitch of each band [1], shape (bands,), each > 0.
+        aperture: Height and width of the pixel's aperture over the pitch [1], or one number for a
+            square.
+        rows: Period of the transform along the columns [pixel].
+        cols: Period of the transform along the rows [pixel].
+        spots: Distance of the two images of a birefringent low-pass along (y, x) [pixel], 0 for one
+            image.
+        diffuser: Standard deviation of the diffuser [pixel].
+        displacement: (y, x) from the middles of the scene's samples to the middles of the apertures
+            [pixel].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Tables [1], shape (bands, rows // 2 + 1, cols // 2 + 1) or (bands, rows, 2 (cols // 2 + 1)),
+        float32, see above.
+
+    Source:
+        Hopkins, Proc. R. Soc. A 231 (1955), for O; the folding is the sampling theorem.
     """
     waves = np.asarray(device.numpy(waves), np.float64)
     q = np.asarray(device.numpy(q), np.float32)
@@ -72,7 +91,7 @@ def pupil(
     ]
     weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
     common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
-    # a CPU's work-item makes a frequency of many bands: they share its direction and its replicas
+    # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
     block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
     grid = (-(-len(q) // block), fy.size, fx.size)
     launching = {"defines": {"BANDS": block}, "group": (1, 1, 1) if block > 1 else None}
@@ -120,7 +139,11 @@ def pupil(
 
 
 def cases():
-    """Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd periods, low-pass."""
+    """Yield cases.
+
+    Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd
+    periods, low-pass.
+    """
     why = (
         "cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
         "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
@@ -187,7 +210,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
+    """Return inputs: 31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
     wavelengths = np.linspace(400, 700, 31, dtype=np.float32)
     return {
         "outline": Pupil(),

@@ -1,4 +1,4 @@
-"""Pixel-integrated transfer function of any pupil, float64; the planner reads it as well."""
+"""Pixel-integrated transfer function of any pupil, float64; the planner uses it too."""
 
 from gpusim.optics.tables import pupil
 

@@ -3,6 +3,8 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.optics.mosaic_warp import times
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -19,11 +21,6 @@ def cubic(t: float):  # weights of the cubic through the nodes -1, 0, 1, 2 at t
 @wp.func
 def place(s: float, length: int):  # 1 - sqrt(1 - s) without its cancellation, in nodes
     return s / (1.0 + wp.sqrt(1.0 - s)) * float(length - 1)
-
-
-@wp.func
-def product(a: wp.vec2, b: wp.vec2):  # of complex numbers
-    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 
 @wp.kernel
@@ -124,10 +121,10 @@ def polar(
                             table[band, j + k - 1, i + m - 1, 0],
                             table[band, j + k - 1, i + m - 1, 1],
                         )
-                weights = product(
+                weights = times(
                     wp.vec2(weight_y[a - low, y, 0], weight_y[a - low, y, 1]),
                     wp.vec2(weight_x[b - low, x, 0], weight_x[b - low, x, 1]),
                 )
-                total += product(weights, wp.vec2(value[0], sign * value[1]))
+                total += times(weights, wp.vec2(value[0], sign * value[1]))
     tables[band, y, 2 * x] = total[0]
     tables[band, y, 2 * x + 1] = total[1]

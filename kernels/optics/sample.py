@@ -1,32 +1,49 @@
 """Pixels from a finer grid: each is a weighted sum of samples along both axes.
 
-Ports: planes (planes, fine_rows, fine_cols) float32, starts int32 (rows,) and (cols,), weights float32
-(rows, taps_y) and (cols, taps_x) [1] -> planes (planes, rows, cols) float32 of the planes' unit:
+Ports: planes (planes, fine_rows, fine_cols) float32, starts int32 (rows,) and (cols,), weights
+float32 (rows, taps_y) and (cols, taps_x) [1] -> planes (planes, rows, cols) float32 in the planes'
+unit:
 
     out(y, x) = sum over s, t of  weights_y[y, s] weights_x[x, t] planes(start_y[y] + s, start_x[x] + t).
 
-The planner makes the weights so that a pixel is the mean over its aperture (`gpusim.optics.sampling`).
+The planner chooses weights that make a pixel the mean over its aperture (`gpusim.optics.sampling`).
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def sample(device, planes, start_y, weights_y, start_x, weights_x):
+def sample(
+    device: Device,
+    planes: Array,
+    start_y: Array,
+    weights_y: Array,
+    start_x: Array,
+    weights_x: Array,
+) -> Array:
     """Reduce every plane along its columns, then along its rows.
 
-    planes: shape (planes, fine_rows, fine_cols). start_y, start_x: first sample of every pixel, shapes (rows,) and
-    (cols,). weights_y, weights_x: shapes (rows, taps_y) and (cols, taps_x); every start + taps must lie in the planes.
-    Returns shape (planes, rows, cols).
+    Args:
+        planes: Samples, shape (planes, fine_rows, fine_cols).
+        start_y: First sample of every pixel row, shape (rows,). Every start + taps must lie in the
+            planes.
+        weights_y: Weights along the columns [1], shape (rows, taps_y).
+        start_x: First sample of every pixel column, shape (cols,).
+        weights_x: Weights along the rows [1], shape (cols, taps_x).
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Pixels, shape (planes, rows, cols), float32.
     """
     count, fine_rows, fine_cols = planes.shape
     (rows, taps_y), (cols, taps_x) = weights_y.shape, weights_x.shape
     planes = device.array(planes)
     middle, out = device.empty((count, rows, fine_cols)), device.empty((count, rows, cols))
-    # Columns first: neighbours in a row are neighbours in memory, and what is left for the gather is 1/ratio as much.
-    # Weights with the pixels along rows of memory, for the same reason.
+    # Columns first: neighbours in a row are neighbours in memory, and the gather then has only 1/ratio of the samples.
+    # The weights of neighbouring pixels are neighbours in memory for the same reason.
     for name, source, target, start, weights, taps in (
         ("columns", planes, middle, start_y, weights_y, taps_y),
         ("rows", middle, out, start_x, weights_x, taps_x),
@@ -50,7 +67,11 @@ def sample(device, planes, start_y, weights_y, start_x, weights_x):
 
 
 def cases():
-    """One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one end."""
+    """Yield cases.
+
+    One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one
+    end.
+    """
     random = np.random.default_rng(12)
     why = (
         "every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
@@ -88,7 +109,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three channels of a frame from three samples a pixel at full fill."""
+    """Return inputs: three channels of a frame from three samples a pixel at full fill."""
     random = np.random.default_rng(12)
     return {
         "planes": random.random((3, 3 * rows, 3 * cols), np.float32),

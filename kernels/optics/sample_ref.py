@@ -4,7 +4,7 @@ import numpy as np
 
 
 def sample(planes, start_y, weights_y, start_x, weights_x):
-    """See the contract."""
+    """Return the stage's result, see `sample.py`."""
     planes = np.asarray(planes, np.float64)
     return (_matrix(start_y, weights_y, planes.shape[1]) @ planes) @ _matrix(
         start_x, weights_x, planes.shape[2]

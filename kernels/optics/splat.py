@@ -1,27 +1,52 @@
-"""Point lights added to a mosaic: each pixel gets every light's kernel of its own channel, summed in the image.
+"""Point lights added to a mosaic: their kernels, in each pixel's own channel, summed directly.
 
-Ports: mosaic (rows, cols) float32, cfa (ph, pw), places (N, 4) int32 (row, column, kernel, reach), strength (N,)
-float32, cores (kernels, channels, n, n) and profiles (kernels, channels, m) float32 -> (rows, cols) float32:
+Ports: mosaic (rows, cols) float32, cfa (ph, pw), places (N, 4) int32 (row, column, kernel, reach),
+strength (N,) float32, cores (kernels, channels, n, n) and profiles (kernels, channels, m) float32
+-> (rows, cols) float32:
 
-    out(x) = mosaic(x) + sum over h of  strength_h K_c(x - x_h),   |x - x_h| <= reach_h along both axes,
+    out(x) = mosaic(x) + sum over h of  strength_h K_c(x - x_h),   |x - x_h| <= reach_h along both axes.
 
-K_c the core at |dy|, |dx| < n, and beyond it the mean over parts x parts points of the pixel of the radial profile. No
-transform is involved, so that a light of 1e9 leaves its neighbours and the far side of the frame exact to float32.
+K_c is the core at |dy|, |dx| < n. Beyond it, K_c is the mean of the radial profile over parts x
+parts points of the pixel. No transform is involved, so the neighbours of a light of 1e9 and the far
+side of the frame stay exact to float32.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def splat(device, mosaic, cfa, places, strength, cores, profiles, step, parts, spread):
+def splat(
+    device: Device,
+    mosaic: Array,
+    cfa: Array,
+    places: Array,
+    strength: Array,
+    cores: Array,
+    profiles: Array,
+    step: float,
+    parts: int,
+    spread: float,
+) -> Array:
     """Add point lights to a mosaic.
 
-    mosaic: shape (rows, cols). cfa: channel of each pixel of one period, shape (ph, pw). places: row, column (they may
-    lie outside), index of the kernel, farthest pixel reached, shape (N, 4). strength: shape (N,). cores: kernels by
-    pixel offset, shape (K, C, n, n). profiles: by radius 0, step .. [pixel], shape (K, C, m), linear in between.
-    parts, spread: points per side of a pixel and their distance [pixel]. Returns shape (rows, cols).
+    Args:
+        mosaic: Light before, shape (rows, cols).
+        cfa: Channel of each pixel in one period of the mosaic, shape (ph, pw).
+        places: Row and column [pixel] (they may lie outside), index of the kernel, and farthest
+            pixel reached, shape (N, 4).
+        strength: Light of each point, shape (N,).
+        cores: Kernels by pixel offset [1], shape (K, C, n, n).
+        profiles: Kernels by radius 0, step, 2 step ... [1], linear in between, shape (K, C, m).
+        step: Step of the profiles' radius [pixel].
+        parts: Points per side of a pixel, beyond the core.
+        spread: Distance of these points [pixel].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The mosaic with the lights, shape (rows, cols), float32.
     """
     rows, cols = mosaic.shape
     mosaic, cfa, places = (
@@ -57,7 +82,11 @@ def splat(device, mosaic, cfa, places, strength, cores, profiles, step, parts, s
 
 
 def cases():
-    """Lights inside, at the corner and outside, one to many parts, short and whole reach, 1e9 over 1e-3."""
+    """Yield cases.
+
+    Lights inside, at the corner and outside, one to many parts, short and whole reach, 1e9 over
+    1e-3.
+    """
     random = np.random.default_rng(6)
     why = (
         "a kernel value errs by a few ulp, its radius by an ulp of 40 pixels, 4e-6, on a profile whose slope is "
@@ -101,7 +130,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Sixteen lights over the whole frame."""
+    """Return inputs: sixteen lights over the whole frame."""
     random = np.random.default_rng(6)
     length = int(64 * 1.5 * max(rows, cols))
     return {

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def splat(mosaic, cfa, places, strength, cores, profiles, step, parts, spread):
-    """See the contract."""
+    """Return the stage's result, see `splat.py`."""
     out = np.array(mosaic, np.float64)
     y, x = np.indices(out.shape)
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]

@@ -1,4 +1,4 @@
-"""One pixel per thread goes through all lights; most are out of reach or need a few loads."""
+"""One pixel per thread visits all lights; most are out of reach or need a few loads."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,14 +1,16 @@
-"""Blur by tiles that overlap, each transformed by itself: to the mosaic, where a pixel gets its own channel, or to all.
+"""Blur by overlapping tiles, each transformed separately: to the mosaic, or to all channels.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, side // 2 + 1, side // 2 + 1) float32 [1],
-mix (channels, planes), cfa (ph, pw) -> mosaic (rows, cols), or channels (channels, rows, cols), float32:
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, side // 2 + 1, side // 2 + 1)
+float32 [1], mix (channels, planes), cfa (ph, pw) -> mosaic (rows, cols), or channels (channels,
+rows, cols), float32:
 
-    e(y, x) = sum over k of  mix[c, k] (tile_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw],
+    e(y, x) = sum over k of  mix[c, k] (tile_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
 
-tile_k the part of plane k that begins `overlap` samples before the part of the result, of (side - 2 overlap)^2 pixels,
-that it makes; the convolution is that of a tile which repeats itself. So kernels that end within `overlap` samples are
-exact, and longer ones see the wrong side of the tile: those of `optics.near` little, as what is left there rings.
-Transforms of one length for frames of all sizes, that stay in a core's cache or in local memory.
+A tile makes (side - 2 overlap)^2 pixels of the result. It begins `overlap` samples before them in
+plane k. The convolution is circular. Kernels that end within `overlap` samples are therefore exact,
+and longer ones see the wrong side of the tile; the rest of the kernels of `optics.near` rings, so
+its error is small. Transforms have one length for frames of all sizes, and stay in a core's cache
+or in local memory.
 """
 
 import functools
@@ -16,10 +18,11 @@ from math import prod
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.tiling import LANES, LONGEST, Tiling
 
 LANES_STAGE, GROUPS_STAGE = (
@@ -39,17 +42,44 @@ RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
 
 
 @stage
-def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
-    """Convolve each plane with its kernels by tiles, and add up per channel.
+def tiles(
+    device: Device,
+    planes: Array,
+    tables: Array,
+    mix: Array,
+    cfa: Array | None,
+    border: str,
+    side: int,
+    overlap: int,
+    margin: int = 0,
+) -> Array:
+    """Convolve each plane with its kernels by tiles, and sum per channel.
 
-    planes: shape (planes, rows, cols). tables: quarters, shape (1 or channels, planes, side // 2 + 1, side // 2 + 1),
-    entry (i, j) at the frequency (i, j) / side cycles per sample. mix: shape (channels, planes). cfa: channel of each
-    pixel of one period of the mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect".
-    side: of a tile, up to LONGEST, a multiple of 8 times the mosaic's period, of factors 2 and 3 [sample]. overlap: of
-    neighbours' parts of the result on each side; side less twice this is a multiple of the mosaic's period. margin:
-    samples of the planes on each side that the result is without, or, below 0, that it has more.
-    Returns shape (rows - 2 margin, cols - 2 margin), or (channels, ...). Raises BadData for other sides and overlaps.
-    Source: overlap-save (Oppenheim and Schafer, Discrete-Time Signal Processing, 8.7); its fold is `optics.mosaic`'s.
+    Args:
+        planes: Light of each plane, shape (planes, rows, cols).
+        tables: Quarters of the transfer functions [1], shape (1 or channels, planes, side // 2 + 1,
+            side // 2 + 1). Entry (i, j) belongs to the frequency (i, j) / side cycles per sample.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        cfa: Channel of each pixel in one period of the mosaic, shape (ph, pw); None for every
+            channel.
+        border: "zero", "edge" or "reflect".
+        side: Side of a tile [sample], up to LONGEST: a multiple of 8 times the mosaic's period,
+            with no factors but 2 and 3.
+        overlap: Samples on each side that neighbouring tiles share. side - 2 overlap is a multiple
+            of the mosaic's period.
+        margin: Samples on each side of the planes that the result lacks; if negative, that it has
+            in addition.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The mosaic, shape (rows - 2 margin, cols - 2 margin), or channels, (channels, ...), float32.
+
+    Raises:
+        BadData: The side or the overlap is not allowed.
+
+    Source:
+        Overlap-save (Oppenheim and Schafer, Discrete-Time Signal Processing, 8.7). The fold is as
+        in `optics.mosaic`.
     """
     _, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
@@ -59,8 +89,8 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
     if not made.suits(pattern.shape):
         raise BadData(
             f"tiles of {side} samples, {overlap} of them shared on each side, for a mosaic of "
-            f"{pattern.shape[1]} x {pattern.shape[0]}; wanted up to {LONGEST}, a multiple of 8 times the "
-            "period, of factors 2 and 3, and a part that is not shared of whole periods"
+            f"{pattern.shape[1]} x {pattern.shape[0]}; wanted a side up to {LONGEST} that is a multiple of 8 "
+            "times the period with factors 2 and 3 only, and whole periods between the shared samples"
         )
     if cfa is None and len(mix) > MOST:
         return _one_by_one(device, planes, tables, mix, border, side, overlap, margin)
@@ -97,7 +127,7 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
 
 
 def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
-    """Every channel of the planes that it has."""
+    """Blur channel by channel, each with only the planes that it uses."""
     channels = []
     for c, weights in enumerate(mix):
         used = np.flatnonzero(weights)
@@ -123,7 +153,7 @@ def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
 def _by_lanes(
     device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
 ):
-    """On a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
+    """Blur on a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     even = number + number % 2
     defines = {
@@ -176,7 +206,7 @@ def _by_lanes(
 def _by_batches(
     device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
 ):
-    """By transforms of many tiles at a time: on the host by SciPy, or where local memory holds no tile."""
+    """Blur by transforms of many tiles: on the host by SciPy, or if local memory holds no tile."""
     (channels, number), (_, rows, cols), (images, *shape) = mix.shape, planes.shape, out.shape
     small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
     of, mix = device.array(outputs, np.int32), device.array(mix)
@@ -247,7 +277,7 @@ def _by_batches(
 def _by_groups(
     device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out
 ):
-    """On a GPU: a tile in the local memory of each work-group."""
+    """Blur on a GPU: a tile in the local memory of each work-group."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     small, images = tuple(side // n for n in period), (len(outputs) + 1) // 2
     together = images if np.prod(period) > 1 else 1
@@ -303,7 +333,10 @@ def _by_groups(
 
 
 def _room(side, period, outputs):
-    """Bytes of local memory: a tile, complex, later its outputs, two in one; and roots of unity."""
+    """Return the bytes of local memory.
+
+    It holds a complex tile, later its outputs two in one, and the roots of unity.
+    """
     small = [side // n for n in period]
     together = (outputs + 1) // 2 if prod(period) > 1 else 1
     return 8 * (max(side * (side + 1), together * small[0] * (small[1] + 1)) + side)
@@ -319,7 +352,10 @@ def _radices(length):
 
 
 def _in_place(length, lines, sign, where, first=None, last=None):
-    """PASSes_IN_PLACE of a transform along lines of a place, which begins or ends at another."""
+    """Return the PASS_IN_PLACE calls of a transform.
+
+    first, last: other places to read from and write to.
+    """
     radices = _radices(length)
     passes = [(radix, length // prod(radices[:n])) for n, radix in enumerate(radices)][::-sign]
     reads, writes = [f"IN_{where}"] * len(passes), [f"TO_{where}"] * len(passes)
@@ -331,7 +367,7 @@ def _in_place(length, lines, sign, where, first=None, last=None):
 
 
 def _place(length):
-    """Where transforms in place leave frequency f: its digits to the radices, the first the most significant."""
+    """Return the place of frequency f after a transform in place: its digits to the radices."""
     places, radices = [], _radices(length)
     for n, radix in enumerate(radices):
         before, own = prod(radices[:n]), prod(radices[: n + 1])
@@ -340,7 +376,7 @@ def _place(length):
 
 
 def _passes(length, step, sign, source, target):
-    """LANES_PASSes of a transform from LOAD to a target; roots are those of length x step."""
+    """Return the LANES_PASS calls of a transform; its roots are those of length x step."""
     radices = _radices(length)
     between = ["B", "A"] if target == "SAVE" else ["A", "B"]
     places = [between[n % 2] for n in range(len(radices) - 1)][::-1]
@@ -356,17 +392,21 @@ def _passes(length, step, sign, source, target):
 
 @functools.cache
 def _turns(device, side, period):
-    """Real and imaginary parts of exp(2 pi i f d / side) for every phase d < period, shape (period, 2, side)."""
+    """Return the parts of exp(2 pi i f d / side) for phases d < period, shape (period, 2, side)."""
     angle = 2 * np.pi * (np.outer(np.arange(period), np.arange(side)) % side) / side
     return device.array(np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def cases():
-    """All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables, margins, highlights."""
+    """Yield cases.
+
+    All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables,
+    margins, highlights.
+    """
     random = np.random.default_rng(15)
     why = (
         "as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
-        "each of two, and what is folded by a rounding of each of its terms"
+        "each of two, and the fold errs by one rounding per term"
     )
     bayer, xtrans = np.array([[0, 1], [1, 2]]), np.arange(36).reshape(6, 6) % 3
     for rows, cols, count, cfa, own, border, side, overlap, margin in (
@@ -408,7 +448,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side."""
+    """Return inputs.
+
+    Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side.
+    """
     random = np.random.default_rng(15)
     return {
         "planes": random.random((4, rows, cols), np.float32),
@@ -422,7 +465,11 @@ def bench(rows, cols):
 
 
 def operations(planes, tables, mix, cfa, border, side, overlap):
-    """Of each tile: transforms there; per frequency and channel each plane times its table; back one for each phase."""
+    """Count operations.
+
+    Of each tile: transforms there; per frequency and channel each plane times its table; back one
+    for each phase.
+    """
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
     return number * (

@@ -1,7 +1,7 @@
 // Tiles on GPUs: a work-group has one, in local memory. Two real planes are the real and the imaginary part of one
 // complex tile, and so are two outputs. Transforms are in place: forward they leave frequency f of an axis at PLACE_SIDE(f),
-// back they begin with frequencies at PLACE_Y(f) and PLACE_X(f) and leave pixels in their order. So a work-item writes
-// where it read, and a pass needs one barrier and the registers of one of its butterflies.
+// back they begin with frequencies at PLACE_Y(f) and PLACE_X(f) and leave pixels in their order. A work-item writes to
+// the places that it has read, and a pass needs one barrier and the registers of one of its butterflies.
 // From the host: THREADS of a group, SIDE of a tile, OVERLAP, PERIOD_Y and PERIOD_X of the mosaic, 1 of channels;
 // OUTPUTS: the mosaic's phases, or the channels; OF, the channel of each; CHANNELS; OWN_TABLES, whether each has its own;
 // BORDER; PASSes: FIRST of the columns, COLUMNS the others, ROWS, BACK_X, BACK_Y and LAST; PLACE_SIDE, PLACE_Y, PLACE_X;
@@ -12,7 +12,7 @@
 #define SMALL_Y (SIDE / PERIOD_Y)
 #define SMALL_X (SIDE / PERIOD_X)
 #define VALID (SIDE - 2 * OVERLAP)
-#define PITCH (SIDE + 1)  // odd, so that lines side by side meet all banks
+#define PITCH (SIDE + 1)  // odd: adjacent lines then meet all banks
 #define SMALL_PITCH (SMALL_X + 1)
 #define IS_MOSAIC (PERIOD_Y * PERIOD_X > 1)
 #define IMAGES ((OUTPUTS + 1) / 2)         // complex ones, two outputs in each
@@ -67,7 +67,7 @@
         if (o + 1 < OUTPUTS) put(out, o + 1, e, x, (value).y, tile_y, tile_x, out_rows, out_cols);                 \
     }
 
-// Two planes' samples at row v, column u; -1 where it is dark.
+// Two planes' samples at row v, column u; -1 is dark.
 float2 light(__global const float *restrict planes, const int v, const int u, const int cols, const int plane,
              const int is_alone)
 {
@@ -75,7 +75,7 @@ float2 light(__global const float *restrict planes, const int v, const int u, co
     return v < 0 || u < 0 ? PAIR(0.0f, 0.0f) : PAIR(planes[at], is_alone ? 0.0f : planes[at + plane]);
 }
 
-// Stores output o at its own row y and column x, where the tile is valid and the result has such a pixel.
+// Stores output o at its own row y and column x, if the tile is valid there and the result has this pixel.
 void put(__global float *restrict out, const int o, const int y, const int x, const float value, const int tile_y,
          const int tile_x, const int out_rows, const int out_cols)
 {
@@ -118,7 +118,7 @@ __kernel void tiles(
         COLUMNS
         ROWS
         _Pragma("unroll") for (int n = 0; n < OWN; ++n) {
-            // neighbours have places side by side: those of the first radix, 8, are far apart
+            // neighbours have adjacent places; elements of the first radix, 8, are far apart
             const int j = item + n * THREADS, s = j % SMALL_X, y = j / SMALL_X;
             const int x = s % (SMALL_X / 8) * 8 + s / (SMALL_X / 8);
             if (HALF % THREADS == 0 || j < HALF) {

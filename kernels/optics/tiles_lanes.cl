@@ -34,14 +34,14 @@ __kernel void weights(
     for (int k = 0; k < even; ++k)
         for (int c = 0; c < CHANNELS; ++c) {
             const size_t table = (size_t)(own_tables * c * count + k) * (SIDE / 2 + 1);
-            // halves: of the sums that part two planes; the rest is what transforms of this size are divided by
+            // halves: of the sums that separate two planes; the rest is the norm of transforms of this size
             out[(((x * GROUPS + y / 8) * even + k) * CHANNELS + c) * 8 + y % 8] =
                 k < count ? mix[c * count + k] * tables[(table + min(y, SIDE - y)) * (SIDE / 2 + 1) + x]
                                 * (0.5f / (SIDE * SIDE)) : 0.0f;
         }
 }
 
-// Eight neighbours of a plane's row that begin at x, or what stands for them; columns: of the tile's place.
+// Eight neighbours of a plane's row that begin at x, or pixels in their place; columns: of the tile's place.
 FFT_INLINE float8 light(__global const float *restrict row, const int is_dark, const int is_inside, const int x,
                         const int *columns)
 {

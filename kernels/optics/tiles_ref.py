@@ -6,7 +6,7 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
 def tiles(planes, tables, mix, cfa, border, side, overlap, margin=0):
-    """See the contract; every channel is made in full, and then sampled."""
+    """Return the stage's result; every channel is made in full, and then sampled."""
     _, rows, cols = planes.shape
     mix, valid = np.asarray(mix, np.float64), side - 2 * overlap
     shape = [n - 2 * margin for n in (rows, cols)]

@@ -1,16 +1,12 @@
-"""Tiles where local memory does not hold them: cut out, transformed by `common.fft`, folded, put together."""
+"""Tiles that local memory does not hold: cut, transformed by `common.fft`, folded, placed."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.border_warp import value_at
+from gpusim.kernels.optics.mosaic_warp import times
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def times(a: wp.vec2, b: wp.vec2):
-    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 
 @wp.kernel

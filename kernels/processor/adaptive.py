@@ -1,35 +1,62 @@
 """Gradient-adaptive demosaicking of a Bayer mosaic, with black level and scale.
 
-Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
-and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear
+camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 DOMAINS = ("root", "linear")
 
 
 @stage
 def adaptive(
-    device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)
-):
-    """Hamilton-Adams interpolation with soft weights for the directions; measured samples are kept.
+    device: Device,
+    raw: Array,
+    *,
+    phase: str,
+    black_level: float,
+    scale: float,
+    domain: str = "root",
+    threshold: float = 0.0175,
+    balance: tuple[float, float] = (1.0, 1.0),
+) -> Array:
+    """Demosaick by Hamilton-Adams interpolation with soft weights for the directions.
 
-    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
-    domain: "root" interpolates (signed) square roots, which makes edges and shot noise equally strong in light and
-        shadow: right for linear data. "linear" interpolates the values, right for data that are encoded already.
-    threshold: gradients below this fraction of the full scale (1 / scale, in the domain) count as equally small.
-    balance: (red, blue): what these channels are multiplied by while colours are compared, so that white is as strong
-        in them as in green; what comes out is divided again.
-    Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
-    Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
-    Source: Hamilton & Adams 1997, US patent 5629734 (expired), with weights in place of its decisions.
+    Measured samples are kept, and nothing is clipped. Borders are mirrored without repeating the
+    end pixel. A frame of one row or column is interpolated bilinearly.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        phase: "RGGB", "GRBG", "GBRG" or "BGGR".
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        domain: "root" interpolates (signed) square roots: edges and shot noise are then equally
+            strong in light and shadow, which suits linear data. "linear" interpolates the values,
+            which suits data that are already encoded.
+        threshold: Gradients below this fraction of the full scale (1 / scale, in the domain) count
+            as equally small [1].
+        balance: Factors of (red, blue) while colours are compared [1], with which white is as
+            strong in them as in green. The result is divided by them.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear camera RGB [1], shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16.
+        OutOfRange: `scale`, `threshold` or `balance` is not allowed.
+        UnknownName: There is no such phase or domain.
+
+    Source:
+        Hamilton and Adams 1997, US patent 5629734 (expired), with weights instead of its decisions.
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
@@ -74,7 +101,7 @@ WORST_CONDITION = 20  # of the cases, error out over error in: their tolerances 
 
 
 def cases():
-    """All phases, both domains, odd and degenerate sizes, hard edges, flat fields."""
+    """Yield cases: all phases, both domains, odd and degenerate sizes, hard edges, flat fields."""
     random = np.random.default_rng(3)
     for domain in DOMAINS:
         for phase in RED:
@@ -130,11 +157,11 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
         2 * 16 * 2.0**-24 * condition,
         "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
         "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
-        "reference tells; 2 because four random changes need not hit the worst one",
+        "reference shows; 2 because four random changes need not hit the worst one",
     )
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(3).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -12,6 +12,7 @@ wp.set_module_options(
 
 @wp.func
 def encode(x: float, root: int):
+    """Return the code of a value: its signed root, or itself."""
     if root == 0:
         return x
     return wp.where(x < 0.0, -wp.sqrt(-x), wp.sqrt(x))
@@ -24,7 +25,7 @@ def decode(y: float, root: int):
 
 @wp.func
 def blend(p: float, q: float, r: float, s: float, limit: float):
-    """Mean of (p, q) and (r, s) with weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
+    """Return the mean of two pairs, weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
     first = wp.abs(r - s) + limit
     second = wp.abs(p - q) + limit
     return 0.5 * ((p + q) * first + (r + s) * second) / (first + second)

@@ -1,4 +1,4 @@
-// Planes are continued by PAD blocks on all sides, so that no search asks where the picture ends.
+// Planes are continued by PAD blocks on all sides: no search needs to check the picture's ends.
 // From the host: WIDTH (8 lanes on CPUs), TILE, PAD, PERIOD_Y, PERIOD_X, LIKELY, SAVED, SURE.
 #pragma OPENCL FP_CONTRACT OFF
 #include "lanes.clh"

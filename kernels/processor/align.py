@@ -1,61 +1,86 @@
-"""How a burst's frames are displaced against one of them, tile by tile, in whole periods of the mosaic and fractions.
+"""Displacements of a burst's frames against one of them, tile by tile, in periods of the mosaic.
 
-Ports: raw (frames, rows, cols) uint16 [DN] -> displacement (frames, tiles_y, tiles_x, 2) float32 [period], rows first:
-what is at block b of the reference is at b + displacement in the frame.
+Ports: raw (frames, rows, cols) uint16 [DN] -> displacement (frames, tiles_y, tiles_x, 2) float32
+[period], rows first. Block b of the reference appears at b + displacement in the frame.
 
-The pixels of one period are added to a block, which has no mosaic any more. Blocks are halved by means of 2 x 2,
-rounded to whole numbers, as long as a tile of 16 x 16 fits. From the coarsest picture on, every tile starts with twice
-what its parent found and tries all whole displacements up to FINE (the coarsest: COARSE) around it. It takes the one of
-the least sum of absolute differences. At the end a paraboloid is fitted to the nine sums of squared differences around
-it; its minimum, at most half a period away, is the fraction. A displacement back is one forth of the other tile, so
-that equal tiles have equal sums on both sides (else the edges of the tile pull by 0.04 period). Pictures go on at their
-edges as they end there.
+The pixels of one period are added into a block, which has no mosaic. Blocks are halved by means of
+2 x 2, rounded to whole numbers, while a tile of 16 x 16 fits. From the coarsest picture on, every
+tile starts at twice its parent's displacement and tries all whole displacements up to FINE
+(coarsest picture: COARSE) around it. It takes the one with the least sum of absolute differences.
+At the end a paraboloid is fitted to the nine sums of squared differences around it; its minimum, at
+most half a period away, is the fraction. A displacement back is treated as one forth of the other
+tile, because equal tiles then have equal sums on both sides (otherwise the edges of the tile pull
+by 0.04 period). Pictures continue with their edge values.
 
-A displacement that is chosen for its noise makes the frame's noise look like the reference's, or moves sharp edges, and
-both spoil the average. So each has to be significant. Of n differences inside both pictures:
-- A sum of |differences| of normal noise scatters by 0.755 / sqrt(n) of itself, and the difference of two such sums with
-  one tile in common by 0.94 / sqrt(n). To be followed further, another whole displacement than the start has to save
-  LIKELY / sqrt(n) of the start's sum, 2.1 of these. At the end it is taken only if on some level, the tile's or a
-  parent's, it saved SAVED / sqrt(n) of the sum at rest, 4.2 of these, for tens of them are tried.
-- With H = 2 sum of g^2, the bend of the sum of squares f for gradients g, and the noise s^2 = f / 2 n of a pixel, the
-  slope scatters by up to 4 s^2 H + 2 n s^4. The depth of the minimum, slope^2 / 2 H, has to be SURE times f / n
-  (1 + f / 4 H), which is 2.8 of these standard deviations.
-Along an axis where the sum rises by less than an eighth of itself per period there is nothing to go by and no fraction.
+A displacement that follows the noise makes the frame's noise look like the reference's, or moves
+sharp edges. Both spoil the average, so each displacement has to be significant. Of n differences
+inside both pictures:
 
-Sums are whole numbers, so all devices choose the same displacement. Where a frame shows something else, a displacement
-is found all the same: `processor.average` tells whether it fits.
+- A sum of |differences| of normal noise scatters by 0.755 / sqrt(n) of itself, and the difference
+of two sums with one tile in common by 0.94 / sqrt(n). Another whole displacement than the start is
+followed only if it saves LIKELY / sqrt(n) of the start's sum, 2.1 of these standard deviations. At
+the end it is taken only if on some level, the tile's or a parent's, it saved SAVED / sqrt(n) of the
+sum at rest, 4.2 of these, because tens of them are tried.
+- With H = 2 sum of g^2, the second derivative of the sum of squares f for gradients g, and the
+noise s^2 = f / 2 n of a pixel, the slope scatters by up to 4 s^2 H + 2 n s^4. The depth of the
+minimum, slope^2 / 2 H, has to be SURE times f / n (1 + f / 4 H), which is 2.8 of these standard
+deviations.
+
+Along an axis on which the sum rises by less than an eighth of itself per period, the content does
+not determine a fraction, and there is none.
+
+Sums are whole numbers, so all devices choose the same displacement. If a frame shows something
+else, a displacement is found nonetheless: `processor.average` decides whether it fits.
 """
 
 from numbers import Real
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
-PAD = (
-    2 * TILE + COARSE + 4
-)  # blocks that planes are continued by: a window reaches 2 TILE + COARSE + 1 outside
+PAD = 2 * TILE + COARSE + 4  # blocks around a plane: a window reaches 2 TILE + COARSE + 1 outside
 MOST_LEVELS = 8
-LIKELY, SAVED = 2, 4  # of a sum over the square root of the number of its differences, see above
+LIKELY, SAVED = 2, 4  # parts of a sum over the square root of the number of its differences
 SURE = 8.0  # depth of a paraboloid's minimum, over what noise gives it
 
 
 @stage
-def align(device, raw, *, reference=0, period=(2, 2), levels=None):
-    """Displacement of every tile of every frame, 0 where noise explains what is found.
+def align(
+    device: Device,
+    raw: Array,
+    *,
+    reference: int = 0,
+    period: tuple[int, int] = (2, 2),
+    levels: int | None = None,
+) -> Array:
+    """Return the displacement of every tile of every frame, 0 if noise explains it.
 
-    raw: shape (frames, rows, cols) uint16 [DN]. reference: the frame that the others are compared with. period: rows
-    and columns of the mosaic, 1 to 8. levels: pictures, each half as large as the one before, None: as many as hold a
-    tile, up to 8. The largest displacement that can be found is about (2 COARSE - 1) 2^(levels - 1) periods.
-    Returns shape (frames, tiles_y, tiles_x, 2) [period], a tile being 16 x 16 periods; 0 for the reference.
-    Raises BadData (a frame of less than one tile too), OutOfRange.
-    Source: Hasinoff et al. 2016, "Burst photography for high dynamic range and low-light imaging on mobile cameras",
-    section 4, for the pyramid of tiles and the paraboloid.
+    Args:
+        raw: Digital numbers [DN], shape (frames, rows, cols), uint16.
+        reference: Number of the frame with which the others are compared.
+        period: Rows and columns of the mosaic's period, 1 to 8.
+        levels: Pictures, each half as large as the one before; None for as many as hold a tile, up
+            to 8. The largest displacement found is about (2 COARSE - 1) 2^(levels - 1) periods.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Displacements [period], shape (frames, tiles_y, tiles_x, 2), float32, for tiles of 16 x 16
+        periods; 0 for the reference.
+
+    Raises:
+        BadData: `raw` is no stack of uint16 frames, or a frame is smaller than a tile.
+        OutOfRange: `reference`, `period` or `levels` is not allowed.
+
+    Source:
+        Hasinoff et al. 2016, "Burst photography for high dynamic range and low-light imaging on
+        mobile cameras", section 4, for the pyramid of tiles and the paraboloid.
     """
-    size = checked(raw, reference, period, levels)
+    size = check_inputs(raw, reference, period, levels)
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
     lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
@@ -144,8 +169,8 @@ def align(device, raw, *, reference=0, period=(2, 2), levels=None):
     return out
 
 
-def checked(raw, reference, period, levels):
-    """Rows and columns of blocks. Raises BadData, OutOfRange."""
+def check_inputs(raw, reference, period, levels):
+    """Return rows and columns of blocks. Raise BadData or OutOfRange as `align` does."""
     checked_stack(raw, reference, period)
     if levels is not None and not (1 <= levels <= MOST_LEVELS and levels == int(levels)):
         raise OutOfRange("levels", levels, f"a whole number, 1 <= levels <= {MOST_LEVELS}")
@@ -159,8 +184,8 @@ def checked(raw, reference, period, levels):
 
 
 def checked_stack(raw, reference, period):
-    """Refuse what is no stack of frames with a reference among them. Raises BadData, OutOfRange."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    """Raise BadData or OutOfRange if this is no stack of frames with a reference among them."""
+    dtype = dtype_name(raw)
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16"
@@ -175,8 +200,8 @@ def checked_stack(raw, reference, period):
         raise OutOfRange("period", period, "whole numbers of rows and columns, 1 .. 8")
 
 
-def _moved(random, shifts, rows, cols, smooth):
-    """A random picture seen from `shifts` [pixel], and noise."""
+def _moving_picture(random, shifts, rows, cols, smooth):
+    """Return a random picture seen from `shifts` [pixel], with noise."""
     margin = 2 * int(np.abs(shifts).max()) + 2
     picture = random.random((rows + 2 * margin, cols + 2 * margin))
     for _ in range(smooth):
@@ -191,7 +216,10 @@ def _moved(random, shifts, rows, cols, smooth):
 
 
 def cases():
-    """Whole and broken displacements, odd sizes, other mosaics, flat fields, the largest numbers."""
+    """Yield cases.
+
+    Whole and broken displacements, odd sizes, other mosaics, flat fields, the largest numbers.
+    """
     random = np.random.default_rng(8)
     why = (
         "whole displacements are equal; of 256 squares and their sum at most 24 roundings per lane, 2.4e-6 of sums "
@@ -205,7 +233,7 @@ def cases():
         ((2, 2), 150, 140, [(0, 0), (21, -33)]),
         ((4, 1), 64, 16, [(0, 0), (2, 1)]),
     ):
-        raw = _moved(random, np.array(shifts), rows, cols, 4 * max(period))
+        raw = _moving_picture(random, np.array(shifts), rows, cols, 4 * max(period))
         yield Case(
             f"{len(shifts)} frames {rows}x{cols}, period {period}",
             {"raw": raw, "period": period, "reference": shifts.index((0, 0))},
@@ -215,7 +243,7 @@ def cases():
         )
     yield Case(
         "one level",
-        {"raw": _moved(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1},
+        {"raw": _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1},
         2e-4,
         why,
         metric="exact",
@@ -226,6 +254,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """Eight frames of a Bayer mosaic."""
+    """Return inputs: eight frames of a Bayer mosaic."""
     random = np.random.default_rng(8)
-    return {"raw": _moved(random, random.integers(-20, 21, (8, 2)), rows, cols, 8)}
+    return {"raw": _moving_picture(random, random.integers(-20, 21, (8, 2)), rows, cols, 8)}

@@ -8,7 +8,7 @@ from gpusim.kernels.processor.align import COARSE, FINE, TILE
 
 
 def align(raw, *, reference=0, period=(2, 2), levels=None):
-    """See the contract."""
+    """Return the stage's result, see `align.py`."""
     count, rows, cols = raw.shape
     size = rows // period[0], cols // period[1]
     whole = np.asarray(raw, np.int64)[:, : size[0] * period[0], : size[1] * period[1]]
@@ -46,14 +46,14 @@ def align(raw, *, reference=0, period=(2, 2), levels=None):
 
 
 def window(plane, ty, tx, dy=0, dx=0):
-    """A tile of a plane that goes on outside itself as at its edge."""
+    """Return a tile of a plane that continues with its edge values."""
     y = np.clip(np.arange(ty * TILE + dy, (ty + 1) * TILE + dy), 0, plane.shape[0] - 1)
     x = np.clip(np.arange(tx * TILE + dx, (tx + 1) * TILE + dx), 0, plane.shape[1] - 1)
     return plane[np.ix_(y, x)]
 
 
 def search(wanted, plane, ty, tx, start, radius):
-    """The displacement of the least sum that noise hardly explains, and whether it is too much better than rest."""
+    """Return the best displacement that noise hardly explains, and whether it is significant."""
     start = tuple(
         np.clip(d, -2 * TILE - t * TILE, n + TILE - t * TILE)
         for d, t, n in zip(start, (ty, tx), plane.shape, strict=True)
@@ -75,7 +75,7 @@ def search(wanted, plane, ty, tx, start, radius):
 
 
 def inside(plane, ty, tx, dy=0, dx=0):
-    """Number of a tile's differences that lie inside both pictures."""
+    """Return the number of a tile's differences that lie inside both pictures."""
     sizes = []
     for t, d, n in zip((ty, tx), (dy, dx), plane.shape, strict=True):
         places = np.arange(t * TILE, min((t + 1) * TILE, n)) + d
@@ -84,8 +84,8 @@ def inside(plane, ty, tx, dy=0, dx=0):
 
 
 def fraction(wanted, plane, ty, tx, best):
-    """Where a paraboloid has its minimum, fitted to the sums of squares around the best whole displacement."""
-    # moving one tile forth instead of the other back, equal tiles give equal sums on both sides
+    """Return the minimum of a paraboloid through the sums of squares around the best place."""
+    # one tile moves forth instead of the other back: equal tiles then give equal sums on both sides
     f = np.array(
         [
             [
@@ -108,7 +108,7 @@ def fraction(wanted, plane, ty, tx, best):
     count = max(inside(plane, ty, tx, *best), 1)
 
     def limit(bend):
-        """Depth of a minimum that noise does not explain."""
+        """Return the depth of a minimum that noise does not explain."""
         return 8 * f[1, 1] / count * (1 + f[1, 1] / (4 * bend))
 
     determinant = bend_y * bend_x - twist**2

@@ -9,7 +9,7 @@ from gpusim.kernels.processor.align import SAVED as HOST_SAVED
 from gpusim.kernels.processor.align import SURE as HOST_SURE
 from gpusim.kernels.processor.align import TILE as HOST_TILE
 
-# GPUs want the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
+# GPUs need the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
 wp.set_module_options(
     {"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1}
 )
@@ -71,7 +71,7 @@ def halve(
 def difference_sum(
     plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int
 ):
-    """Sum of absolute differences of the tile at (y0, x0) of the plane with its PAD."""
+    """Return the sum of absolute differences of the tile at (y0, x0) of the plane with its PAD."""
     sum = int(0)
     for j in range(TILE):
         for k in range(TILE):
@@ -81,7 +81,7 @@ def difference_sum(
 
 @wp.func
 def square_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int):
-    """Sum of squared differences; every row by itself, so that few roundings meet."""
+    """Return the sum of squared differences; rows are summed separately, which rounds less."""
     sum = float(0.0)
     for j in range(TILE):
         line = float(0.0)

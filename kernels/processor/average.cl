@@ -1,5 +1,5 @@
-// Three passes: move and compare, weigh, add. A GPU's work-item does a block, a block, a pixel; a CPU's a row, in runs
-// of a tile's width: all of a tile have one displacement, so that neighbours are read in vectors.
+// Three passes: move and compare, weigh, add. A GPU's work-item makes a block, a block, a pixel; a CPU's a row, in runs
+// of a tile's width: pixels of a tile have one displacement, and neighbours are read in vectors.
 // From the host: FRAMES, TILE, PERIOD_Y, PERIOD_X, CPU (0 or 1), WIDTH, OUTSIDE.
 #pragma OPENCL FP_CONTRACT OFF
 #include "lanes.clh"

@@ -1,25 +1,28 @@
-"""Average of a burst's frames, moved onto one of them, without what does not fit.
+"""Average of a burst's frames, moved onto one of them, without the parts that do not fit.
 
-Ports: raw (frames, rows, cols) uint16 [DN], displacement (frames, tiles_y, tiles_x, 2) float32 [period] (see
-`processor.align`) -> mosaic (rows, cols) float32 [DN], black level and all.
+Ports: raw (frames, rows, cols) uint16 [DN], displacement (frames, tiles_y, tiles_x, 2) float32
+[period] (see `processor.align`) -> mosaic (rows, cols) float32 [DN], with its black level.
 
-A frame is interpolated among samples of one colour, a period apart, by the cubic of Keys with a = -1/2, 4 x 4 taps;
-displacements in whole periods move samples as they are. f is the moved frame, r the reference, and A = sum of the
-squared tap weights what interpolation leaves of the noise. Each period of the mosaic is a block; q is the mean over a
-block's pixels and then over 3 x 3 blocks of
+A frame is interpolated among samples of one colour, a period apart, by the cubic of Keys with a =
+-1/2, 4 x 4 taps. Displacements in whole periods move samples unchanged. f is the moved frame, r the
+reference, and A = sum of the squared tap weights the part of the noise's variance that
+interpolation leaves. Each period of the mosaic is a block; q is the mean over a block's pixels and
+then over 3 x 3 blocks of
 
     (f - r)^2 / ((1 + A) (gain max((f + r) / 2 - black_level, 0) + read^2)),
 
-which is 1 on average where both show the same, whatever the noise. The frame's weight at the block is 1 up to q = low,
-falls linearly and is 0 from high on, see `bounds`: what moved by itself, or is in view of one of them only, is left
-out. Where a tap outside the frame is needed, q of that pixel is OUTSIDE. The reference's weight is 1.
+which is 1 on average if both show the same, at any noise. The frame's weight at the block is 1 up
+to q = low, falls linearly, and is 0 from high on, see `bounds`. Objects that moved, or that only
+one frame shows, are thus left out. If a tap outside the frame is needed, q of that pixel is
+OUTSIDE. The reference's weight is 1.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.align import TILE, checked_stack
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 LOW, HIGH = 1.5, 2.5  # of q; of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
 SURE = 2.1  # [standard deviations] of q at least from 1 to low, and twice that from low to high
@@ -27,19 +30,42 @@ OUTSIDE = 1e6
 
 
 @stage
-def average(device, raw, displacement, *, reference=0, period=(2, 2), black_level, noise):
-    """Weighted mean of all frames at every pixel of the reference.
+def average(
+    device: Device,
+    raw: Array,
+    displacement: Array,
+    *,
+    reference: int = 0,
+    period: tuple[int, int] = (2, 2),
+    black_level: float,
+    noise: tuple[float, float],
+) -> Array:
+    """Return the weighted mean of all frames at every pixel of the reference.
 
-    raw: shape (frames, rows, cols) uint16 [DN]. displacement: shape (frames, tiles_y, tiles_x, 2) [period]; a tile is
-    16 x 16 periods, the last also has what is left over. reference: the frame that stays where it is. period: rows and
-    columns of the mosaic, 1 to 8. black_level [DN]. noise: (gain, read), the variance of a digital number being
-    gain (DN - black_level) + read^2; gain [DN/e-] >= 0, read [DN] > 0, rounding included.
-    Returns shape (rows, cols) float32 [DN]. Raises BadData, OutOfRange.
-    Source: Hasinoff et al. 2016, "Burst photography for high dynamic range and low-light imaging on mobile cameras",
-    section 5, for a merge that trusts a frame by its difference over the noise; Keys 1981, "Cubic convolution
-    interpolation for digital image processing".
+    Args:
+        raw: Digital numbers [DN], shape (frames, rows, cols), uint16.
+        displacement: Displacement of every tile [period], shape (frames, tiles_y, tiles_x, 2). A
+            tile is 16 x 16 periods; the last one also has the rest.
+        reference: Number of the frame that stays in place.
+        period: Rows and columns of the mosaic's period, 1 to 8.
+        black_level: Black level [DN].
+        noise: (gain [DN/e-] >= 0, read [DN] > 0, rounding included): the variance of a digital
+            number is gain (DN - black_level) + read^2.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Mosaic [DN], shape (rows, cols), float32.
+
+    Raises:
+        BadData: Shapes or types do not fit.
+        OutOfRange: `reference`, `period` or `noise` is not allowed.
+
+    Source:
+        Hasinoff et al. 2016, "Burst photography for high dynamic range and low-light imaging on
+        mobile cameras", section 5, for a merge that trusts a frame by its difference over the
+        noise; Keys 1981, "Cubic convolution interpolation for digital image processing".
     """
-    checked(raw, displacement, reference, period, noise)
+    check_inputs(raw, displacement, reference, period, noise)
     count, rows, cols = raw.shape
     py, px = map(int, period)
     h, w = -(-rows // py), -(-cols // px)
@@ -118,19 +144,26 @@ def average(device, raw, displacement, *, reference=0, period=(2, 2), black_leve
     return out
 
 
-def bounds(period) -> tuple[float, float]:
-    """Return q up to which a frame has all its weight, and from which it has none.
+def bounds(period: tuple[int, int]) -> tuple[float, float]:
+    """Return the largest q of full weight, and the least q of weight 0.
 
-    Of n pixels q scatters by sqrt(2 / n): of the 9 of a monochrome sensor so much that bounds fit for Bayer's 36 would
-    leave out frames by chance, more of them the less they look like the reference, whose noise would stay.
+    q of n pixels scatters by sqrt(2 / n). For the 9 pixels of a monochrome sensor this is so much
+    that the bounds for Bayer's 36 would leave out frames by chance, and preferably those that look
+    least like the reference; its noise would stay.
+
+    Args:
+        period: Rows and columns of the mosaic's period.
+
+    Returns:
+        (low, high).
     """
     scatter = float(np.sqrt(2 / (9 * period[0] * period[1])))
     low = max(LOW, 1 + SURE * scatter)
     return low, max(HIGH, low + 2 * SURE * scatter)
 
 
-def checked(raw, displacement, reference, period, noise):
-    """Refuse what does not go together. Raises BadData, OutOfRange."""
+def check_inputs(raw, displacement, reference, period, noise):
+    """Raise BadData or OutOfRange as `average` does."""
     checked_stack(raw, reference, period)
     blocks = raw.shape[1] // int(period[0]), raw.shape[2] // int(period[1])
     wanted = (raw.shape[0], *(max(1, -(-n // TILE)) for n in blocks), 2)
@@ -140,12 +173,16 @@ def checked(raw, displacement, reference, period, noise):
         )
     if not (noise[0] >= 0 and 0 < noise[1] < np.inf and noise[0] < np.inf):
         raise OutOfRange(
-            "noise", tuple(noise), "(gain, read), gain >= 0 and read > 0: rounding alone gives 0.29"
+            "noise", tuple(noise), "(gain, read), gain >= 0 and read > 0: rounding only is 0.29"
         )
 
 
 def cases():
-    """Whole and broken displacements, out of the frame, other mosaics, odd sizes, a moving thing, one frame."""
+    """Yield cases.
+
+    Whole and broken displacements, out of the frame, other mosaics, odd sizes, a moving thing, one
+    frame.
+    """
     random = np.random.default_rng(9)
     why = (
         "in 2^-24: 16 taps of up to 4095 DN, absolute weights adding up to 1.27 at most, err by 2 (4 + 4) 1.27 4095 "
@@ -198,7 +235,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Eight frames of a Bayer mosaic, displaced by fractions."""
+    """Return inputs: eight frames of a Bayer mosaic, displaced by fractions."""
     random = np.random.default_rng(9)
     raw = np.rint(
         300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))

@@ -1,4 +1,4 @@
-"""Frames moved by cubic interpolation within a colour, and averaged where they fit: float64."""
+"""Frames moved by cubic interpolation within a colour, and averaged if they fit: float64."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from gpusim.kernels.processor.average import OUTSIDE
 
 
 def average(raw, displacement, *, reference=0, period=(2, 2), black_level, noise):
-    """See the contract."""
+    """Return the stage's result, see `average.py`."""
     raw, displacement = np.asarray(raw, np.float64), np.asarray(displacement, np.float64)
     count, rows, cols = raw.shape
     total, weight = raw[reference].copy(), np.ones((rows, cols))
@@ -23,7 +23,7 @@ def average(raw, displacement, *, reference=0, period=(2, 2), black_level, noise
 
 
 def move(frame, displacement, period):
-    """The frame moved, the part of the noise's variance that is left, and whether all samples were inside."""
+    """Return the moved frame, the variance left of its noise, and whether all taps were inside."""
     rows, cols = frame.shape
     y, x = np.mgrid[:rows, :cols]
     tile = [
@@ -47,7 +47,7 @@ def move(frame, displacement, period):
 
 
 def keys(s):
-    """Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1."""
+    """Return the weights of the samples at -1, 0, 1, 2 for 0 <= s < 1."""
 
     def inner(t):
         return 1 - 2.5 * t**2 + 1.5 * t**3
@@ -65,7 +65,7 @@ def keys(s):
 
 
 def trust(q, period):
-    """Weight of each pixel from the mean of q over 3 x 3 blocks, edge blocks going on outside."""
+    """Return each pixel's weight from the mean of q over 3 x 3 blocks; edges continue."""
     (rows, cols), (py, px) = q.shape, period
     h, w = -(-rows // py), -(-cols // px)
     padded = np.full((h * py, w * px), np.nan)

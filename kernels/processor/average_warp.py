@@ -14,7 +14,7 @@ OUTSIDE = wp.constant(HOST_OUTSIDE)
 
 @wp.func
 def keys(s: float):
-    """Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1, after Keys."""
+    """Return the weights of the samples at -1, 0, 1, 2 at 0 <= s < 1, after Keys."""
     r = 1.0 - s
     return wp.vec4(
         -0.5 * s * r * r,

@@ -1,6 +1,7 @@
-"""The Bayer mosaic: where its colours are."""
+"""The Bayer mosaic: places of its colours."""
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.kernels.stage import dtype_name
 
 RED = {
     "RGGB": (0, 0),
@@ -11,15 +12,15 @@ RED = {
 
 
 def red_pixel(phase: str) -> tuple[int, int]:
-    """Row and column of the first red pixel of a Bayer mosaic named by its first two rows. Raises UnknownName."""
+    """Return row and column of a Bayer phase's first red pixel. Raise UnknownName."""
     if phase not in RED:
         raise UnknownName("Bayer phase", phase, RED)
     return RED[phase]
 
 
 def check_mosaic(raw, scale):
-    """Refuse what is not a mosaic of digital numbers. Raises BadData, OutOfRange."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    """Raise BadData or OutOfRange if this is no mosaic of digital numbers with a scale > 0."""
+    dtype = dtype_name(raw)
     if len(raw.shape) != 2 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of uint16")
     if not scale > 0:

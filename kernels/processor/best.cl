@@ -1,10 +1,10 @@
-// Everything happens on scratch planes of encoded samples with a margin of mirrored ones, so no step asks for borders.
+// All steps work on scratch planes of encoded samples with a mirrored margin; no step needs to check borders.
 // A scratch row is its even columns, then its odd ones ("halves"): the sites of one colour are neighbours in memory.
-// Every step finds WIDTH neighbouring sites of one half.
+// Every step computes WIDTH neighbouring sites of one half.
 // On CPUs a work-item walks down a strip and runs each step as soon as the rows that it needs are there, on scratch of
 // few rows (a ring, rows & MASK) that stays in the cache: one pass over the picture.
-// GPUs make three passes over tiles: codes and differences, green, red and blue. What a pass alone needs stays in local
-// memory and is found again where tiles meet; a work-item does a run of rows, whose neighbours it loads once.
+// GPUs make three passes over tiles: codes and differences, green, red and blue. Values that only one pass needs stay in
+// local memory and are computed again at the seams of tiles; a work-item makes a run of rows and loads neighbours once.
 // All sums are symmetric in left and right, up and down, and rows and columns; no contraction: a mirrored mosaic then
 // gives the mirrored picture bit for bit.
 #pragma OPENCL FP_CONTRACT OFF
@@ -21,14 +21,14 @@ typedef float8 __attribute__((aligned(4))) unaligned;  // PoCL's vload8 makes ei
 #define PUT(values, to) *(__global unaligned *)(to) = (values)
 #else
 #define TILE __local float *
-#define TILE_PAIRS (PAIRS + 4)  // a tile and what is needed around it
+#define TILE_PAIRS (PAIRS + 4)  // a tile and its surroundings
 #define SLOPES_IN __local float2 *slopes
 #define SLOPES slopes
 #define NEAR(from) (from)[0]
 #define PUT(values, to) (to)[0] = (values)
 #endif
 #define SQUARE(x) ((x) * (x))
-#define MARGIN (WIDTH == 1 ? 16 : 14)  // 14 is what a pixel of the picture needs around it; 16 aligns a GPU's vectors
+#define MARGIN (WIDTH == 1 ? 16 : 14)  // a pixel of the picture needs 14 around it; 16 aligns a GPU's vectors
 #define PLANES 9   // of scratch on a CPU
 #define MASK (WIDTH == 1 ? -1 : NOISY ? 31 : 15)
 // Thresholds are fractions of the full scale.
@@ -46,7 +46,7 @@ typedef struct {
     float black_level, scale, offset;      // code = root or identity of (DN - black_level) scale + offset
     float variance, shot;                  // of a code: variance + shot * code
     float red, blue;                       // factors of their codes; green's is 1
-    float longest, shortest;               // share of the long taps where the colours are alike, and are not
+    float longest, shortest;               // share of the long taps for similar and for different colours
     float prior;                           // mean square bend below which gains stay 1
     int red_row, red_col, half_, rows, cols;
     int corner;                            // of a tile: its first site is at -corner of a plane
@@ -55,11 +55,11 @@ typedef struct {
 
 // Offset of the pixel i columns right of column 2 q + e, from the start of its row + q.
 #define COLUMN(e, i) ((i) & 1 ? ((e) ? 1 : half_) + ((i) - 1) / 2 : ((e) ? half_ : 0) + (i) / 2)
-#define ROW(plane, j) ((plane) + (((y + (j)) & MASK) * (2 * half_) + q))  // 32 bits: addresses cost as much as sums
+#define ROW(plane, j) ((plane) + (((y + (j)) & MASK) * (2 * half_) + q))  // 32 bits: addresses cost the same as sums
 #define AT(plane, j, i) NEAR(ROW(plane, j) + COLUMN(e, i))
 // The pixel i steps along and j across, for both axes.
 #define ALONG(plane, i, j) (vertical ? AT(plane, i, j) : AT(plane, j, i))
-// The same of planes that have red and blue sites alone: in local memory without the other half of the row.
+// The same for planes with only red and blue sites: in local memory without the other half of the row.
 #if WIDTH == 1
 #define OWN(plane, j, i) (plane)[(y + (j)) * TILE_PAIRS + q - m.corner + ((i) & 1 ? e + ((i) - 1) / 2 : (i) / 2)]
 #else
@@ -68,7 +68,7 @@ typedef struct {
 #define OWN_ALONG(plane, i, j) (vertical ? OWN(plane, i, j) : OWN(plane, j, i))
 
 // A GPU's correctly rounded quotient takes a dozen instructions; its own, and its root, err by about 2 ulp: 3 roundings
-// more each, 21 along the longest chain (6 quotients, a root), beside 48 and within the 96 that the cases allow.
+// more each, 21 along the longest chain (6 quotients, a root), next to 48 and within the 96 that the cases allow.
 #if WIDTH == 1
 #define QUOTIENT(a, b) native_divide(a, b)
 #define ROOT_OF native_sqrt
@@ -122,7 +122,7 @@ INLINE real decode_found(const real code, const Mosaic m)
 #endif
 }
 
-// Means are taken of signals, so that they stay: of a code's signed square, and back.
+// Means are means of signals, a code's signed square, and are encoded again: this keeps them.
 INLINE real signal_of(const real code) { return ROOT ? code * fabs(code) : code; }
 
 // `value` drawn towards `mean` (signals), the more the less they differ by more than noise; `kept` is the share that
@@ -202,7 +202,7 @@ INLINE real difference(TILE code, const int y, const int q, const int e, const i
 #undef OTHER_BEND
 }
 
-// How a difference changes along its axis, over three lines. CPUs keep it in a plane, GPUs find it anew.
+// Change of a difference along its axis, over three lines. CPUs keep it in a plane, GPUs compute it again.
 #define STEP_OVER(i, j) fabs(ALONG(d, i - 1, j) - ALONG(d, i + 1, j))
 #define STEPS(i) ((STEP_OVER(i, -1) + STEP_OVER(i, 1)) + STEP_OVER(i, 0))
 INLINE real step_at(PLANE d, const int y, const int q, const int e, const int half_, const int vertical)
@@ -418,7 +418,7 @@ INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE gre
     }
     green_there = decode(NEAR(ROW(green, 0) + (own ? 0 : half_)), m);
 #else
-    __global const ushort *numbers = raw + (size_t)row * m.cols;  // exactly what was measured, not a squared root
+    __global const ushort *numbers = raw + (size_t)row * m.cols;  // exactly the measured sample, not a squared root
     real even = 0.0f, odd = 0.0f;
 #if WIDTH == 8
     if (x + 16 <= m.cols) {

@@ -1,61 +1,82 @@
-"""The best Bayer demosaicking of this library that interpolates: it knows the noise and the lens's blur.
+"""The best Bayer interpolation in this library: it uses the noise and the lens's blur.
 
-Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
-and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear
+camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.processor.adaptive import DOMAINS
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 MARGIN = 14  # mirrored pixels around the picture, see best.cl
 STRIPS = 4  # per core of a CPU: even loads
 LOWEST = 64  # rows of a strip: the 28 around it are computed twice
 PLANES = 9  # of a strip's scratch
-# A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of columns, work-items of
-# its group, rows that one of them takes.
+# A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of columns, work-items
+# of its group, rows per work-item.
 TILE = {"HIGH": 16, "PAIRS": 64, "GROUP": 256, "RUN": 4, "RUN_DIAGONALS": 3}
 ROOM = 128  # of planes around the picture, for whole tiles
-MOST_READ = 20.0  # [e-] of read noise that the root makes even; more is taken for shot noise
+MOST_READ = 20.0  # [e-] of read noise that the root makes even; more counts as shot noise
 
 
 @stage
 def best(
-    device,
-    raw,
+    device: Device,
+    raw: Array,
     *,
-    phase,
-    black_level,
-    scale,
-    domain="root",
-    noise=(0.0, 0.0),
-    blur=0.0,
-    balance=(1.0, 1.0),
-):
-    """Directional interpolation with regressed gains and taps that follow the colours, the blur and the noise.
+    phase: str,
+    black_level: float,
+    scale: float,
+    domain: str = "root",
+    noise: tuple[float, float] = (0.0, 0.0),
+    blur: float = 0.0,
+    balance: tuple[float, float] = (1.0, 1.0),
+) -> Array:
+    """Demosaick by directional interpolation with regressed gains.
 
-    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
-    domain: "root" works on (signed) square roots, in which shot noise is the same everywhere: right for linear data.
-        "linear" works on the values, right for data that are encoded already.
-    noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN - black_level) + read^2 [DN^2].
-        (0, 0): no noise, measured samples are kept. Otherwise every value, measured ones included, is drawn towards
-        the mean of its neighbours where it differs from it by no more than noise does. "root": above a read noise of
-        MOST_READ electrons, or without shot noise, the gain is taken for read / MOST_READ.
-    blur: standard deviation [pixel] of the lens's blur as a Gaussian: the more, the shorter the taps.
-    balance: (red, blue): what these channels are multiplied by, noise included, while colours are compared, so that
-        white is as strong in them as in green; what comes out is divided again.
-    Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
-    Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
-    Sources: green - other differences, weighted by their gradients: Pekkucuksen & Altunbasak 2010, "Gradient based
-    threshold free color filter array interpolation", ICIP; gains regressed on Laplacians: Kiku et al. 2014,
-    "Minimized-Laplacian residual interpolation", SPIE 9023; weights of red and blue: Hamilton & Adams 1997, US patent
-    5629734 (expired); roots with an offset: Anscombe 1948, Biometrika 35; powers without skew: Anscombe 1953, J. Royal
-    Statistical Society B 15, 229. Own: taps by colour, shrinkage.
+    The taps follow the colours, the blur and the noise. Nothing is clipped. Borders are mirrored
+    without repeating the end pixel. A frame of one row or column is interpolated bilinearly.
+    Without noise, measured samples are kept. With noise every value, measured or not, is drawn
+    towards the mean of its neighbours if it differs from it by no more than noise does.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        phase: "RGGB", "GRBG", "GBRG" or "BGGR".
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        domain: "root" works on (signed) square roots, in which shot noise is the same everywhere,
+            which suits linear data. "linear" works on the values, which suits data that are already
+            encoded.
+        noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN -
+            black_level) + read^2 [DN^2]; (0, 0) for no noise. In the domain "root", with a read
+            noise above MOST_READ electrons or without shot noise, the gain is read / MOST_READ.
+        blur: Standard deviation of the lens's blur as a Gaussian [pixel]; more blur makes the taps
+            shorter.
+        balance: Factors of (red, blue) while colours are compared, noise included [1], with which
+            white is as strong in them as in green. The result is divided by them.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear camera RGB [1], shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16.
+        OutOfRange: `scale`, `noise`, `blur` or `balance` is not allowed.
+        UnknownName: There is no such phase or domain.
+
+    Source:
+        Differences green - other, weighted by their gradients: Pekkucuksen and Altunbasak 2010,
+        "Gradient based threshold free color filter array interpolation", ICIP. Gains regressed on
+        Laplacians: Kiku et al. 2014, "Minimized-Laplacian residual interpolation", SPIE 9023.
+        Weights of red and blue: Hamilton and Adams 1997, US patent 5629734 (expired). Roots with an
+        offset: Anscombe 1948, Biometrika 35. Powers without skew: Anscombe 1953, J. Royal
+        Statistical Society B 15, 229. New here: taps by colour, shrinkage.
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
@@ -143,7 +164,7 @@ def best(
 
 
 def _tiles(rows, pairs):
-    """Grid and group of work-items over whole tiles."""
+    """Return grid and group of work-items over whole tiles."""
     return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (
         1,
         TILE["GROUP"],
@@ -151,7 +172,10 @@ def _tiles(rows, pairs):
 
 
 def code_noise(root, gain, read):
-    """Offset under the root, and variance = constant + slope * code, of noise with variance gain * x + read^2."""
+    """Return the offset under the root, and the variance as (constant, slope) of the code.
+
+    gain, read: noise of variance gain x + read^2.
+    """
     if not root:
         return 0.0, read**2, gain
     if gain == read == 0:
@@ -161,31 +185,36 @@ def code_noise(root, gain, read):
 
 
 def root_gain(gain, read):
-    """Return the gain of the shot noise that the root is made for, in the unit of the two.
+    """Return the gain of shot noise for which the root is made, in the unit of the arguments.
 
-    The root's offset is read^2 / gain. Read noise with little or no shot noise would move it beyond the full scale, and
-    the root would become a straight line: it is kept at MOST_READ times the read noise, which goes to 0 with it.
+    The root's offset is read^2 / gain. Read noise with little or no shot noise would move it beyond
+    the full scale, and the root would become a straight line. It is limited to MOST_READ times the
+    read noise, which vanishes with it.
     """
     return max(gain, read / MOST_READ)
 
 
 def tap_shares(blur):
-    """Share of the long taps where the colours are alike, and where they are not; blur leaves no detail to carry."""
+    """Return the long taps' shares for similar and different colours; blur leaves no detail."""
     return 0.945 - 1.7 * min(blur, 0.9) ** 2, -0.7 + 0.5 * min(blur, 0.9) ** 2
 
 
 def gain_prior(blur):
-    """Mean square bend below which gains stay 1; blur leaves only small ones, which then are all there is to go by."""
+    """Return the mean square second difference below which gains stay 1; blur reduces it."""
     return 20 / 255**2 / (1 + (2.5 * blur) ** 4)
 
 
 WORST_CONDITION = (
-    150  # of the cases, error out over error in; high where pairs of neighbours chance to agree
+    150  # of the cases, error out over error in; high if pairs of neighbours agree by chance
 )
 
 
 def cases():
-    """All phases, both domains, with and without noise, odd and degenerate sizes, hard edges, flat fields."""
+    """Yield cases.
+
+    All phases, both domains, with and without noise, odd and degenerate sizes, hard edges, flat
+    fields.
+    """
     random = np.random.default_rng(5)
     noise = (0.5, 3.0)
     for domain in DOMAINS:
@@ -208,7 +237,7 @@ def cases():
             noise=noise,
         )
         yield _case(
-            f"{domain} read noise alone",
+            f"{domain} only read noise",
             random.poisson(ramp).astype(np.uint16),
             "BGGR",
             domain,
@@ -271,12 +300,12 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
         2 * 48 * 2.0**-24 * condition,
         "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
         "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
-        "samples by 2^-24 of the largest, whose effect the reference tells; 2 because three random changes "
+        "samples by 2^-24 of the largest, whose effect the reference shows; 2 because three random changes "
         "need not hit the worst one",
     )
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

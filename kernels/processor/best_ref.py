@@ -1,27 +1,38 @@
-"""Demosaicking by weighted colour differences, float64; the noise and the lens's blur set gains, taps and shrinkage.
+"""Demosaicking by weighted colour differences, float64, adapted to noise and lens blur.
 
-c = sgn(s) sqrt|s| with s = x + o (domain "root") or c = x ("linear"), x = (DN - black_level) scale. The variance of x
-is g x + r^2; that of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g (Anscombe 1948), g c + r^2 in "linear". In
-"root" g is at least r / 20, so that o and v vanish with the noise.
+c = sgn(s) sqrt|s| with s = x + o (domain "root") or c = x ("linear"), x = (DN - black_level) scale.
+The variance of x is g x + r^2. The variance of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g
+(Anscombe 1948), and g c + r^2 in "linear". In "root" g is at least r / 20, so o and v vanish with
+the noise.
 
-1. Along each axis, with b = 2 c[0] - c[-2] - c[2], B = (c[-1] + c[1] - c[-3] - c[3]) / 2 (the other colour's b), and
-   sums over the two neighbours:   a = clip((<b B> + 2 P) / (<B B> + 2 P + 10 v), 0, 1)
-   gives the other colour  h = (c[-1] + c[1]) / 2 + a b / 4  and the difference  d = +-(h - c), green - other.
-   a is Hamilton-Adams' 1 where both colours bend alike (Kiku et al. 2014: the Laplacian's gain, regressed).
-2. Green at red and blue: each of the four sides has the weight (E + sum of |d[-1] - d[1]| over 4 pixels outwards,
-   3 across)^-2 (Pekkucuksen & Altunbasak 2010). The weighted means of two sets of taps, S = (.6 .4) and
-   L = (.2 .2 .2 .2 .2), are blended: G = c + S + alpha (L - S), alpha = (A t^2 + Z L^2) / (t^2 + L^2),
-   t = T (level + K). Far differences help where the colours are alike, and mislead where they are not.
-3. Red and blue: with F measured at its sites, a gain A = clip((<l(G) l(F)> + n P) / (<l(G)^2> + n P + 5 n v), 0, 1)
-   over the n sites within 3 pixels, l = (b of the row, b of the column), and F = A G + the mean of the two pairs of
-   neighbouring F - A G with weights 1 / (|p - q| + D + 2 sqrt v): first across the diagonals, then along the axes.
-With noise every value e is drawn towards the mean m of its neighbours (bilinear's for green; the four nearest of the
-same colour for measured ones):  m + y s, s = (z^2 + k v) / (z^2 + K v), z = y = e - m; in "root" so that means stay:
+1. Along each axis, with b = 2 c[0] - c[-2] - c[2], B = (c[-1] + c[1] - c[-3] - c[3]) / 2 (the other
+   colour's b), and sums over the two neighbours:
+       a = clip((<b B> + 2 P) / (<B B> + 2 P + 10 v), 0, 1)
+   gives the other colour  h = (c[-1] + c[1]) / 2 + a b / 4  and the difference  d = +-(h - c),
+   green - other. a is Hamilton-Adams' 1 if both colours bend in the same way (Kiku et al. 2014: the
+   Laplacian's gain, regressed).
+2. Green at red and blue: each of the four sides has the weight (E + sum of |d[-1] - d[1]| over 4
+   pixels outwards, 3 across)^-2 (Pekkucuksen and Altunbasak 2010). The weighted means of two sets of
+   taps, S = (.6 .4) and L = (.2 .2 .2 .2 .2), are blended: G = c + S + alpha (L - S),
+   alpha = (A t^2 + Z L^2) / (t^2 + L^2), t = T (level + K). Far differences help if the colours are
+   similar, and mislead if they are not.
+3. Red and blue: with F measured at its sites, a gain
+       A = clip((<l(G) l(F)> + n P) / (<l(G)^2> + n P + 5 n v), 0, 1)
+   over the n sites within 3 pixels, l = (b of the row, b of the column), and F = A G + the mean of
+   the two pairs of neighbouring F - A G with weights 1 / (|p - q| + D + 2 sqrt v): first across the
+   diagonals, then along the axes.
+
+With noise, every value e is drawn towards the mean m of its neighbours (bilinear's for green; the
+four nearest of the same colour for measured ones): m + y s, s = (z^2 + k v) / (z^2 + K v), z = y =
+e - m. In "root", to keep means:
+
     m and e are squares, y = e - m, z = (1 - f) y / (2 sqrt m) + f (sqrt e - sqrt m),
-f being 2/3 of the share that shot noise has in the variance: z is that difference in whose domain the noise has no skew
-(photons: the power 2/3, Anscombe 1953; read noise: the values), for y s has the mean of y then. Means of roots get back
-what they lack (`root_loss`), by the share of the variance that they remove on flat fields: KEPT remains.
-Red and blue codes are larger by a factor: the root of `balance` in "root", `balance` in "linear"; their noise too.
+
+f being 2/3 of the share of shot noise in the variance. z is the difference in the domain in which
+the noise has no skew (photons: the power 2/3, Anscombe 1953; read noise: the values), because y s
+then has the mean of y. Means of roots get back their loss (`root_loss`), by the share of the
+variance that they remove on flat fields: KEPT remains. Codes of red and blue have a factor: the
+root of `balance` in "root", `balance` in "linear"; their noise has it too.
 """
 
 import numpy as np
@@ -34,14 +45,14 @@ COLORED = 0.3  # T
 KEPT_FOUND, KEPT_GREEN = (
     0.34,
     0.45,
-)  # of the variance: in red and blue found elsewhere, in green before it is drawn
+)  # of the variance: in interpolated red and blue, and in green before shrinkage
 RIM = 14
 
 
 def best(
     raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)
 ):
-    """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
+    """Return the stage's result, see `best.py`."""
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
     longest = 0.945 - 1.7 * min(blur, 0.9) ** 2  # A
@@ -55,7 +66,7 @@ def best(
         if noisy:
             gain = max(
                 gain, read / 20
-            )  # r^2 / g would grow beyond all light where shot noise vanishes
+            )  # r^2 / g would grow beyond all light if shot noise vanishes
             offset = 0.375 * gain + read**2 / gain
         constant, slope = gain / 4, 0.0
     factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))
@@ -100,7 +111,7 @@ def best(
     green = np.where(is_green, c, c + short + alpha * (far - short))
     kept = c
     if noisy:
-        drawn = _Drawing(
+        drawn = _Shrinkage(
             domain == "root", variance, offset, root_loss(gain, read) if domain == "root" else None
         )
         cross, corners, apart = (drawn.mean(c, *places) for places in (AXES, DIAGONALS, FAR_AXES))
@@ -135,7 +146,7 @@ def best(
         found = np.where(measured, 0, [[[1]], [[0]], [[1]]]) * noisy
         result = result * np.abs(result) - offset
         if noisy:
-            result += found * (1 - KEPT_FOUND) * drawn.lost(result + offset)
+            result += found * (1 - KEPT_FOUND) * drawn.deficit(result + offset)
     return result if noisy else np.where(measured, x, result)
 
 
@@ -144,30 +155,33 @@ DIAGONALS = ((-1, -1), (1, 1), (-1, 1), (1, -1))
 FAR_AXES = ((0, -2), (0, 2), (-2, 0), (2, 0))
 
 
-class _Drawing:
-    """Codes drawn towards a mean of others where they differ by no more than noise."""
+class _Shrinkage:
+    """Draws codes towards a mean of others if they differ by no more than noise."""
 
     def __init__(self, root, variance, offset, loss):
         self.root, self.variance, self.offset, self.loss = root, variance, offset, loss
 
     def mean(self, code, *places):
-        """Mean of neighbours; in "root" that of their squares."""
+        """Return the mean of neighbours; in "root" the mean of their squares."""
         values = code * np.abs(code) if self.root else code
         return sum(np.roll(values, place, (0, 1)) for place in places) / len(places)
 
-    def lost(self, square):
-        """What the squares of mean roots lack."""
+    def deficit(self, square):
+        """Return the difference between mean and square of mean roots."""
         near, far, *terms = self.loss.astype(np.float64)
         return np.polyval(terms, np.minimum(1, far / (near + np.abs(square))))
 
     def __call__(self, code, mean, factor, kept, reach, left):
-        """factor: of these codes. left: share of the noise's variance that they have themselves."""
+        """Return the shrunk codes.
+
+        factor: of these codes. left: share of the noise's variance in them.
+        """
         if not self.root:
             change, v = code - mean, self.variance(mean, factor)
             return mean + change * (change**2 + kept * v) / (change**2 + reach * v + 1e-20)
         v = self.variance(mean, factor)
         square = code * np.abs(code)
-        square = square + (1 - left) * self.lost(square)  # left is 1 where the factor is not
+        square = square + (1 - left) * self.deficit(square)  # left is 1 if the factor is not
         level = np.maximum((4 * mean + square) / 5, v)
         photons = np.maximum(level - self.offset * factor**2, 0) / np.maximum(
             level - 1.5 * v, 1e-20
@@ -182,14 +196,14 @@ class _Drawing:
 
 
 def _window(plane):
-    """Sum over 7 x 7 pixels."""
+    """Return the sum over 7 x 7 pixels."""
     for axis in (0, 1):
         plane = sum(np.roll(plane, n, axis) for n in range(-3, 4))
     return plane
 
 
 def _blend(samples, green, a, limit, places):
-    """A G + the mean of two pairs of neighbouring samples - A G; the pair that agrees better weighs more."""
+    """Return A G + the mean of two pairs of neighbouring samples - A G, weighted."""
     p, q, r, s = (
         np.roll(samples, (-dy, -dx), (0, 1)) - a * np.roll(green, (-dy, -dx), (0, 1))
         for dy, dx in places

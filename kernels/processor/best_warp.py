@@ -4,6 +4,7 @@
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
+from gpusim.kernels.processor.adaptive_warp import blend, encode
 
 wp.set_module_options(
     {"enable_backward": False, "fuse_fp": False}
@@ -25,30 +26,23 @@ PLANE = wp.array[
 
 
 @wp.func
-def encode(x: float, root: int):
-    if root == 0:
-        return x
-    return wp.where(x < 0.0, -wp.sqrt(-x), wp.sqrt(x))
-
-
-@wp.func
 def decode(code: float, offset: float, root: int):
     return wp.where(root == 0, code, code * wp.abs(code) - offset)
 
 
 @wp.func
-def lost(square: float, loss: wp.array[float]):
-    """Return what the square of a mean root lacks, for means that keep none of the noise's variance."""
+def deficit(square: float, loss: wp.array[float]):
+    """Return the mean minus the square of a mean root, for means without noise."""
     near = wp.min(loss[1] / (loss[0] + wp.abs(square)), 1.0)
     return (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
 
 
 @wp.func
 def decode_found(code: float, offset: float, loss: wp.array[float], root: int, noisy: int):
-    """Of a value found from the codes of others: a mean that keeps a part of the noise."""
+    """Return a value interpolated from codes of others: a mean that keeps a part of the noise."""
     value = decode(code, offset, root)
     if root != 0 and noisy != 0:
-        value += (1.0 - KEPT_FOUND) * lost(code * code, loss)
+        value += (1.0 - KEPT_FOUND) * deficit(code * code, loss)
     return value
 
 
@@ -59,7 +53,7 @@ def noise_of(level: float, factor: float, variance: float, shot: float):
 
 @wp.func
 def signal_of(code: float, root: int):
-    """Return what means are taken of, so that they stay."""
+    """Return the signal of a code: means of signals stay."""
     return wp.where(root == 0, code, code * wp.abs(code))
 
 
@@ -75,7 +69,7 @@ def draw(
     shot: float,
     root: int,
 ):
-    """Return the code of `value` drawn towards `mean` (signals), the more the less they differ by more than noise."""
+    """Return the code of `value` drawn towards `mean` (signals), less if they differ more."""
     change = value - mean
     apart = change
     noise = noise_of(mean, factor, variance, shot)
@@ -93,14 +87,6 @@ def draw(
     return encode(
         mean + change * ((square + kept * noise) / (square + reach * noise + 1.0e-20)), root
     )
-
-
-@wp.func
-def blend(p: float, q: float, r: float, s: float, limit: float):
-    """Mean of (p, q) and (r, s) with weights 1 / (|p - q| + limit), 1 / (|r - s| + limit)."""
-    first = wp.abs(r - s) + limit
-    second = wp.abs(p - q) + limit
-    return 0.5 * ((p + q) * first + (r + s) * second) / (first + second)
 
 
 @wp.func
@@ -219,7 +205,7 @@ def cross(plane: PLANE, c: int, width: int, n: int):
 
 @wp.func
 def cross_signal(code: PLANE, c: int, width: int, n: int, root: int):
-    """The same of signals, their mean."""
+    """Return the mean of their signals."""
     up = signal_of(code[c - n * width], root)
     left = signal_of(code[c - n], root)
     return 0.25 * (
@@ -283,7 +269,7 @@ def axial_at(
     shot: float,
     prior: float,
 ):
-    """Return, at a green site, the colour that is measured along one axis, and was found across it."""
+    """Return, at a green site, the colour that one axis measures, interpolated across that axis."""
     level = green[c]
     noise = noise_of(level, 1.0, variance, shot)
     gain = gain_of(
@@ -415,7 +401,7 @@ def greens(
     if noisy == 1:
         value_signal = signal_of(value, root)
         if root == 1:
-            value_signal += (1.0 - KEPT_GREEN) * lost(value * value, loss)
+            value_signal += (1.0 - KEPT_GREEN) * deficit(value * value, loss)
         value = draw(
             value_signal,
             cross_signal(code, c, width, 1, root),
@@ -516,7 +502,7 @@ def diagonals(
     noise = noise_of(level, 1.0, variance, shot)
     factor = wp.where(
         own_plane(y - MARGIN, red_row) == 0, blue, red
-    )  # of the colour that this row has not
+    )  # of the colour that this row lacks
     limit = ALIKE + 2.0 * wp.sqrt(noise_of(level, factor, variance, shot))
     gain = gain_of(
         sites_around(product, c, width), sites_around(square, c, width), 16.0, noise, prior
@@ -571,7 +557,7 @@ def colors(
     if column < cols:
         value = (
             float(raw[row, column]) - black_level
-        ) * scale  # exactly what was measured, not a squared root
+        ) * scale  # exactly the measured sample, not a squared root
         if noisy == 1:
             value = decode(
                 draw(

@@ -1,5 +1,5 @@
-// A work-item does `run` columns, by WIDTH, of ROWS rows: one column or four on GPUs, so that neighbouring items load
-// and store neighbouring values. From the host: WIDTH (1, 4 or 8), ROWS.
+// A work-item makes `run` columns, WIDTH at a time, of ROWS rows: one column or four on GPUs, where neighbouring items
+// then load and store neighbouring values. From the host: WIDTH (1, 4 or 8), ROWS.
 #include "bilinear.clh"
 
 __kernel void bilinear(

@@ -1,24 +1,41 @@
 """Bilinear demosaicking of a Bayer mosaic, with black level and scale.
 
-Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
-and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear
+camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def bilinear(device, raw, *, phase, black_level, scale):
-    """Missing colours as the mean of the nearest 2 or 4 samples; measured ones are kept.
+def bilinear(device: Device, raw: Array, *, phase: str, black_level: float, scale: float) -> Array:
+    """Demosaick by the means of the nearest 2 or 4 samples.
 
-    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
-    The mosaic is mirrored at its borders without repeating the end pixel, which keeps every sample's colour; an axis
-    of a single pixel has no neighbour of another colour and mirrors onto itself. Nothing is clipped.
-    Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
-    Source: Losson, Macaire & Yang 2010, Advances in Imaging and Electron Physics 162, section 3.
+    Measured samples are kept, and nothing is clipped. The mosaic is mirrored at its borders without
+    repeating the end pixel, which keeps every sample's colour. An axis of a single pixel has no
+    neighbour of another colour and mirrors onto itself.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        phase: "RGGB", "GRBG", "GBRG" or "BGGR".
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear camera RGB [1], shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16.
+        OutOfRange: `scale` is not above 0.
+        UnknownName: There is no such phase.
+
+    Source:
+        Losson, Macaire and Yang 2010, Advances in Imaging and Electron Physics 162, section 3.
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
@@ -45,7 +62,7 @@ def bilinear(device, raw, *, phase, black_level, scale):
 
 
 def items(device, cols):
-    """Columns of a work-item, and its ROWS and vector WIDTH: whole rows on CPUs, many small items on GPUs."""
+    """Return a work-item's columns, and ROWS and vector WIDTH: whole rows on CPUs, few on GPUs."""
     if device.kind == "opencl" and not device.is_gpu:
         return -(-cols // 8) * 8, {"WIDTH": 8, "ROWS": 4}
     if device.kind == "opencl" and cols % 4 == 0:
@@ -54,7 +71,10 @@ def items(device, cols):
 
 
 def cases():
-    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, black, saturation, values below the black level.
+    """
     random = np.random.default_rng(2)
     why = (
         "sums of four 16-bit integers and their halves are exact in float32, so only the subtraction and the "
@@ -93,6 +113,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

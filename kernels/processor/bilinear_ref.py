@@ -11,7 +11,7 @@ CROSS = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
 
 
 def bilinear(raw, *, phase, black_level, scale):
-    """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
+    """Return the stage's result, see `bilinear.py`."""
     rows, cols = raw.shape
     padded = np.pad(np.asarray(raw, np.float64), 1, mode="reflect")
     parity = (np.arange(-1, rows + 1) % 2)[:, None] * 2 + np.arange(-1, cols + 1) % 2

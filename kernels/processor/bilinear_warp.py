@@ -4,7 +4,7 @@
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.bayer_warp import first_own
-from gpusim.kernels.common.bilinear_warp import ROWS, interpolated, line
+from gpusim.kernels.common.bilinear_warp import ROWS, interpolate, line
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +34,7 @@ def bilinear(
         y = top + i
         if y < rows:
             down = line(raw, none, y + 1, x)
-            colors = interpolated(
+            colors = interpolate(
                 up,
                 here,
                 down,

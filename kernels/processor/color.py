@@ -5,19 +5,34 @@ Ports: camera (C, rows, cols) float32, matrix (3, C) -> rgb (3, rows, cols) floa
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def color(device, camera, matrix, *, ceiling=None):
-    """Matrix product over the channels of every pixel; white balance is part of the matrix.
+def color(device: Device, camera: Array, matrix: Array, *, ceiling: Array | None = None) -> Array:
+    """Multiply the channels of every pixel by a matrix, which includes white balance.
 
-    camera: shape (C, rows, cols). matrix: shape (3, C), `gpusim.color.color`. ceiling: shape (C,) or None. Camera
-    values above it are clipped first: with the camera's response to white, scaled so that its largest entry is the
-    saturation level, blown-out highlights turn white instead of taking the balance's tint. The result is not clipped
-    (display.encode does): colours outside the display's gamut stay negative or above 1. NaN stays NaN.
-    Returns shape (3, rows, cols). Raises BadData. Source: Farrell & Wandell, section 6.2.
+    The result is not clipped (display.encode does so): colours outside the display's gamut stay
+    negative or above 1. NaN stays NaN.
+
+    Args:
+        camera: Camera channels [1], shape (C, rows, cols).
+        matrix: Colour matrix, shape (3, C), see `gpusim.color.color`.
+        ceiling: Shape (C,) [1], or None. Camera values above it are clipped first. With the
+            camera's response to white, scaled to the saturation level in its largest entry, clipped
+            highlights become white instead of the balance's tint.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear display RGB, display white = 1, shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: The shapes do not fit.
+
+    Source:
+        Farrell and Wandell, section 6.2.
     """
     channels, rows, cols = camera.shape
     ceiling = np.full(channels, np.inf) if ceiling is None else np.asarray(ceiling)
@@ -46,7 +61,10 @@ def color(device, camera, matrix, *, ceiling=None):
 
 
 def cases():
-    """One to six channels, negative entries, values above 1, ceilings, infinities and NaN."""
+    """Yield cases.
+
+    One to six channels, negative entries, values above 1, ceilings, infinities and NaN.
+    """
     random = np.random.default_rng(5)
     for channels, rows, cols in (
         (3, 1, 1),
@@ -82,7 +100,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three channels."""
+    """Return inputs: three channels."""
     random = np.random.default_rng(5)
     return {
         "camera": random.random((3, rows, cols), np.float32),
@@ -91,5 +109,5 @@ def bench(rows, cols):
 
 
 def operations(camera, matrix):
-    """Nine multiplications and six additions for each pixel."""
+    """Count operations: nine multiplications and six additions for each pixel."""
     return 5 * camera.size

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def color(camera, matrix, *, ceiling=None):
-    """Camera (C, rows, cols), matrix (P, C), ceiling (C,) -> (P, rows, cols)."""
+    """Return the stage's result, see `color.py`."""
     camera = np.asarray(camera, np.float64)
     if ceiling is not None:
         camera = np.minimum(camera, np.reshape(ceiling, (-1, 1, 1)))

@@ -1,6 +1,7 @@
-// defects.py has the rules. A GPU's work-item does a pixel, a CPU's a row, LANES neighbours at once: their range is
-// found as if all had the first column phase of the mosaic, then the second .., and a mask tells whose it is. Only
-// where one is farther outside its range than this is wide is more looked at. Columns are 64-bit: see bayer.clh.
+// defects.py has the rules. A GPU's work-item makes a pixel, a CPU's a row, LANES neighbours at once: their range is
+// computed as if all had the first column phase of the mosaic, then the second .., and a mask selects the right one.
+// The other rules are checked only if a pixel is farther outside its range than the range is wide. Columns are 64-bit:
+// see bayer.clh.
 // The threshold is not contracted: the same bits everywhere.
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -52,9 +53,9 @@ __kernel void mark(
     // in:
     __global const ushort *restrict raw,   // [rows][cols]
     __global const int2 *restrict near,    // [period_y][period_x][COUNT + 8] rows, columns
-    __global const ushort *restrict masks, // [period_x][period_x + LANES] 65535 where a column has the phase
+    __global const ushort *restrict masks, // [period_x][period_x + LANES] 65535 if a column has the phase
     // out:
-    __global uchar *restrict flags,        // [rows][cols] 255 where there is a defect
+    __global uchar *restrict flags,        // [rows][cols] 255 for a defect
     // params:
     const float black_level, const float per_level, const float constant_part, const int reach,
     // sizes:
@@ -137,7 +138,7 @@ inline ushort from_neighbours(
 __kernel void replace(
     // in:
     __global const ushort *restrict raw,    // [rows][cols]
-    __global const uchar *restrict flags,   // [rows][cols] not 0 where there is a defect
+    __global const uchar *restrict flags,   // [rows][cols] not 0 for a defect
     __global const int *restrict starts,    // [period_y period_x + 1]
     __global const int4 *restrict entries,  // rows, columns, whether the opposite has the same colour, group
     // out:

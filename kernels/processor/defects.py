@@ -1,52 +1,79 @@
-"""Dead, hot and stuck pixels of a mosaic of any colours: found, and replaced from good neighbours of their colour.
+"""Dead, hot and stuck pixels of any mosaic, replaced from good neighbours of their colour.
 
-Ports: raw (rows, cols) uint16 [DN] -> (rows, cols) uint16 [DN], the same numbers but at defective pixels. Known ones
-are replaced first; what is found in the result is replaced after that. The same bits on every device.
+Ports: raw (rows, cols) uint16 [DN] -> (rows, cols) uint16 [DN], changed only at defective pixels.
+Known defects are replaced first; defects found in the result are replaced after that. The bits are
+the same on every device.
 
-A pixel is found defective if all of this holds, with [low, high] the range of the nearest complete rings of its colour
-that hold eight neighbours or more, and excess the distance from the pixel's value to it, up or down:
+A pixel is defective if all of this holds. [low, high] is the range of the nearest complete rings of
+its colour that hold eight neighbours or more, and excess the distance from the range to the pixel's
+value, up or down:
 
     excess^2 > t^2 (gain max(end - black_level, 0) + read^2)    end = high or low: it is no noise
     excess > high - low                                         it is no texture
-    spread <= excess / 8 or                                     it is no point of light, which a lens spreads
-        spread^2 <= t^2 (gain .. + read^2)                      .. to adjacent pixels, by more than noise
+    spread <= excess / 8 or                                     it is no point of light, which a lens
+        spread^2 <= t^2 (gain .. + read^2)                      spreads to adjacent pixels, beyond noise
 
-where spread is the sum of q - r, up or down as the pixel, over the four adjacent pixels q, whatever their colour, r
-being the nearest pixel of q's colour straight beyond q.
+Spread is the sum of q - r, up or down as the pixel, over the four adjacent pixels q of any colour;
+r is the nearest pixel of q's colour straight beyond q.
 
-A replaced pixel gets the rounded mean of the two opposite good neighbours that differ least (of those that differ
-equally, the pair with the smallest mean). They are looked for in groups: the rings named above, then ring by ring as
-far as REACH periods of the mosaic. Where there is no such pair it gets the mean of the nearest group's good neighbours,
-and where there is none its value stays. Nothing is known of what is outside the frame: it takes no part.
+A replaced pixel gets the rounded mean of the two opposite good neighbours that differ least (among
+equal differences, the pair with the smallest mean). They are searched in groups: the rings named
+above, then ring by ring up to REACH periods of the mosaic. If there is no such pair, it gets the
+mean of the nearest group's good neighbours; without any, its value stays. Pixels outside the frame
+are unknown and take no part.
 """
 
 import functools
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
-NEAR = 8  # neighbours at least that a pixel is compared with
-REACH, LEAST_REACH = 2, 4  # how far good neighbours are looked for: periods, and pixels at least
-LANES = 16  # neighbouring pixels that CPUs do at once
+NEAR = 8  # least number of neighbours for the range
+REACH, LEAST_REACH = 2, 4  # search distance for good neighbours: periods, and pixels at least
+LANES = 16  # neighbouring pixels that CPUs process at once
 BESIDE = ((-1, 0), (0, -1), (0, 1), (1, 0))
 
 
 @stage
-def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), detect=None):
+def defects(
+    device: Device,
+    raw: Array,
+    known: Array | None = None,
+    *,
+    cfa: Array,
+    black_level: float,
+    noise: tuple[float, float] = (0.0, 0.0),
+    detect: float | None = None,
+) -> Array:
     """Replace defective pixels.
 
-    raw: shape (rows, cols) uint16 [DN]. known: where pixels are known to be defective, shape (rows, cols), not 0 or
-    True there; None: nothing is known. cfa: channel of each pixel of one period of the mosaic, at most 8 x 8, whole
-    numbers 0 .. C - 1 that all occur. black_level [DN]. noise: (gain [DN/e-], read [DN]) with which a digital number
-    varies by gain (DN - black_level) + read^2. detect: standard deviations of that noise by which a pixel must leave
-    its neighbours' range to be replaced, None: none are.
-    Of two defects that are neighbours of one colour neither may be found, since each is within the other's range.
-    Returns shape (rows, cols) uint16. Raises BadData, OutOfRange.
+    Of two defects that are neighbours of one colour, neither may be found, because each is within
+    the other's range.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        known: Known defects, not 0 or True, shape (rows, cols); None for none.
+        cfa: Channel of each pixel in one period of the mosaic, at most 8 x 8, whole numbers 0 .. C
+            - 1 that all occur.
+        black_level: Black level [DN].
+        noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN -
+            black_level) + read^2.
+        detect: Standard deviations of that noise by which a defect leaves its neighbours' range;
+            None to search for none.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Digital numbers [DN], shape (rows, cols), uint16.
+
+    Raises:
+        BadData: Shapes, types or the mosaic do not fit.
+        OutOfRange: `black_level`, `noise` or `detect` is not allowed.
     """
     check_mosaic(raw, 1.0)
     check_black(black_level)
@@ -55,7 +82,7 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
     rows, cols = raw.shape
     if known is not None and tuple(known.shape) != (rows, cols):
         raise BadData(
-            f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}"
+            f"known defects: shape {tuple(known.shape)}, wanted the shape of raw, {(rows, cols)}"
         )
     if isinstance(known, device.array_type) and known.dtype not in (
         np.uint8,
@@ -72,7 +99,7 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
     defines = {"LINES": int(lines), "COUNT": count, "PERIOD_X": cfa.shape[1]}
     raw = device.array(raw, np.uint16)
 
-    def replaced(values, flags):
+    def replace(values, flags):
         out = device.empty((rows, cols), np.uint16)
         device.launch(
             "processor.defects",
@@ -92,7 +119,7 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
         return out
 
     if known is not None:
-        raw = replaced(
+        raw = replace(
             raw,
             device.array(
                 known if isinstance(known, device.array_type) else np.asarray(known) != 0, np.uint8
@@ -119,18 +146,19 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
             group=group,
             defines=defines,
         )
-        raw = replaced(raw, flags)
+        raw = replace(raw, flags)
     return raw
 
 
 @functools.lru_cache(maxsize=64)
 def _tables(device, cfa, shape):
-    """Neighbours of each phase of the mosaic, on the device.
+    """Return tables of the neighbours of each phase of the mosaic, on the device.
 
-    near: for each phase (dy, dx) of COUNT neighbours it is compared with, its four adjacent pixels and those beyond
-    them, shape (period_y period_x, COUNT + 8, 2). starts: first of the entries of each phase, and the end. entries: dy,
-    dx, whether the opposite has the same colour, group, shape (N, 4). masks: 65535 where column x has the
-    phase, shape (period_x, period_x + LANES). reach: of `near` [pixel].
+    near: for each phase (dy, dx), COUNT neighbours of the range, the four adjacent pixels and those
+    beyond them, shape (period_y period_x, COUNT + 8, 2). starts: first of the entries of each
+    phase, and the end. entries: dy, dx, whether the opposite has the same colour, group, shape (N,
+    4). masks: 65535 if column x has the phase, shape (period_x, period_x + LANES). reach: of `near`
+    [pixel].
     """
     cfa = np.frombuffer(cfa, np.int32).reshape(shape)
     phases = [_neighbours(cfa, y, x) for y in range(shape[0]) for x in range(shape[1])]
@@ -155,7 +183,7 @@ def _tables(device, cfa, shape):
 
 
 def _neighbours(cfa, y, x):
-    """Of phase (y, x): what it is compared with, the adjacent pixels and those beyond, and all within reach."""
+    """Return range neighbours, adjacent pixels with those beyond, and all neighbours in reach."""
 
     def channel(dy, dx):
         return cfa[(y + dy) % len(cfa), (x + dx) % len(cfa[0])]
@@ -187,7 +215,11 @@ def _neighbours(cfa, y, x):
 
 
 def cases():
-    """Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters; tiny frames."""
+    """Yield cases.
+
+    Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters;
+    tiny frames.
+    """
     random = np.random.default_rng(9)
     why = "integers, and three float32 roundings in the same order"
     mosaics = {
@@ -253,7 +285,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic with one known defect in a thousand, more being looked for."""
+    """Return inputs.
+
+    A 10-bit Bayer mosaic with one known defect in a thousand, and a search for more.
+    """
     random = np.random.default_rng(9)
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),

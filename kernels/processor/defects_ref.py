@@ -1,23 +1,23 @@
-"""Defective pixels found and replaced. Integers, but for the threshold, in float32: the specification is its rounding.
+"""Defective pixels found and replaced, in integers; only the threshold is float32.
 
-The contract has the rules; nothing here is vectorised but the search.
+The contract has the rules. Only the search is vectorised here.
 """
 
 import numpy as np
 
 
 def defects(raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), detect=None):
-    """See the contract."""
+    """Return the stage's result, see `defects.py`."""
     raw, cfa = np.asarray(raw), np.asarray(cfa)
     if known is not None:
-        raw = replaced(raw, np.asarray(known) != 0, cfa)
+        raw = replace(raw, np.asarray(known) != 0, cfa)
     if detect is not None:
-        raw = replaced(raw, found(raw, cfa, black_level, noise, detect), cfa)
+        raw = replace(raw, find_defects(raw, cfa, black_level, noise, detect), cfa)
     return raw
 
 
 def rings_of(cfa, y, x):
-    """Offsets of the pixels of the colour of (y, x) within two periods, or 4 pixels if that is more, ring by ring."""
+    """Return offsets to pixels of the colour of (y, x), ring by ring, in the search distance."""
     ry, rx = (max(4, 2 * n) for n in cfa.shape)
     dy, dx = np.mgrid[-ry : ry + 1, -rx : rx + 1]
     same = (
@@ -29,7 +29,7 @@ def rings_of(cfa, y, x):
 
 
 def groups_of(cfa, y, x):
-    """The same, the first rings that hold at least eight together."""
+    """Return the same; the first rings that together hold at least eight are one group."""
     rings = rings_of(cfa, y, x)
     n = 1
     while n < len(rings) and sum(map(len, rings[:n])) < 8:
@@ -37,8 +37,8 @@ def groups_of(cfa, y, x):
     return [np.concatenate(rings[:n]), *rings[n:]]
 
 
-def found(raw, cfa, black_level, noise, detect):
-    """Where the rule finds a defect, bool (rows, cols)."""
+def find_defects(raw, cfa, black_level, noise, detect):
+    """Return the pixels that the rule finds defective, bool (rows, cols)."""
     far = 2 * 8 + 1
     inside = np.pad(np.ones(raw.shape, bool), far)
     value = np.pad(raw.astype(np.int64), far)
@@ -85,8 +85,8 @@ def found(raw, cfa, black_level, noise, detect):
     return out
 
 
-def replaced(raw, bad, cfa):
-    """Defective pixels from good neighbours of their colour."""
+def replace(raw, bad, cfa):
+    """Return the frame with defective pixels replaced from good neighbours of their colour."""
     out, groups = raw.copy(), {}
     for y, x in np.argwhere(bad):
         phase = y % cfa.shape[0], x % cfa.shape[1]

@@ -1,7 +1,7 @@
-// denoise.py has the formulas. A work-item of `denoise` does BAND rows of CHUNK columns: 64 on CPUs, eight by eight, 1
-// on GPUs; of its sums it makes SPARE columns more, of which four are needed. Opposite and mirrored
-// displacements are added first, and nothing is contracted: a mirrored mosaic then gives the mirrored result bit for
-// bit. Columns are 64-bit: see bayer.clh.
+// denoise.py has the formulas. A work-item of `denoise` makes BAND rows of CHUNK columns: 64 on CPUs, eight by eight, 1
+// on GPUs. It makes SPARE more columns of its sums; four are needed. Opposite and mirrored displacements are added
+// first, and nothing is contracted: a mirrored mosaic then gives the mirrored result bit for bit. Columns are 64-bit:
+// see bayer.clh.
 #pragma OPENCL FP_CONTRACT OFF
 
 #if CHUNK == 1

@@ -1,35 +1,38 @@
-"""Denoising of a mosaic of any colours before demosaicking: non-local means where the noise is 1 everywhere.
+"""Denoising of any mosaic before demosaicking: non-local means at a noise of 1 everywhere.
 
-Ports: raw (rows, cols) uint16 [DN] -> (rows, cols) uint16 with black at 4096 and white at 65535 (see levels.py);
-demosaick it with black_level = 4096, scale = 1 / 61439.
+Ports: raw (rows, cols) uint16 [DN] -> (rows, cols) uint16 with black at 4096 and white at 65535
+(see levels.py); demosaick it with black_level = 4096, scale = 1 / 61439.
 
-A digital number d above black has the variance g d + s^2. The generalised Anscombe transform, here with its constant
-left out and no difference of large numbers, makes that 1:
+A digital number d above black has the variance g d + s^2. The generalised Anscombe transform makes
+it 1. Here it has no constant and no difference of large numbers:
 
     u = 2 d / (sqrt(max(g d + c, 0)) + sqrt(c)),   c = s^2 + 3/8 g^2        (g = 0: u = d / s)
 
-The mean of u over the pixels around that look alike, n = sum of weights, has an expectation of which
+From the mean of u over the similar pixels around, with n = sum of weights,
 
     d = g u^2 / 4 + sqrt(c) u + g / 4 (1 - 1 / n)
 
-is unbiased up to terms of 1 / d: the inverse transform itself at n = 1, and g / 4 more, as Anscombe (1948) has it, for
-a mean of many. From 5 e- on it is nearer to the mean (.01 e-) than the closed form of Makitalo & Foi (.02 e-), which is
-made for small counts without read noise.
+is unbiased up to terms of 1 / d: the inverse transform itself at n = 1, and g / 4 more for a mean
+of many, as in Anscombe (1948). From 5 e- on it is closer to the mean (.01 e-) than the closed form
+of Makitalo and Foi (.02 e-), which is for small counts without read noise.
 
-Pixels are compared `SEARCH` periods of the mosaic around, so that all colours of the two patches of 3 x 3 pixels meet
-their own: with t the mean square of the patches' differences, which is 2 where only noise differs,
+Pixels are compared up to `SEARCH` periods of the mosaic away, which aligns all colours of the two
+patches of 3 x 3 pixels. t is the mean square of the patches' differences, 2 if only noise differs:
 
     weight = min(1, max(0, 1 - (t / strength^2 - 2) / SOFT))^2
 
-That alone would average the two greens of a Bayer mosaic apart, and what noise is left in their difference is a maze at
-the highest frequency. So a pixel whose diagonal neighbours are of its colour in a period of 2 x 2 also meets the 16
-of them 1 or 3 pixels down and along. Patches are there the nine pixels next to one another on diagonals, all of that
-colour. Their weights are multiplied by what makes them together as heavy as those of the first kind, by MOST_TWIN at
-most: where all look alike, both greens have the same part in the mean, and their difference, even of their gains, none.
+With these weights only, the two greens of a Bayer mosaic would be averaged separately, and the
+noise left in their difference would form a maze at the highest frequency. A pixel whose diagonal
+neighbours have its colour in a period of 2 x 2 is therefore also compared with the 16 of them 1 or
+3 pixels down and along. Their patches are the nine nearest pixels on diagonals, all of that colour.
+Their weights have a factor that makes their sum as large as the sum of the first kind, MOST_TWIN at
+most. In uniform surroundings both greens then have the same part in the mean, and their difference,
+even of their gains, has none.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
@@ -40,33 +43,59 @@ from gpusim.kernels.processor.levels import (
     check_noise,
 )
 from gpusim.kernels.processor.shade import shade
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 SEARCH = 2  # periods each way
-SOFT = 6.0  # beyond the expected 2, where the weight is 0; 5 to 8 differ by less than .1 dB
+SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
 MOST_TWIN = (
     2.0  # flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
 )
-BAND = 4  # rows that a work-item does (denoise_warp.py too): they share the squares of their differences
+BAND = 4  # rows of a work-item (denoise_warp.py too): they share the squares of their differences
 CHUNK, SPARE = (
     64,
     8,
-)  # columns that a CPU's work-item does, and columns beyond that it reads: four are needed
+)  # columns of a CPU's work-item, and columns beyond that it reads: four are needed
 
 
 @stage
-def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
-    """Average every pixel with those of its colour whose surroundings look alike.
+def denoise(
+    device: Device,
+    raw: Array,
+    *,
+    cfa: Array,
+    black_level: float,
+    scale: float,
+    noise: tuple[float, float],
+    strength: float = 1.0,
+) -> Array:
+    """Average every pixel with those of its colour that have similar surroundings.
 
-    raw: shape (rows, cols) uint16 [DN], at least one period of the mosaic. cfa: channel of each pixel of one period, at
-    most 8 x 8, whole numbers 0 .. C - 1 that all occur. black_level [DN]. scale: 1 / (white_level - black_level)
-    [1/DN]. noise: (gain [DN/e-], read [DN]), by which a digital number varies by gain (DN - black_level) + read^2.
-    (0, 0), like strength 0, only changes the scale. strength: over that of the noise [1].
-    Outside the frame the mosaic goes on with its outermost periods.
-    Returns shape (rows, cols) uint16. Raises BadData, OutOfRange.
-    Source: Buades, Coll & Morel 2005, "A non-local algorithm for image denoising", CVPR, with a compact weight; on
-    mosaics: Buades, Coll, Morel & Sbert 2009, IEEE Trans. Image Processing 18, 1192; Anscombe 1948, Biometrika 35, 246;
-    Makitalo & Foi 2013, IEEE Trans. Image Processing 22, 91.
+    Outside the frame the mosaic continues with its outermost periods.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16, at least one period of the mosaic.
+        cfa: Channel of each pixel in one period of the mosaic, at most 8 x 8, whole numbers 0 .. C
+            - 1 that all occur.
+        black_level: Black level [DN].
+        scale: 1 / (white_level - black_level) [1/DN].
+        noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN -
+            black_level) + read^2. (0, 0), like strength 0, only changes the scale.
+        strength: Assumed over true standard deviation of the noise [1], 0 to 100.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Numbers with black at 4096 and white at 65535, shape (rows, cols), uint16.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16, is smaller than a period, or the mosaic is not
+            allowed.
+        OutOfRange: `black_level`, `scale`, `noise` or `strength` is not allowed.
+
+    Source:
+        Buades, Coll and Morel 2005, "A non-local algorithm for image denoising", CVPR, with a
+        compact weight; for mosaics Buades, Coll, Morel and Sbert 2009, IEEE Trans. Image Processing
+        18, 1192; Anscombe 1948, Biometrika 35, 246; Makitalo and Foi 2013, IEEE Trans. Image
+        Processing 22, 91.
     """
     check_mosaic(raw, scale)
     check_black(black_level)
@@ -146,7 +175,7 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
 
 
 def cases():
-    """Mosaics, sizes down to one period, noise models, edges, black, saturation."""
+    """Yield cases: mosaics, sizes down to one period, noise models, edges, black, saturation."""
     random = np.random.default_rng(11)
     why = (
         "u and its mean have some 2^-24 x 40 of the largest u, 2 sqrt(4095 / g) <= 130, which is < 4e-4 of a "
@@ -207,7 +236,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
+    """Return inputs: a 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
     return {

@@ -51,7 +51,7 @@ def stabilise(
 
 @wp.func
 def column(code: wp.array2d[float], y: int, x: int, dy: int, dx: int):
-    """Squared differences of three rows, summed."""
+    """Return the sum of squared differences of three rows."""
     squares = Squares()
     for r in range(6):
         difference = code[y + r - 1, x] - code[y + r - 1 + dy, x + dx]
@@ -86,7 +86,7 @@ def square(code: wp.array2d[float], y: int, x: int, dy: int, dx: int):
 def weigh_twins(
     code: wp.array2d[float], y0: int, x: int, dy: int, dx: int, most: float, per_square: float
 ):
-    """Weights by patches of the nine pixels next to one another on diagonals."""
+    """Return weights by patches of the nine nearest pixels on diagonals."""
     weights = Band()
     for r in range(4):
         y = y0 + r
@@ -104,7 +104,7 @@ def weigh_twins(
 
 
 @wp.func
-def weighted(code: wp.array2d[float], y: int, x: int, weights: Band):
+def weigh_values(code: wp.array2d[float], y: int, x: int, weights: Band):
     values = Band()
     for r in range(4):
         values[r] = weights[r] * code[y + r, x]
@@ -148,12 +148,16 @@ def denoise(
         dx = step % 3 * period_x
         first = weigh(code, y, x, dy, dx, most, per_square)
         second = weigh(code, y, x, -dy, -dx, most, per_square)
-        more = weighted(code, y + dy, x + dx, first) + weighted(code, y - dy, x - dx, second)
+        more = weigh_values(code, y + dy, x + dx, first) + weigh_values(
+            code, y - dy, x - dx, second
+        )
         number = first + second
         if dy != 0 and dx != 0:
             third = weigh(code, y, x, dy, -dx, most, per_square)
             fourth = weigh(code, y, x, -dy, dx, most, per_square)
-            more += weighted(code, y + dy, x - dx, third) + weighted(code, y - dy, x + dx, fourth)
+            more += weigh_values(code, y + dy, x - dx, third) + weigh_values(
+                code, y - dy, x + dx, fourth
+            )
             number += third + fourth
         mean += more
         count += number
@@ -168,8 +172,12 @@ def denoise(
             c = weigh_twins(code, y, x, down, -right, most, per_square)
             d = weigh_twins(code, y, x, -down, right, most, per_square)
             twin_sum += (
-                weighted(code, y + down, x + right, a) + weighted(code, y - down, x - right, b)
-            ) + (weighted(code, y + down, x - right, c) + weighted(code, y - down, x + right, d))
+                weigh_values(code, y + down, x + right, a)
+                + weigh_values(code, y - down, x - right, b)
+            ) + (
+                weigh_values(code, y + down, x - right, c)
+                + weigh_values(code, y - down, x + right, d)
+            )
             twin_count += (a + b) + (c + d)
         for r in range(4):
             most_twin = wp.where((band * BAND + r + x0) % 2 == 0, even_twins, odd_twins)

@@ -1,5 +1,6 @@
-// A work-item does `run` columns, by WIDTH, of ROWS rows, as in bilinear.cl. The operations are those of the separate
-// stages in their order, so the codes are the same. From the host: WIDTH (1, 4 or 8), ROWS, ELECTRONS, those of codes.clh.
+// A work-item makes `run` columns, WIDTH at a time, of ROWS rows, as in bilinear.cl. The separate stages do the same
+// operations in the same order, so the codes are the same. From the host: WIDTH (1, 4 or 8), ROWS, ELECTRONS, and the
+// defines of codes.clh.
 #include "bilinear.clh"
 #include "codes.clh"
 

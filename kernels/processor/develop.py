@@ -1,32 +1,58 @@
-"""A picture from a Bayer mosaic in one pass: bilinear demosaicking, colour matrix and display codes.
+"""A picture from a Bayer mosaic in one pass: bilinear demosaicking, colour matrix, codes.
 
-Ports: raw (rows, cols) uint16 [DN], or float32 [e-] with a converter; matrix (3, 3); thresholds (255,)
--> codes (rows, cols, 3) uint8.
+Ports: raw (rows, cols) uint16 [DN], or float32 [e-] with a converter; matrix (3, 3); thresholds
+(255,) -> codes (rows, cols, 3) uint8.
 
-For previews and videos: the planes between the stages, 3 x 4 byte per pixel written and read twice, stay in registers.
+For previews and videos: the planes between the stages, 3 x 4 bytes per pixel written and read
+twice, stay in registers.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.display.encode import code_table, codes_defines, thresholds
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import items
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 
 @stage
 def develop(
-    device, raw, matrix, thresholds, *, phase, black_level, scale, ceiling=None, converter=None
-):
-    """What `bilinear`, `color` and `encode` give one after the other, bit for bit on the same device.
+    device: Device,
+    raw: Array,
+    matrix: Array,
+    thresholds: Array,
+    *,
+    phase: str,
+    black_level: float,
+    scale: float,
+    ceiling: Array | None = None,
+    converter: tuple[float, float, float] | None = None,
+) -> Array:
+    """Return the result of `bilinear`, `color` and `encode`, bit for bit on the same device.
 
-    raw: shape (rows, cols): digital numbers, uint16 [DN]; or electrons, float32 [e-], with converter = (gain, offset,
-    most) [DN/e-, DN, DN], whose numbers are rint(min(max(gain e + offset, 0), most)), as `sensor.noise` has them.
-    phase, black_level [DN], scale [1/DN]: see `bilinear`. matrix: shape (3, 3); ceiling: shape (3,) or None: see
-    `color`. thresholds: shape (255,): see `encode`.
-    Returns shape (rows, cols, 3), uint8. Raises BadData, OutOfRange, UnknownName.
+    Args:
+        raw: Digital numbers [DN], uint16, or electrons [e-], float32, with a converter; shape
+            (rows, cols).
+        matrix: Colour matrix, shape (3, 3), see `color`.
+        thresholds: Thresholds of the display codes, shape (255,), see `encode`.
+        phase: "RGGB", "GRBG", "GBRG" or "BGGR".
+        black_level: Black level [DN].
+        scale: Factor of the camera values [1/DN].
+        ceiling: Shape (3,) [1] or None, see `color`.
+        converter: (gain [DN/e-], offset [DN], most [DN]): numbers are rint(min(max(gain e + offset,
+            0), most)), as in `sensor.noise`. None for digital numbers.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Codes, shape (rows, cols, 3), uint8.
+
+    Raises:
+        BadData: Shapes or types do not fit, or the thresholds are not allowed.
+        OutOfRange: `scale` or `converter` is not allowed.
+        UnknownName: There is no such phase.
     """
     if tuple(matrix.shape) != (3, 3):
         raise BadData(f"develop: matrix of shape {tuple(matrix.shape)}, wanted (3, 3)")
@@ -65,10 +91,10 @@ def develop(
 
 
 def _check(raw, scale, converter):
-    """Refuse what is neither a mosaic of digital numbers nor one of electrons with its converter."""
+    """Raise BadData or OutOfRange for a mosaic of neither digital numbers nor electrons."""
     if converter is None:
         return check_mosaic(raw, scale)
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+    dtype = dtype_name(raw)
     if len(raw.shape) != 2 or dtype not in ("float32", "float64") or 0 in raw.shape:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (rows, cols) of float32 with a converter"
@@ -83,7 +109,10 @@ def _check(raw, scale, converter):
 
 
 def cases():
-    """All phases, odd and degenerate sizes, with and without ceiling and converter, several curves."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, with and without ceiling and converter, several curves.
+    """
     random = np.random.default_rng(7)
     matrix = np.float32([[1.9, -0.6, -0.1], [-0.3, 1.5, -0.3], [0.05, -0.5, 1.6]])
     ceiling = np.float32([0.5, 0.9, 0.7])
@@ -110,12 +139,12 @@ def cases():
 def _case(
     name, raw, matrix, power, phase, ceiling, converter=None, black_level=64.0, scale=1 / 1024
 ):
-    """A case whose thresholds are moved out of the reach of rounding, so that its codes must agree exactly."""
+    """Return a case with thresholds out of the reach of rounding: its codes must agree exactly."""
     from gpusim.kernels.processor.bilinear_ref import bilinear
     from gpusim.kernels.processor.color_ref import color
-    from gpusim.kernels.processor.develop_ref import digitised
+    from gpusim.kernels.processor.develop_ref import digitise
 
-    numbers = raw if converter is None else digitised(raw, *converter)
+    numbers = raw if converter is None else digitise(raw, *converter)
     camera = bilinear(numbers, phase=phase, black_level=black_level, scale=scale)
     values = np.sort(color(camera, matrix, ceiling=ceiling), axis=None)
     band = 6 * 2.0**-24 * (np.abs(matrix) @ np.abs(camera).max((1, 2))).max()
@@ -146,7 +175,7 @@ def _case(
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic, sRGB."""
+    """Return inputs: a 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
     return {

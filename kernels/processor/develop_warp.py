@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.bayer_warp import first_own
-from gpusim.kernels.common.bilinear_warp import ROWS, interpolated, line
+from gpusim.kernels.common.bilinear_warp import ROWS, interpolate, line
 from gpusim.kernels.common.codes_warp import code
 
 wp.set_module_options({"enable_backward": False})
@@ -46,7 +46,7 @@ def develop(
         y = first_row + i
         if y < rows:
             down = line(raw, converter, y + 1, x)
-            camera = interpolated(
+            camera = interpolate(
                 up,
                 here,
                 down,

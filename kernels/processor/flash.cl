@@ -36,7 +36,7 @@ INLINE real certainty(__global const float *restrict noise, const int c, const r
     return 1.0f / (6.0f * (positive(more) + noise[4 * c + 3]));
 }
 
-// Means of the ambient picture, weighted by its own likeness.
+// Means of the ambient picture, weighted by similarity in it.
 INLINE void own_means(
     __global const float *restrict ambient, __global const float *restrict noise,
     __global const float *restrict spatial, real *own, const float per_reach, const int y, const int x,

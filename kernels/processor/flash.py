@@ -1,52 +1,86 @@
-"""A picture in dim light, with what a picture of the same view by flash knows about its noise and detail.
+"""A picture in dim light, denoised with the help of a picture of the same view by flash.
 
-Ports: ambient, flash (3, rows, cols) float32 linear RGB -> rgb (3, rows, cols) float32, in the ambient picture's unit.
+Ports: ambient, flash (3, rows, cols) float32 linear RGB -> rgb (3, rows, cols) float32, in the
+ambient picture's unit.
 
 With V_c(p) the variance of a value, known from the noise model, and over the window of q around p
 
-    d_F^2(p, q) = 1/3 sum_c (F_c(p) - F_c(q))^2 / (2 V^F_c(p)),   1 on average where both show the same,
-    w_F = g(p - q) max(1 - d_F^2 / reach, 0)^2,                   g a Gaussian, half the radius its sigma,
+    d_F^2(p, q) = 1/3 sum_c (F_c(p) - F_c(q))^2 / (2 V^F_c(p)),   1 on average if both show the same,
+    w_F = g(p - q) max(1 - d_F^2 / reach, 0)^2,                   g a Gaussian, sigma half the radius,
 
-and w_A the same of the ambient picture A:
+and w_A the same for the ambient picture A:
 
     A_F, F_F: means of A and F weighted by w_F;   A_A: mean of A weighted by w_A,
-    detail  = 1 + s (F - F_F) / max(F_F, 2 sqrt(V^F)),   s = max(v - 1/2, 0) / v,  v = mean w_F d_F^2 - d_F^2(p, F_F),
-    rgb     = (1 - mask) A_F detail + mask A_A.
+    v      = mean w_F d_F^2 - d_F^2(p, F_F),       s = max(v - 1/2, 0) / v,
+    detail = 1 + s (F - F_F) / max(F_F, 2 sqrt(V^F)),
+    rgb    = (1 - mask) A_F detail + mask A_A.
 
-v is the variance of F in the window over 2 V: s is the part of it that is not noise, so that the detail is the flash
-picture's texture and not its noise. The mask is 1 where the flash picture knows no more than the ambient one, in the
-shadows of the flash, and where it is full, in its highlights: with the squares of both signals over their noise,
+v is the variance of F in the window over 2 V, and s the part of it that is not noise: the detail is
+the flash picture's texture without its noise. The mask is 1 if the flash picture is no better than
+the ambient one, in the shadows of the flash, and if it is saturated, in its highlights. With the
+squares of both signals over their noise,
 
-    mask = max(1 - step(sum F_F^2 / V^F(F_F) / (BETTER sum A_F^2 / V^A(A_F)) - 1), step(HIGHLIGHT part of window full)),
+    shadow    = 1 - step(sum F_F^2 / V^F(F_F) / (BETTER sum A_F^2 / V^A(A_F)) - 1),
+    highlight = step(HIGHLIGHT part of window that is full),
+    mask      = max(shadow, highlight),
 
-step(t) = t^2 (3 - 2 t) of t cut to 0 .. 1. Pictures go on at their edges as they end there.
+step(t) = t^2 (3 - 2 t) of t clipped to 0 .. 1. Pictures continue with their edge values.
 """
 
 from numbers import Real
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
-BETTER = 2.0  # signal over noise, squared, that the flash picture must be better by; with twice this it counts in full
+BETTER = 2.0  # least gain in squared signal over noise by the flash picture; it counts in full at twice this
 HIGHLIGHT = 8.0  # inverse of the part of the window whose fullness makes a highlight
 MOST_RADIUS = 12
 
 
 @stage
-def flash(device, ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, reach=6.0):
-    """The ambient picture, its noise averaged among pixels that are alike in the flash picture.
+def flash(
+    device: Device,
+    ambient: Array,
+    flash: Array,
+    *,
+    ambient_noise: Array,
+    flash_noise: Array,
+    full: float = np.inf,
+    radius: int = 8,
+    reach: float = 6.0,
+) -> Array:
+    """Average the ambient picture's noise over pixels that are similar in the flash picture.
 
-    ambient, flash: shape (3, rows, cols), linear, finite. ambient_noise, flash_noise: shape (3, 4): the variance of
-    value c is the sum over k of noise[c, k] max(value k, 0) + noise[c, 3], and at least noise[c, 3] > 0. full: value of
-    the flash picture from which on it is full. radius: of the window [pixel], 1 to 12. reach: squared difference, over
-    that of noise alone, from which on pixels are not alike.
-    Returns shape (3, rows, cols). Raises BadData, OutOfRange.
-    Source: Petschnigg et al. 2004, "Digital photography with flash and no-flash image pairs", and Eisemann & Durand
-    2004, "Flash photography enhancement via intrinsic relighting", both ACM Transactions on Graphics 23 (3).
+    Args:
+        ambient: Linear RGB in dim light, finite, shape (3, rows, cols).
+        flash: Linear RGB by flash, finite, shape (3, rows, cols).
+        ambient_noise: Shape (3, 4): the variance of value c is the sum over k of noise[c, k]
+            max(value k, 0) + noise[c, 3], and at least noise[c, 3] > 0.
+        flash_noise: The same for the flash picture, shape (3, 4).
+        full: Value from which on the flash picture is saturated.
+        radius: Radius of the window [pixel], 1 to 12.
+        reach: Squared difference, over that of noise only, from which on pixels are not similar
+            [1].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear RGB in the ambient picture's unit, shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: Shapes do not fit, or a table has a number that is not finite.
+        OutOfRange: `radius`, `reach` or a table is not allowed.
+
+    Source:
+        Petschnigg et al. 2004, "Digital photography with flash and no-flash image pairs", and
+        Eisemann and Durand 2004, "Flash photography enhancement via intrinsic relighting", both ACM
+        Transactions on Graphics 23 (3).
     """
-    ambient_noise, flash_noise = checked(ambient, flash, ambient_noise, flash_noise, radius, reach)
+    ambient_noise, flash_noise = check_inputs(
+        ambient, flash, ambient_noise, flash_noise, radius, reach
+    )
     rows, cols = ambient.shape[1:]
     out = device.empty((3, rows, cols))
     cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item, 8 pixels at once
@@ -77,13 +111,13 @@ def flash(device, ambient, flash, *, ambient_noise, flash_noise, full=np.inf, ra
 
 
 def spatial(radius):
-    """Weights of the window by distance, shape (2 radius + 1, 2 radius + 1)."""
+    """Return the weights of the window by distance, shape (2 radius + 1, 2 radius + 1)."""
     line = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (radius / 2)) ** 2)
     return np.outer(line, line)
 
 
-def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
-    """Both tables of noise as float64. Raises BadData, OutOfRange."""
+def check_inputs(ambient, flash, ambient_noise, flash_noise, radius, reach):
+    """Return both tables of noise as float64. Raise BadData or OutOfRange as `flash` does."""
     if (
         len(ambient.shape) != 3
         or ambient.shape[0] != 3
@@ -91,8 +125,7 @@ def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
         or ambient.shape != flash.shape
     ):
         raise BadData(
-            f"ambient {tuple(ambient.shape)} and flash {tuple(flash.shape)}: wanted (3, rows, cols), both "
-            "alike"
+            f"ambient {tuple(ambient.shape)} and flash {tuple(flash.shape)}: wanted (3, rows, cols) for both"
         )
     tables = []
     for name, table in (("ambient_noise", ambient_noise), ("flash_noise", flash_noise)):
@@ -110,7 +143,7 @@ def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
 
 
 def _pair(rows, cols):
-    """A noisy picture of patches, and one by flash with a shadow and a highlight."""
+    """Return a noisy picture of patches, and one by flash with a shadow and a highlight."""
     random = np.random.default_rng(12)
     patches = (
         random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
@@ -135,7 +168,7 @@ def _pair(rows, cols):
 
 
 def cases():
-    """Window larger than the picture, odd sizes, shadows, highlights, flat fields."""
+    """Yield cases: window larger than the picture, odd sizes, shadows, highlights, flat fields."""
     why = (
         "n = (2 r + 1)^2 taps: sums err by n 2^-24 at most, a squared difference of values below 1.3 over 2 V > "
         "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3"
@@ -161,5 +194,5 @@ def cases():
 
 
 def bench(rows, cols):
-    """The default window."""
+    """Return inputs: the default window."""
     return _pair(rows, cols)

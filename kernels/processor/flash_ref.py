@@ -6,7 +6,7 @@ from gpusim.kernels.processor.flash import BETTER, HIGHLIGHT
 
 
 def flash(ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, reach=6.0):
-    """See the contract."""
+    """Return the stage's result, see `flash.py`."""
     ambient, flash = np.asarray(ambient, np.float64), np.asarray(flash, np.float64)
     half_a, half_f = (
         1 / (2 * variance(ambient, ambient_noise)),
@@ -17,7 +17,7 @@ def flash(ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, 
     for dy in range(-radius, radius + 1):
         for dx in range(-radius, radius + 1):
             near = np.exp(-(dy**2 + dx**2) / (2 * (radius / 2) ** 2))
-            a, f = shifted(ambient, dy, dx), shifted(flash, dy, dx)
+            a, f = shift(ambient, dy, dx), shift(flash, dy, dx)
             alike_f, alike_a = (
                 ((f - flash) ** 2 * half_f).mean(axis=0),
                 ((a - ambient) ** 2 * half_a).mean(axis=0),
@@ -52,14 +52,14 @@ class Means:
 
 
 def variance(values, noise):
-    """Variance of every value."""
+    """Return the variance of every value."""
     noise = np.asarray(noise, np.float64)
     floor = noise[:, 3, None, None]
     return np.maximum(np.tensordot(noise[:, :3], np.maximum(values, 0), 1) + floor, floor)
 
 
-def shifted(planes, dy, dx):
-    """The pixels (dy, dx) away; outside, those at the edge."""
+def shift(planes, dy, dx):
+    """Return the pixels (dy, dx) away; outside, those at the edge."""
     rows, cols = planes.shape[1:]
     return planes[
         :,
@@ -69,6 +69,6 @@ def shifted(planes, dy, dx):
 
 
 def step(t):
-    """0 below 0, 1 above 1, smooth between."""
+    """Return 0 below 0, 1 above 1, smooth between."""
     t = np.clip(t, 0, 1)
     return t * t * (3 - 2 * t)

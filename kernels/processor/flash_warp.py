@@ -20,7 +20,7 @@ def step(value: float):
 
 @wp.func
 def certainty(noise: wp.array2d[float], value: wp.vec3):
-    """1 / (2 variance) / 3 of each value."""
+    """Return 1 / (2 variance) / 3 of each value."""
     sure = wp.vec3(0.0, 0.0, 0.0)
     for c in range(3):
         more = noise[c, 0] * wp.max(value[0], 0.0) + noise[c, 1] * wp.max(value[1], 0.0)

@@ -1,7 +1,7 @@
 // Every list of taps belongs to a row phase and a channel and gives an offset and a weight for each column phase.
-// A GPU's work-item does a pixel. A CPU's does a row: all column phases share a list's offset there, so that BLOCK
-// neighbours are a few vectors, multiplied by the weights of their phases; most of these are 0, and still it is many
-// times faster than single pixels. Columns are 64-bit: see bayer.clh.
+// A GPU's work-item makes a pixel. A CPU's makes a row: all column phases share a list's offset, and BLOCK neighbours
+// are a few vectors, multiplied with the weights of their phases. Most of these are 0; it is still many times faster
+// than single pixels. Columns are 64-bit: see bayer.clh.
 inline float pixel(
     __global const ushort *restrict raw, __global const int *restrict starts, __global const int2 *restrict offsets,
     __global const float *restrict weights, const long y, const long x, const int list, const int phase,

@@ -1,45 +1,68 @@
 """Demosaicking of any mosaic by linear interpolation, with black level and scale.
 
-Ports: raw (rows, cols) uint16 [DN], cfa (period_y, period_x) int32 -> planes (C, rows, cols) float32,
-(DN - black_level) scale: the sensor's C channels, 1 at the white level if scale = 1 / (white_level - black_level).
+Ports: raw (rows, cols) uint16 [DN], cfa (period_y, period_x) int32 -> planes (C, rows, cols)
+float32, (DN - black_level) scale: the sensor's C channels, 1 at the white level if scale = 1 /
+(white_level - black_level).
 
-A pixel that has no sample of a channel takes a weighted mean of the samples around it. Weights t fall off as a tent,
-t = (1 - |dy| / h_y)(1 - |dx| / h_x), and are tilted to the value at the pixel of the plane that fits the samples best,
+A pixel without a sample of a channel takes a weighted mean of the samples around it. Weights t fall
+off as a tent, t = (1 - |dy| / h_y)(1 - |dx| / h_x). They are tilted to the value at the pixel of
+the plane that fits the samples best,
 
     w_i = t_i (1, dy_i, dx_i) M^+ (1, 0, 0)',   M = sum over i of  t_i (1, dy_i, dx_i)'(1, dy_i, dx_i),
 
-so that a linear ramp comes out exactly, whatever the mosaic. Samples with a negative weight are left out, and the rest
-weighted anew, until there is none: nothing is extrapolated and noise is never amplified. Each channel takes the
-smallest tent, h = min(k, period) for k = 1, 2, ..., that leaves enough samples for that, and one in every block of
-h_y x h_x pixels around a pixel, so that what a border leaves of a window holds one too. There always is such a tent:
-with h = period it interpolates each sample of the period bilinearly in a lattice of its own and takes the mean.
+which reproduces a linear ramp exactly in any mosaic. Samples with a negative weight are left out
+and the rest is weighted again, until there is none: nothing is extrapolated and noise is never
+amplified. Each channel takes the smallest tent, h = min(k, period) for k = 1, 2, ..., that leaves
+enough samples for that, and one in every block of h_y x h_x pixels around a pixel; the part of a
+window inside a border then holds one too. Such a tent always exists: with h = period it
+interpolates each sample of the period bilinearly in its own lattice and takes the mean.
 """
 
 import functools
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
-BLOCK = 32  # neighbouring pixels that CPUs do at once
-LEAST = 1e-9  # weights below it are none
+BLOCK = 32  # neighbouring pixels that CPUs process at once
+LEAST = 1e-9  # smaller weights count as 0
 
 
 @stage
-def interpolate(device, raw, *, cfa, black_level, scale):
-    """Every channel at every pixel; measured samples are kept.
+def interpolate(
+    device: Device, raw: Array, *, cfa: Array, black_level: float, scale: float
+) -> Array:
+    """Interpolate every channel at every pixel; measured samples are kept.
 
-    raw: shape (rows, cols) uint16 [DN]. cfa: channel of each pixel of one period of the mosaic, shape (period_y,
-    period_x), at most 8 x 8, whole numbers 0 .. C - 1 that all occur. black_level [DN]. scale [1/DN].
-    A Bayer mosaic is interpolated bilinearly (`processor.bilinear`), but at borders: weights of samples outside the
-    frame are left out and the rest scaled to a sum of 1. Constant channels come out constant everywhere, linear ramps
-    exactly where all the samples lie inside the frame. Nothing is clipped.
-    Returns shape (C, rows, cols). Raises BadData (a frame smaller than `least_frame` too), OutOfRange.
-    Source: Knutsson & Westin 1993, "Normalized and differential convolution", CVPR, 515-523, with a plane as the local
-    model; as regression: Cleveland 1979, Journal of the American Statistical Association 74, 829-836.
+    A Bayer mosaic is interpolated bilinearly (`processor.bilinear`), except at borders: weights of
+    samples outside the frame are left out, and the rest is scaled to a sum of 1. Constant channels
+    stay constant everywhere, and linear ramps are exact if all samples lie inside the frame.
+    Nothing is clipped.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        cfa: Channel of each pixel in one period of the mosaic, at most 8 x 8, whole numbers 0 .. C
+            - 1 that all occur.
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Channels [1], shape (C, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16 or smaller than `least_frame`, or the mosaic is not
+            allowed.
+        OutOfRange: `scale` is not above 0.
+
+    Source:
+        Knutsson and Westin 1993, "Normalized and differential convolution", CVPR, 515-523, with a
+        plane as the local model; as regression: Cleveland 1979, Journal of the American Statistical
+        Association 74, 829-836.
     """
     check_mosaic(raw, scale)
     cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
@@ -50,7 +73,7 @@ def interpolate(device, raw, *, cfa, black_level, scale):
     if rows < least[0] or cols < least[1]:
         raise BadData(
             f"raw: {rows}x{cols} pixels; with a mosaic of {cfa.shape[0]}x{cfa.shape[1]}, at least "
-            f"{least[0]}x{least[1]} are wanted, so that every channel is near every pixel"
+            f"{least[0]}x{least[1]} are wanted: every channel must be near every pixel"
         )
     blocks = device.kind == "opencl" and not device.is_gpu
     starts, offsets, weights, reach = _tables(device, blocks, *key)
@@ -79,14 +102,24 @@ def interpolate(device, raw, *, cfa, black_level, scale):
     return out
 
 
-def least_frame(cfa) -> tuple[int, int]:
-    """Rows and columns of the smallest frame of this mosaic that can be interpolated. Raises BadData."""
+def least_frame(cfa: Array) -> tuple[int, int]:
+    """Return rows and columns of the smallest frame of this mosaic that can be interpolated.
+
+    Args:
+        cfa: Channel of each pixel in one period of the mosaic.
+
+    Returns:
+        Rows and columns.
+
+    Raises:
+        BadData: The mosaic is not allowed.
+    """
     cfa = checked_mosaic(np.asarray(cfa))
     return _least(_tents(cfa.astype(np.int32).tobytes(), cfa.shape))
 
 
 def checked_mosaic(cfa):
-    """Return one period of the mosaic, the shortest there is. Raises BadData."""
+    """Return the shortest period of the mosaic. Raise BadData if the mosaic is not allowed."""
     if (
         cfa.ndim != 2
         or not cfa.size
@@ -112,7 +145,7 @@ def checked_mosaic(cfa):
 
 @functools.lru_cache(maxsize=64)
 def _tents(cfa, shape):
-    """Half-widths and weights of each channel's tent, see `_tent`."""
+    """Return half-widths and weights of each channel's tent, see `_tent`."""
     cfa = np.frombuffer(cfa, np.int32).reshape(shape)
     return [_tent(cfa == c) for c in range(cfa.max() + 1)]
 
@@ -122,9 +155,10 @@ def _least(tents):
 
 
 def _tent(sampled):
-    """Half-widths of the smallest good tent for samples of one period, and the weights of each phase in its window.
+    """Return half-widths of the smallest good tent for the samples of one period, and its weights.
 
-    sampled: shape (period_y, period_x). Returns (h_y, h_x), weights (period_y, period_x, 2 h_y - 1, 2 h_x - 1).
+    sampled: shape (period_y, period_x). Returns (h_y, h_x) and weights of each phase in the window,
+    shape (period_y, period_x, 2 h_y - 1, 2 h_x - 1).
     """
     for k in range(1, max(sampled.shape) + 1):
         half = tuple(min(k, period) for period in sampled.shape)
@@ -141,7 +175,10 @@ def _tent(sampled):
 
 
 def _weights(sampled, half, y, x):
-    """Weights of a window's samples at phase (y, x), NaN if too few are left; the pixel's own sample alone."""
+    """Return the weights of a window's samples at phase (y, x), NaN if too few are left.
+
+    A pixel with its own sample takes only that.
+    """
     dy, dx = np.mgrid[1 - half[0] : half[0], 1 - half[1] : half[1]]
     if sampled[y, x]:
         return ((dy == 0) & (dx == 0)).astype(float)
@@ -161,12 +198,13 @@ def _weights(sampled, half, y, x):
 
 @functools.lru_cache(maxsize=64)
 def _tables(device, blocks, cfa, shape):
-    """The taps of all phases on the device, and how far they reach (rows, cols).
+    """Return the taps of all phases on the device, and their reach (rows, cols).
 
     starts: first row of the lists of each (phase y, channel), and the end, shape (period_y C + 1,).
-    offsets: (dy, dx) of each row of a list at each phase x, shape (N, period_x, 2). weights: shape (N, period_x), 0
-    for a tap that a phase does not have. For `blocks` all phases of a row share its offset, so that neighbours are
-    read together, and the weights go on periodically for a block: shape (N, period_x + BLOCK - 1).
+    offsets: (dy, dx) of each row of a list at each phase x, shape (N, period_x, 2). weights: shape
+    (N, period_x), 0 for a tap that a phase does not have. With `blocks`, all phases of a row share
+    its offset and read neighbours together, and the weights continue periodically for a block:
+    shape (N, period_x + BLOCK - 1).
     """
     starts, offsets, weights = [0], [], []
     for y in range(shape[0]):
@@ -207,7 +245,10 @@ X_TRANS = (
 
 
 def cases():
-    """Bayer, quad-Bayer, X-Trans, stripes, one channel, random 8 x 8, least frames, black, saturation."""
+    """Yield cases.
+
+    Bayer, quad-Bayer, X-Trans, stripes, one channel, random 8 x 8, least frames, black, saturation.
+    """
     random = np.random.default_rng(6)
     why = (
         "weights are positive with sum 1, so errors count in 2^-24 of the largest sample: of n <= 40 taps n + 1 "
@@ -250,6 +291,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit X-Trans mosaic."""
+    """Return inputs: a 10-bit X-Trans mosaic."""
     raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "cfa": np.array(X_TRANS, np.int32), "black_level": 64.0, "scale": 1 / 959}

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def interpolate(raw, *, cfa, black_level, scale):
-    """Raw (rows, cols) [DN] -> (C, rows, cols), (DN - black_level) scale."""
+    """Return the stage's result, see `interpolate.py`."""
     raw, cfa = np.asarray(raw, np.float64), shortest_period(np.asarray(cfa))
     period, rows_cols = cfa.shape, raw.shape
     out = np.empty((cfa.max() + 1, *rows_cols))
@@ -46,7 +46,7 @@ def shortest_period(cfa):
 
 @cache
 def smallest_tent(sampled):
-    """Half-widths of the smallest tent that serves all phases, and {phase: weights of its window}."""
+    """Return half-widths of the smallest tent for all phases, and {phase: weights}."""
     sampled = np.array(sampled)
     for k in count(1):
         half = [min(k, period) for period in sampled.shape]
@@ -61,7 +61,10 @@ def smallest_tent(sampled):
 
 
 def fit(sampled, phase, half):
-    """Weights with which samples make up the value of their plane here; None where no plane has all positive ones."""
+    """Return the weights by which samples make up the value of their plane here, or None.
+
+    None if no plane has only positive weights.
+    """
     weights = np.zeros([2 * h - 1 for h in half])
     if sampled[phase]:
         weights[half[0] - 1, half[1] - 1] = 1
@@ -89,5 +92,5 @@ def fit(sampled, phase, half):
 
 
 def every_block_has_one(weights, half):
-    """Whether each block of `half` pixels in the window holds a sample."""
+    """Return whether each block of `half` pixels in the window holds a sample."""
     return (np.lib.stride_tricks.sliding_window_view(weights, half) > 0).any(axis=(2, 3)).all()

@@ -1,5 +1,5 @@
-// CPUs' three passes; GPUs have learned_tiles.cl. `encode` writes the codes with what is around the frame, so that nobody asks for borders any more, REACH
-// pixels on every side. `classify` finds the row of the table that each pixel takes, `apply` the planes.
+// CPUs' three passes; GPUs have learned_tiles.cl. `encode` writes the codes with REACH pixels of surroundings on every
+// side; later passes need not check borders. `classify` finds each pixel's row of the table, `apply` the planes.
 // From the host: ROOT; lists of constants, one F(..) each: DOWN, ALONG (offset, weight) of the contrast, DOWN_DETAIL,
 // ALONG_DETAIL, TAPS (group, row, column); numbers of things: SPAN (rows and columns of the box), BOUNDS, RATIOS,
 // SHARES, LEVELS, TERMS (groups, up to whole vectors), COMPUTED (planes by filters; KEPT is 1 if one more is the sample).
@@ -100,7 +100,7 @@ __kernel void classify(
     int sums[KINDS][ROWS][STRIP + SPAN - 1 + 2 * LANES];
     const int left = get_group_id(0) * STRIP, top = get_group_id(1) * ROWS;
     for (int u = 0; u < STRIP + SPAN - 1; u += LANES) {
-        // beyond the frame's own surroundings nothing is asked for: anything may be read there
+        // values beyond the frame's surroundings are not used: anything may be read there
         __global const float *at = codes + (size_t)(top + REACH - BOX) * stride
                                    + min(left + REACH - BOX + u, cols + REACH + BOX - 1);
         whole run[KINDS], history[SPAN][KINDS];
@@ -176,7 +176,7 @@ inline void transpose(float8 *square)
     }
 }
 
-// What filter o of each of 8 pixels gives; sums: those of pixel i are i, i + 8, ..; rows: where their weights begin.
+// Result of filter o for each of 8 pixels; sums: pixel i has i, i + 8, ..; rows: starts of their weights.
 inline float8 outputs(__global const float *restrict weights, const size_t *rows, const int o, const float8 *sums)
 {
     float8 parts[8];
@@ -198,7 +198,7 @@ __kernel void apply(
     __global const ushort *restrict units,   // [rows][cols]
     __global const float *restrict levels,   // [rows][cols]
     __global const float *restrict weights,  // [LEVELS][UNITS][COMPUTED][TERMS]
-    __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: where they go, the sample last
+    __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: their places, the sample last
     __global const float *restrict loss,     // of roots, see levels.py
     // out:
     __global float *restrict out,            // [COMPUTED + KEPT][rows][cols]

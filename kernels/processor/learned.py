@@ -1,56 +1,76 @@
-"""Demosaicking by learned linear filters, chosen pixel by pixel: any mosaic to any planes in one pass.
+"""Demosaicking by learned linear filters, chosen pixel by pixel: any mosaic to any planes.
 
 Ports: raw (rows, cols) uint16 [DN] -> planes (outputs, rows, cols) float32, 1 at the white level.
 """
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.learned import Code, FilterTable, Layout
 from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bayer import RED, check_mosaic
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 TILES = "processor.learned_tiles"  # the kernel of GPUs
-LOCAL = 48 * 1024  # bytes that any GPU's group may have
+LOCAL = 48 * 1024  # bytes of local memory on any GPU
 
 
 @stage
 def learned(
-    device,
-    raw,
+    device: Device,
+    raw: Array,
     *,
-    phase,
-    black_level,
-    scale,
-    domain=None,
-    noise=(0.0, 0.0),
-    table=None,
-    balance=(1.0, 1.0),
-):
-    """Every pixel by the filter of its position in the mosaic, its class and the level around it.
+    phase: str | Sequence[str],
+    black_level: float,
+    scale: float,
+    domain: str | None = None,
+    noise: tuple[float, float] = (0.0, 0.0),
+    table: FilterTable | None = None,
+    balance: tuple[float, float] = (1.0, 1.0),
+) -> Array:
+    """Filter every pixel by its position in the mosaic, its class and the level around it.
 
-    raw: shape (rows, cols) uint16 [DN]. phase: the sensor's mosaic, "RGGB", "GRBG", "GBRG", "BGGR" or one period of any
-        other as a text per row; the table must be for it, or for one that differs by a shift.
-    black_level [DN]. scale [1/DN]. noise: (gain [DN/e-], read noise [DN]), (0, 0) for none: see `Code`.
-    domain: "root" for linear data, "linear" for data that are encoded already; None: what the table was made for.
-    table: a FilterTable; None: the built-in one of Bayer mosaics.
-    balance: (red, blue), with tables that give R, G and B of a Bayer mosaic: filters see these channels multiplied by
-        it, so that white is as strong in them as in green, as it was in the photographs that the built-in ones were
-        learned from; what they give is divided again.
-    The square of a mean root is less than the mean, by what `root_loss` says. Tables without a constant, which keep
-    flat fields, get that back by the share of the noise's variance that each filter removes; those with one learned it.
-    Bayer and other mosaics with a period of at most 2 are mirrored at borders without repeating the end pixel, others
-    repeat their outermost period. A Bayer frame of one row or column is interpolated bilinearly. Nothing is clipped.
-    Returns shape (outputs, rows, cols). Raises BadData (a frame smaller than 2 pixels or a period too), OutOfRange,
-    UnknownName (a mosaic that the table does not know).
-    Source: Lansel & Wandell 2011, "Local linear learned image processing pipeline", Imaging Systems and Applications;
-    Tian, Lansel, Farrell & Wandell 2014, Proc. SPIE 9023, 90230K.
+    The square of a mean root is less than the mean, see `root_loss`. Tables without a constant,
+    which keep flat fields, get the difference back by the share of the noise's variance that each
+    filter removes. Tables with a constant learned it.
+
+    Bayer and other mosaics with a period of at most 2 are mirrored at borders without repeating the
+    end pixel; others repeat their outermost period. A Bayer frame of one row or column is
+    interpolated bilinearly. Nothing is clipped.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        phase: The sensor's mosaic: "RGGB", "GRBG", "GBRG", "BGGR", or one period of any other as a
+            text per row. The table must be for it, or for one that differs by a shift.
+        black_level: Black level [DN].
+        scale: 1 / (white_level - black_level) [1/DN].
+        domain: "root" for linear data, "linear" for data that are already encoded; None for the
+            table's domain.
+        noise: (gain [DN/e-], read noise [DN]), (0, 0) for none; see `Code`.
+        table: A FilterTable; None for the built-in one for Bayer mosaics.
+        balance: Factors of (red, blue) before the filters [1], for tables from a Bayer mosaic to R,
+            G and B. With them, white is as strong in red and blue as in green, as in the
+            photographs from which the built-in filters were learned. The result is divided by them.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Outputs [1], shape (outputs, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16, or is smaller than 2 pixels or a period.
+        OutOfRange: `scale`, `noise` or `balance` is not allowed.
+        UnknownName: The table does not know the mosaic.
+
+    Source:
+        Lansel and Wandell 2011, "Local linear learned image processing pipeline", Imaging Systems
+        and Applications; Tian, Lansel, Farrell and Wandell 2014, Proc. SPIE 9023, 90230K.
     """
     check_mosaic(raw, scale)
     table = bayer_table() if table is None else table
@@ -86,7 +106,7 @@ def learned(
 
 
 def _code(domain, black_level, scale, noise, balance, layout):
-    """The frame's code. Raises OutOfRange, UnknownName."""
+    """Return the frame's code. Raise OutOfRange or UnknownName as `learned` does."""
     balance = check_balance(balance)
     if balance != (1, 1) and not (
         layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B")
@@ -98,12 +118,12 @@ def _code(domain, black_level, scale, noise, balance, layout):
 
 
 def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
-    """One pass over tiles, on GPUs."""
+    """Make one pass over tiles, on GPUs."""
     rows, cols = raw.shape
     span, (period_y, period_x) = 2 * layout.box + 1, layout.period
     high = (
         span + 1
-    )  # low tiles: the more groups at a time the better, though they compute more of their rims twice
+    )  # low tiles: more groups run at a time, though they compute more of their rims twice
     run = 2 if high % 2 == 0 and prepared.terms == 16 else 1
     terms = max(5 * span, 21 + 4 * len(layout.outputs))
     wide = 2 * prepared.reach
@@ -147,7 +167,7 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
 
 
 def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
-    """Three passes over the frame, on CPUs: `encode`, `classify`, `apply`."""
+    """Make three passes over the frame, on CPUs: `encode`, `classify`, `apply`."""
     rows, cols = raw.shape
     reach, opencl, root = prepared.reach, device.kind == "opencl", prepared.defines["ROOT"]
     stride = -(-(cols + 2 * reach + 8) // 16) * 16
@@ -239,11 +259,12 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
 class _Prepared:
     """A table on a device, for frames of one code.
 
-    limits: bounds of the strengths, ratios, shares; least: the floor, all as whole numbers. weights: shape (levels,
-    positions K, computed, terms), a constant after the groups. planes: where outputs go at each position; if all
-    positions keep their sample (`defines["KEPT"]`), that one is last and has no weights. filters, taps: lists for Warp.
-    factors: of the codes of each position. loss: see `root_loss`; if it is given back (`defines["UNBIASED"]`), the
-    place of the constant has the share that is missing.
+    limits: bounds of the strengths, ratios, shares; least: the floor; all as whole numbers.
+    weights: shape (levels, positions K, computed, terms), a constant after the groups. planes:
+    index of each output at each position. If all positions keep their sample (`defines["KEPT"]`),
+    that one is last and has no weights. filters, taps: lists for Warp. factors: of the codes of
+    each position. loss: see `root_loss`; if it is given back (`defines["UNBIASED"]`), the place of
+    the constant has the missing share.
     """
 
     def __init__(self, device, table: FilterTable, code: Code):
@@ -271,7 +292,7 @@ class _Prepared:
                 weights[..., :groups].astype(np.float64) @ counts
             )
         kept = _samples(layout, weights[..., :groups])
-        weights[..., :groups], left = _balanced(layout, code, weights[..., :groups])
+        weights[..., :groups], left = _balance(layout, code, weights[..., :groups])
         unbiased = code.domain == "root" and code.noise[0] > 0 and offsets is None
         weights[..., groups] = 1 - left if unbiased else constant
         self.loss = device.array(root_loss(*code.noise) if unbiased else np.zeros(7, np.float32))
@@ -329,7 +350,7 @@ _prepared = functools.lru_cache(maxsize=16)(_Prepared)
 
 
 def _factors(layout: Layout, code: Code):
-    """What the codes of each position of the mosaic's period are multiplied by, shape (rows, cols)."""
+    """Return the codes' factors at each position of the mosaic's period, (rows, cols)."""
     return np.array(
         [
             [code.factors.get(letter, 1.0) if code.balance != (1, 1) else 1.0 for letter in text]
@@ -338,10 +359,11 @@ def _factors(layout: Layout, code: Code):
     )
 
 
-def _balanced(layout: Layout, code: Code, filters):
-    """Filters (L, P, K, outputs, G) of codes times their factors that give codes without, and the noise that is left.
+def _balance(layout: Layout, code: Code, filters):
+    """Return filters that undo the codes' factors, and the noise that is left.
 
-    That is the variance of what they give over the code's, shape (L, P, K, outputs).
+    filters: shape (L, P, K, outputs, G). The noise is the variance of their results over the code's
+    variance, shape (L, P, K, outputs).
     """
     factors = _factors(layout, code)
     rows, cols = layout.period
@@ -356,7 +378,7 @@ def _balanced(layout: Layout, code: Code, filters):
 
 
 def _samples(layout: Layout, filters):
-    """Output that is the pixel's own sample in all classes, or None, for each position."""
+    """Return each position's output that is its own sample in all classes, or None."""
     own = np.flatnonzero((layout.taps == 0).all(axis=1))
     if len(own) != 1 or (layout.groups == layout.groups[own[0]]).sum() != 1:
         return [None] * layout.positions
@@ -372,7 +394,11 @@ X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
 
 
 def cases():
-    """The built-in table, both domains, all phases, with and without noise; random ones: RGBW with levels, X-Trans."""
+    """Yield cases.
+
+    The built-in table, both domains, all phases, with and without noise; random ones: RGBW with
+    levels, X-Trans.
+    """
     random = np.random.default_rng(8)
     rgbw = _random_table(("RG", "WB"), "XYZ", (0.2, 0.5, 0.9), (1, -2, 1, 0, -1, 2, -1), 2)
     fuji = _random_table(X_TRANS, "RGB", (0.0,), (1, 0, 0, 0, 0, 0, -1), 3)
@@ -460,14 +486,14 @@ def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
         inputs,
         roundings * 2.0**-24 * largest * slope / peak,
         "a product and a sum for each group, the constant, weights and black level in float32, the decoding, "
-        "and four for what the square lacks, which is smaller than that: 2^-24 each of the largest sum of "
+        "and four for the loss of the square, which is smaller than that: 2^-24 each of the largest sum of "
         "absolute products, times the slope of the square; the place between two levels has three roundings "
         "more, divided by their distance. Codes' sums and classes are exact",
     )
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic of ramps, edges and noise."""
+    """Return inputs: a 10-bit Bayer mosaic of ramps, edges and noise."""
     random = np.random.default_rng(3)
     y, x = np.mgrid[:rows, :cols]
     raw = 300 + 200 * np.sin(x / 37) * np.cos(y / 23) + 150 * ((x + 2 * y) // 60 % 2)

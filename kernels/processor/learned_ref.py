@@ -1,16 +1,20 @@
-"""Local, linear, learned demosaicking, float64: every pixel takes one linear filter by position, class and level.
+"""Local, linear, learned demosaicking, float64: a filter per position, class and level.
 
-The decision (Lansel & Wandell 2011, "Local linear learned image processing pipeline", Imaging Systems and
-Applications; Tian et al. 2014, Proc. SPIE 9023): A and B are sums over a box of |contrast| along rows and columns,
+The decision (Lansel and Wandell 2011, "Local linear learned image processing pipeline", Imaging
+Systems and Applications; Tian et al. 2014, Proc. SPIE 9023): A and B are sums over a box of
+|contrast| along rows and columns,
+
     direction = number of ratios r with A + e > r (B + e)  less  number with B + e > r (A + e),
     strength = number of bounds below A + B,
-    share = number of ratios r with min(A, B) + e > r (min(P, Q) + e), P and Q the same as A and B of the detail.
-All of it is done on whole numbers: |contrasts|, rounded to DN or to 1/256 sqrt(DN), so that a pixel's class is the same
-wherever it is computed; for that reason roots are those of float32.
+    share = number of ratios r with min(A, B) + e > r (min(P, Q) + e), P and Q as A and B for the detail.
 
-With `balance` the codes of red and blue are multiplied by its roots, and what comes out is divided by them. The
-variance of a code is then v f^2 at a sample of factor f, and that of a filter's output, over v, S = sum w^2 f^2. The
-square of such an output lacks (1 - S) of what the square of a mean of many lacks (see levels.py).
+All of it is done on whole numbers: |contrasts|, rounded to DN or to 1/256 sqrt(DN). A pixel's class
+is then the same on every device; roots are float32 roots for the same reason.
+
+With `balance` the codes of red and blue are multiplied by its roots, and the results are divided by
+them. The variance of a code is then v f^2 at a sample of factor f, and the variance of a filter's
+output, over v, is S = sum w^2 f^2. The square of the output lacks (1 - S) of the loss of a mean of
+many (see levels.py).
 """
 
 import numpy as np
@@ -26,7 +30,7 @@ STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 def learned(
     raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None, balance=(1.0, 1.0)
 ):
-    """Raw (rows, cols) [DN] -> (outputs, rows, cols), 1 = white."""
+    """Return the stage's result, see `learned.py`."""
     layout = (table or bayer_table()).layout
     if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
@@ -64,7 +68,7 @@ def learned(
 
 
 def positions(layout: Layout, shape, shift=(0, 0)):
-    """Number of each pixel's position in the mosaic's period, shape (rows, cols)."""
+    """Return the number of each pixel's position in the mosaic's period, shape (rows, cols)."""
     rows, cols = (
         (np.arange(n) + first) % period
         for n, first, period in zip(shape, shift, layout.period, strict=True)
@@ -72,10 +76,10 @@ def positions(layout: Layout, shape, shift=(0, 0)):
     return np.add.outer(rows * layout.period[1], cols)
 
 
-def extended(plane, layout: Layout, reach):
-    """The plane with `reach` pixels more on every side: mirrored for periods of 1 and 2, else a period is repeated.
+def extend_plane(plane, layout: Layout, reach):
+    """Return the plane with `reach` more pixels on every side, in the colours of their places.
 
-    Either way every pixel has a colour of its place.
+    It is mirrored for periods of 1 and 2, else a period is repeated.
     """
     for axis, period in enumerate(layout.period):
         n = plane.shape[axis]
@@ -91,9 +95,9 @@ def extended(plane, layout: Layout, reach):
 
 
 def grouped(codes, layout: Layout):
-    """Sums of the codes of each group of taps, shape (G, rows, cols)."""
+    """Return sums of the codes of each group of taps, shape (G, rows, cols)."""
     reach = int(abs(layout.taps).max())
-    wide = extended(codes, layout, reach)
+    wide = extend_plane(codes, layout, reach)
     rows, cols = codes.shape
     sums = np.zeros((layout.shape[-1], rows, cols))
     for (dy, dx), group in zip(layout.taps + reach, layout.groups, strict=True):
@@ -102,16 +106,16 @@ def grouped(codes, layout: Layout):
 
 
 def classify(codes, code: Code, layout: Layout, floor, strengths):
-    """Class of each pixel, and the mean code around it relative to white; both of shape (rows, cols).
+    """Return each pixel's class, and the mean code around it over white, (rows, cols) each.
 
     floor, strengths: relative to white, for this frame's noise.
     """
 
-    def summed(plane):
-        return boxed(np.floor(plane * STEPS[code.domain] + 0.5), layout)
+    def sum_box(plane):
+        return box_sums(np.floor(plane * STEPS[code.domain] + 0.5), layout)
 
     columns, rows = (
-        summed(np.abs(filtered(codes, layout, axis, layout.contrast))) for axis in range(2)
+        sum_box(np.abs(directional(codes, layout, axis, layout.contrast))) for axis in range(2)
     )
     unit = STEPS[code.domain] * code.white * (2 * layout.box + 1) ** 2
     e = np.floor(min(floor * layout.weight / 2 * unit, 2.0**19))  # so all numbers stay below 2^31
@@ -125,18 +129,18 @@ def classify(codes, code: Code, layout: Layout, floor, strengths):
     ).sum(axis=0)
     if layout.detail is not None:
         least = np.minimum(
-            *(summed(np.abs(filtered(codes, layout, axis, layout.detail))) for axis in range(2))
+            *(sum_box(np.abs(directional(codes, layout, axis, layout.detail))) for axis in range(2))
         )
         ratios = layout.shares[:, None, None]
         share = (8 * np.minimum(rows, columns) > ratios * least + (ratios - 8) * e).sum(axis=0)
         classes = classes * (len(ratios) + 1) + share
-    return classes, summed(extended(codes, layout, layout.box)) / unit
+    return classes, sum_box(extend_plane(codes, layout, layout.box)) / unit
 
 
-def filtered(codes, layout: Layout, axis, weights):
-    """Contrast or detail along `axis`, on the frame and the box's reach around it."""
+def directional(codes, layout: Layout, axis, weights):
+    """Return contrast or detail along `axis`, on the frame and the box's reach around it."""
     reach = len(weights[axis]) // 2
-    wide = extended(codes, layout, reach + layout.box)
+    wide = extend_plane(codes, layout, reach + layout.box)
     rows, cols = (n + 2 * layout.box for n in codes.shape)
     out = np.zeros((rows, cols))
     for k, weight in enumerate(weights[axis]):
@@ -145,8 +149,8 @@ def filtered(codes, layout: Layout, axis, weights):
     return out
 
 
-def boxed(wide, layout: Layout):
-    """Sums over (2 box + 1)^2 pixels of a plane that is wider than the frame by `box` on every side."""
+def box_sums(wide, layout: Layout):
+    """Return sums over (2 box + 1)^2 pixels; the plane is wider than the frame by `box`."""
     n = 2 * layout.box + 1
     down = np.lib.stride_tricks.sliding_window_view(wide, n, axis=0).sum(axis=-1)
     return np.lib.stride_tricks.sliding_window_view(down, n, axis=1).sum(axis=-1)

@@ -1,6 +1,6 @@
 // The whole of learned.cl in one pass over tiles, for GPUs: codes, sums and classes stay in local memory.
-// A work-group does STRIP columns of ROWS rows, a work-item one column of them. From the host: what learned.cl is told,
-// and PERIOD_Y, PERIOD_X of the mosaic, ITEMS of a group, RUN, rows whose taps are added at once (a divisor of ROWS).
+// A work-group makes STRIP columns of ROWS rows, a work-item one column of them. From the host: as for learned.cl, and
+// PERIOD_Y, PERIOD_X of the mosaic, ITEMS of a group, RUN, rows whose taps are added at once (a divisor of ROWS).
 // ROWS + SPAN - 1 is a multiple of SPAN, TERMS of 16. OpenCL C that is also CUDA C++, see gpusim/backends/native.py.
 #pragma OPENCL FP_CONTRACT OFF
 #include "bayer.clh"
@@ -18,7 +18,7 @@
 #define PRODUCT(a, b) fma((a).x, (b).x, fma((a).y, (b).y, fma((a).z, (b).z, (a).w * (b).w)))
 #define ROOM (KINDS * SPAN > 20 + APART ? KINDS * SPAN : 20 + APART)
 #define SUMS FLOATS(memory)                   // [KINDS][SPAN][ITEMS]: sums down the columns; later:
-#define TERM(item, i) memory[(item) * 5 + (i)]  // 16 terms of each pixel, a fifth float4 so that neighbours meet all banks,
+#define TERM(item, i) memory[(item) * 5 + (i)]  // 16 terms of each pixel; with a fifth float4 neighbours meet all banks,
 #define PART(item, i) FLOATS(memory + 5 * ITEMS)[(item) * APART + (i)]  // parts of their outputs
 
 __kernel void learned_tiles(
@@ -27,7 +27,7 @@ __kernel void learned_tiles(
     __global const int *restrict limits,     // bounds, ratios, shares
     __global const float *restrict knots,    // [LEVELS]
     __global const float *restrict weights,  // [LEVELS][UNITS][COMPUTED][TERMS]
-    __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: where they go, the sample last
+    __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: their places, the sample last
     __global const float *restrict factors,  // [PERIOD_Y][PERIOD_X]
     __global const float *restrict loss,     // of roots, see levels.py
     // out:

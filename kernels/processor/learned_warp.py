@@ -20,7 +20,7 @@ ring = wp.types.vector(length=4 * 9, dtype=int)  # of the last columns of a box,
 
 @wp.func
 def outside(i: int, n: int, period: int):
-    """Return the pixel that stands for pixel i: mirrored where that keeps the colour, else whole periods away."""
+    """Return the pixel in place of pixel i: mirrored, or whole periods away."""
     j = i
     if i < 0 or i >= n:
         if period <= 2:
@@ -83,7 +83,7 @@ def column(
     box: int,
     root: int,
 ):
-    """Return the sum down a column of the box of |contrast| of this kind: along columns (even kinds) or rows."""
+    """Return the sum down a box's column of |contrast|: along columns (even kinds) or rows."""
     total = int(0)
     half = filters.shape[1] / 2
     for v in range(y - box, y + box + 1):

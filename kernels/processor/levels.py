@@ -1,4 +1,4 @@
-"""Digital numbers on their way through the processor: their noise, and the scale of corrected mosaics."""
+"""Digital numbers inside the processor: their noise, and the scale of corrected mosaics."""
 
 import functools
 import math
@@ -7,15 +7,16 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 
-# A mosaic that was shaded or denoised: black at CORRECTED_BLACK, so that noise below black survives, white at the top.
+# A mosaic that was shaded or denoised: black at CORRECTED_BLACK, to keep noise below black, white at the top.
 CORRECTED_BLACK, CORRECTED_WHITE = 4096, 65535
-MOST_BALANCE = 64  # between channels: one that sees less of white than that shows noise
+MOST_BALANCE = 64  # between channels: a channel with less response to white shows only noise
 
 
 def check_noise(noise) -> tuple[float, float]:
-    """Return (gain [DN/e-], read noise [DN]) as numbers: variance [DN^2] = gain (DN - black) + read^2.
+    """Return (gain [DN/e-], read noise [DN]) as numbers.
 
-    Raises OutOfRange unless both are finite and not negative.
+    The variance [DN^2] is gain (DN - black) + read^2. Raise OutOfRange unless both are finite and
+    not negative.
     """
     try:
         gain, read = map(float, noise)
@@ -27,13 +28,13 @@ def check_noise(noise) -> tuple[float, float]:
 
 
 def check_black(black_level):
-    """Refuse a black level [DN] that is none. Raises OutOfRange."""
+    """Raise OutOfRange if the black level [DN] is not a finite number below 2^24."""
     if not abs(black_level) < 2**24:
         raise OutOfRange("black_level", black_level, "a finite number below 2^24 DN")
 
 
 def check_balance(balance) -> tuple[float, float]:
-    """Return the factors of red and blue that make white as strong in them as in green. Raises OutOfRange."""
+    """Return the white balance factors of red and blue as numbers. Raise OutOfRange."""
     try:
         red, blue = map(float, balance)
     except (TypeError, ValueError):
@@ -47,18 +48,26 @@ def check_balance(balance) -> tuple[float, float]:
 
 @functools.lru_cache(maxsize=64)
 def root_loss(gain: float, read: float) -> np.ndarray:
-    """What the square of a mean root lacks of the mean, as a polynomial; shape (7,) float32: near, far, a4 .. a0.
+    """Return the mean minus the square of a mean root, as a polynomial.
 
-    gain, read: variance of x is gain x + read^2, gain > 0, in the unit of x. Its root is u = sgn(y) sqrt|y|,
-    y = x + 3/8 gain + read^2 / gain. With m the mean of u over many x of mean mu,
+    With m the mean of u over many x of mean mu, u = sgn(y) sqrt|y| and y = x + 3/8 gain + read^2 /
+    gain,
 
-        mu = m^2 - 3/8 gain - read^2 / gain + a0 + a1 t + .. + a4 t^4,   t = min(1, far / (near + m^2)),
+        mu = m^2 - 3/8 gain - read^2 / gain + a0 + a1 t + .. + a4 t^4,   t = min(1, far / (near + m^2)).
 
-    which is gain / 4 in the light (Anscombe 1948) and differs in the dark, where roots of a few electrons, or of values
-    near and below 0, are no straight line any more (Makitalo & Foi 2013, IEEE Trans. Image Processing 22, 91, have
-    such an inverse for photons without read noise). Least squares over sums of the Poisson and Gaussian distributions:
-    within gain / 50 everywhere and .1 % of mu from gain / 2 on. A mean that keeps the part S of the variance lacks
-    1 - S of it.
+    The polynomial is gain / 4 in the light (Anscombe 1948). It differs in the dark: roots of a few
+    electrons, or of values near and below 0, are far from a straight line (Makitalo and Foi 2013,
+    IEEE Trans. Image Processing 22, 91, have such an inverse for photons without read noise). It is
+    fitted by least squares to sums over the Poisson and Gaussian distributions, and is within gain
+    / 50 everywhere and .1 % of mu from gain / 2 on. A mean that keeps the part S of the variance
+    lacks 1 - S of it.
+
+    Args:
+        gain: Gain > 0, in the unit of x, whose variance is gain x + read^2.
+        read: Read noise, in the unit of x.
+
+    Returns:
+        near, far, a4 .. a0, shape (7,), float32.
     """
     sigma = read / gain
     mean = np.append(0.0, np.geomspace(0.03, 200.0, 80))
@@ -72,7 +81,10 @@ def root_loss(gain: float, read: float) -> np.ndarray:
 
 
 def _mean_root(mean, sigma):
-    """Mean of sgn(y) sqrt|y|, y = k + z + 3/8 + sigma^2, k of Poisson with these means, z Gaussian; shape of `mean`."""
+    """Return the mean of sgn(y) sqrt|y|, y = k + z + 3/8 + sigma^2, in the shape of `mean`.
+
+    k is Poisson with these means, z Gaussian with standard deviation sigma.
+    """
     from scipy.special import gammaln
 
     count = np.arange(400)

@@ -5,12 +5,23 @@ Ports: raw (rows, cols) uint16 [DN] -> grey (1, rows, cols) float32, (DN - black
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def linear(device, raw, *, black_level, scale):
-    """Black level off, scale on: what demosaicking does for mosaics, shape (1, rows, cols); nothing is clipped."""
+def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> Array:
+    """Subtract the black level and scale; nothing is clipped.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear grey [1], shape (1, rows, cols), float32.
+    """
     rows, cols = raw.shape
     grey = device.empty((1, rows, cols))
     device.launch(
@@ -28,7 +39,7 @@ def linear(device, raw, *, black_level, scale):
 
 
 def cases():
-    """Black, white, below black, odd sizes."""
+    """Yield cases: black, white, below black, odd sizes."""
     random = np.random.default_rng(5)
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         raw = random.integers(0, 65536, (rows, cols), np.uint16)
@@ -44,7 +55,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit frame."""
+    """Return inputs: a 10-bit frame."""
     return {
         "raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16),
         "black_level": 64.0,
@@ -53,5 +64,5 @@ def bench(rows, cols):
 
 
 def operations(raw, black_level, scale):
-    """A subtraction and a multiplication for each value."""
+    """Count operations: a subtraction and a multiplication for each value."""
     return 2 * raw.size

@@ -4,5 +4,5 @@ import numpy as np
 
 
 def linear(raw, *, black_level, scale):
-    """See the contract."""
+    """Return the stage's result, see `linear.py`."""
     return (np.asarray(raw, np.float64) - black_level)[None] * scale

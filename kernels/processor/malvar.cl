@@ -1,6 +1,6 @@
-// A work-item does `run` pairs of one row (bayer.clh); inner pairs have plain indices, so LLVM vectorises their loop,
-// and only the pairs at the ends mirror. All sums are whole numbers: exact in any order, and so are those of two of them
-// where balance is 1.
+// A work-item makes `run` pairs of one row (bayer.clh); inner pairs have plain indices, so LLVM vectorises their loop,
+// and only the pairs at the ends mirror. All sums are whole numbers, exact in any order; so are sums of two of them if
+// balance is 1.
 #include "bayer.clh"
 
 // A colour from the sum of its neighbours, 16 of their 16ths, and the Laplacian of the pixel's own colour in 16ths,
@@ -47,8 +47,8 @@ __attribute__((always_inline)) inline void pair(
 #ifdef GPU
 #define COLUMN(i) (is_end ? mirror(x + (i), cols) : x + (i))
 
-// Columns x .. x + 3, x a multiple of 4, by wide loads and stores: for widths that are a multiple of 4, where all rows
-// are aligned alike. first: a literal at each call, so that no pixel asks what colour it is.
+// Columns x .. x + 3, x a multiple of 4, by wide loads and stores, for widths that are a multiple of 4, which align all
+// rows. first: a literal at each call; no pixel needs to check its colour.
 __attribute__((always_inline)) inline void four(
     __global const ushort *restrict uu, __global const ushort *restrict u, __global const ushort *restrict h,
     __global const ushort *restrict w, __global const ushort *restrict ww, const int x, const int first, const int cols,

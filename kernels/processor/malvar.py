@@ -1,28 +1,53 @@
-"""Demosaicking of a Bayer mosaic with Malvar, He and Cutler's linear filters, with black level and scale.
+"""Demosaicking of a Bayer mosaic by the linear filters of Malvar, He and Cutler.
 
-Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
-and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear
+camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def malvar(device, raw, *, phase, black_level, scale, balance=(1.0, 1.0)):
-    """Missing colours as the mean of the nearest samples, corrected by the Laplacian of the pixel's own colour.
+def malvar(
+    device: Device,
+    raw: Array,
+    *,
+    phase: str,
+    black_level: float,
+    scale: float,
+    balance: tuple[float, float] = (1.0, 1.0),
+) -> Array:
+    """Demosaick by means of nearest samples, corrected by the own colour's Laplacian.
 
-    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
-    balance: (red, blue): what these channels are multiplied by for corrections, so that white is as strong in them as
-        in green; what comes out is divided again.
-    Measured samples are kept. The mosaic is mirrored at its borders without repeating the end pixel, which keeps every
-    sample's colour; an axis of a single pixel mirrors onto itself. Nothing is clipped.
-    Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
-    Source: Malvar, He & Cutler 2004, "High-quality linear interpolation for demosaicing of Bayer-patterned color
-    images", ICASSP III-485, figure 2.
+    Measured samples are kept, and nothing is clipped. The mosaic is mirrored at its borders without
+    repeating the end pixel, which keeps every sample's colour. An axis of a single pixel mirrors
+    onto itself.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        phase: "RGGB", "GRBG", "GBRG" or "BGGR".
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        balance: Factors of (red, blue) for corrections [1], with which white is as strong in them
+            as in green. The result is divided by them.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear camera RGB [1], shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16.
+        OutOfRange: `scale` or `balance` is not allowed.
+        UnknownName: There is no such phase.
+
+    Source:
+        Malvar, He and Cutler 2004, "High-quality linear interpolation for demosaicing of
+        Bayer-patterned color images", ICASSP III-485, figure 2.
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
@@ -54,7 +79,10 @@ def malvar(device, raw, *, phase, black_level, scale, balance=(1.0, 1.0)):
 
 
 def cases():
-    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    """Yield cases.
+
+    All phases, odd and degenerate sizes, black, saturation, values below the black level.
+    """
     random = np.random.default_rng(7)
     why = (
         "weights are 16ths, and sums of 16-bit integers with whole weights of at most 64 in all stay below 2^22: "
@@ -122,6 +150,6 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit mosaic."""
+    """Return inputs: a 10-bit mosaic."""
     raw = np.random.default_rng(7).integers(0, 1024, (rows, cols), np.uint16)
     return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

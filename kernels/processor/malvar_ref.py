@@ -47,7 +47,7 @@ KEEP[2, 2] = 1
 
 
 def malvar(raw, *, phase, black_level, scale, balance=(1.0, 1.0)):
-    """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
+    """Return the stage's result, see `malvar.py`."""
     factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))
     signal = np.asarray(raw, np.float64) - black_level
     for place, letter in enumerate(phase):

@@ -1,11 +1,11 @@
-// WIDTH pixels of a row per work-item: 1 on GPUs, 8 lanes on CPUs. FRAMES comes from the host, so that what belongs to
-// a frame stays in registers. Sums of digital numbers are whole numbers below 2^24, exact in float32.
+// WIDTH pixels of a row per work-item: 1 on GPUs, 8 lanes on CPUs. FRAMES comes from the host: the values of a frame
+// then stay in registers. Sums of digital numbers are whole numbers below 2^24, exact in float32.
 #pragma OPENCL FP_CONTRACT OFF
 #include "lanes.clh"
 
 #define POSITIVE(value) ((value) > 0.0f ? (value) : (real)0.0f)  // fmax() of vectors is slow on PoCL
 
-// The neighbour `step` away, the one on the other side where there is none, the pixel itself where there is neither.
+// The neighbour `step` away, the opposite one if it is outside, or the pixel itself if both are.
 INLINE int neighbour(const int i, const int step, const int n)
 {
     const int there = i + step, opposite = i - step;

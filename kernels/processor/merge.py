@@ -1,52 +1,89 @@
-"""Merge of differently long exposures of one scene to electrons per second, each frame weighted by what it knows.
+"""Merge of different exposures of one scene to electrons per second, with noise-optimal weights.
 
-Ports: raw (frames, rows, cols) uint16 [DN], falling in the rate at which a frame is full (exposures of one gain: from
-the shortest to the longest) -> rate (rows, cols) float32 [e- s-1], still a mosaic, dark level and dark current off;
-negative where noise made it so.
+Ports: raw (frames, rows, cols) uint16 [DN], in decreasing order of the rate at which a frame is
+full (exposures of one gain: from the shortest to the longest) -> rate (rows, cols) float32 [e-
+s-1], still a mosaic, without dark level and dark current; noise can make it negative.
 
-With n_i = (raw_i - dark_i) / gain_i the electrons from light of frame i and t_i its time, a pixel becomes
+With n_i = (raw_i - dark_i) / gain_i the electrons from light in frame i and t_i its time, a pixel
+becomes
 
     rate = sum_i used_i w_i n_i / sum_i used_i w_i t_i,   w_i = t_i / (R t_i + floor_i),
 
-weights in inverse proportion to the variance of n_i / t_i, R t_i of photons and floor_i of all else. What decides about
-the weights, R and used_i, comes from the pixel's neighbours of the same colour and not from the pixel itself: with N_i
-the mean of n_i over the 8 pixels one `period` away,
+weights inverse to the variance of n_i / t_i: R t_i from photons and floor_i from everything else. R
+and used_i, which decide about the weights, come from the pixel's neighbours of the same colour and
+not from the pixel itself. With N_i the mean of n_i over the 8 pixels one `period` away,
 
-    used_i = N_i + margin sqrt(N_i + floor_i) <= full_i  and  raw_i < ceiling_i,   full_i = (ceiling_i - dark_i)/gain_i,
-    R = sum_i used_i N_i / sum_i used_i t_i, at least 0 (of the neighbours' condition alone).
+    used_i = N_i + margin sqrt(N_i + floor_i) <= full_i  and  raw_i < ceiling_i,
+    full_i = (ceiling_i - dark_i) / gain_i,
+    R = sum_i used_i N_i / sum_i used_i t_i, at least 0 (with the neighbours' condition only).
 
-Weights from the pixel's own values would favour those that happen to be low (0.06 e- too much in the dark), and a
-frame used where the pixel's own value says that it is not full yet would be used for low values more often than for
-high ones: up to 1.5 % of bias where frames take over. Independent of the pixel's noise, the weights leave the mean as
-it is. The second condition alone depends on it; in a flat field it then fails once in 1 / Q(margin) times at most. The
-first frame, which holds the largest rate, counts as used always: where it is full itself, so is the result.
+Weights from the pixel's own values would favour values that happen to be low (0.06 e- too much in
+the dark). A frame that is used if the pixel's own value is below full would be used for low values
+more often than for high ones: up to 1.5 % of bias at the transition between frames. Weights that
+are independent of the pixel's noise leave the mean unchanged. Only the second condition depends on
+it; in a flat field it then fails at most once in 1 / Q(margin) times. The first frame, which holds
+the largest rate, always counts as used: if it is full, so is the result.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.merge_ref import merge as reference
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 MOST_FRAMES = 16
 PER_FRAME = ("dark", "gain", "time", "floor", "ceiling")
 
 
 @stage
-def merge(device, raw, *, dark, gain, time, floor, ceiling, photon=True, margin=3.2, period=(1, 1)):
-    """Electrons per second of every pixel.
+def merge(
+    device: Device,
+    raw: Array,
+    *,
+    dark: Sequence[float] | np.ndarray,
+    gain: Sequence[float] | np.ndarray,
+    time: Sequence[float] | np.ndarray,
+    floor: Sequence[float] | np.ndarray,
+    ceiling: Sequence[float] | np.ndarray,
+    photon: bool = True,
+    margin: float = 3.2,
+    period: tuple[int, int] = (1, 1),
+) -> Array:
+    """Return electrons per second of every pixel.
 
-    raw: shape (frames, rows, cols) uint16 [DN], 1 to 16 frames. Of each frame, shape (frames,): dark: digital number
-    without light [DN], dark current included; gain [DN/e-]; time: of exposure [s]; floor: variance without light
-    [e-2], > 0; ceiling: from here on the pixel is full [DN]. The rate there, (ceiling - dark) / gain / time, must fall
-    or stay from frame to frame. photon: whether electrons of light vary.
-    margin: distance of a frame's neighbourhood from full, below which it is left out [standard deviations of a pixel].
-    period: rows and columns of the mosaic. At borders the neighbour on the other side counts twice.
-    Returns shape (rows, cols) [e- s-1]. Raises BadData, OutOfRange.
-    Source: Debevec & Malik 1997, "Recovering high dynamic range radiance maps from photographs"; Hasinoff, Durand &
-    Freeman 2010, "Noise-optimal capture for high dynamic range photography", for the weights.
+    (ceiling - dark) / gain / time, the rate at which a frame is full, must not rise from frame to
+    frame. At borders the neighbour on the other side counts twice.
+
+    Args:
+        raw: Digital numbers [DN], shape (frames, rows, cols), uint16, 1 to 16 frames.
+        dark: Digital number without light, dark current included [DN], shape (frames,).
+        gain: Conversion gain [DN/e-], shape (frames,).
+        time: Exposure time [s], shape (frames,).
+        floor: Variance without light [e-2], > 0, shape (frames,).
+        ceiling: Digital number from which on a pixel is full [DN], shape (frames,).
+        photon: Whether electrons of light have shot noise.
+        margin: A frame is left out if its neighbourhood is closer to full than this [standard
+            deviations of a pixel].
+        period: Rows and columns of the mosaic's period.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Rates [e- s-1], shape (rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no stack of uint16 frames, or a list does not have one finite number per
+            frame.
+        OutOfRange: A number is not allowed.
+
+    Source:
+        Debevec and Malik 1997, "Recovering high dynamic range radiance maps from photographs";
+        Hasinoff, Durand and Freeman 2010, "Noise-optimal capture for high dynamic range
+        photography", for the weights.
     """
-    table = checked(raw, dark, gain, time, floor, ceiling, margin, period)
+    table = check_inputs(raw, dark, gain, time, floor, ceiling, margin, period)
     count, rows, cols = raw.shape
     longest = table[2].max()
     table[2] /= longest  # squares of short times would leave float32's range
@@ -79,9 +116,9 @@ def merge(device, raw, *, dark, gain, time, floor, ceiling, photon=True, margin=
     return out
 
 
-def checked(raw, dark, gain, time, floor, ceiling, margin, period):
-    """Numbers per frame as one float64 table (5, frames). Raises BadData, OutOfRange."""
-    dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
+def check_inputs(raw, dark, gain, time, floor, ceiling, margin, period):
+    """Return the numbers per frame as a float64 table (5, frames). Raise as `merge` does."""
+    dtype = dtype_name(raw)
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape or raw.shape[0] > MOST_FRAMES:
         raise BadData(
             f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16, at most "
@@ -112,7 +149,11 @@ def checked(raw, dark, gain, time, floor, ceiling, margin, period):
 
 
 def cases():
-    """One to five frames, mosaics, frames smaller than a period, full and black pixels, edges of light."""
+    """Yield cases.
+
+    One to five frames, mosaics, frames smaller than a period, full and black pixels, edges of
+    light.
+    """
     random = np.random.default_rng(3)
     why = (
         "in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
@@ -184,7 +225,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Three 10-bit exposures of a Bayer mosaic, two stops apart."""
+    """Return inputs: three 10-bit exposures of a Bayer mosaic, two stops apart."""
     random = np.random.default_rng(3)
     time = (1.0, 4.0, 16.0)
     raw = 64 + 2 * random.random((1, rows, cols)) * 50 * np.reshape(time, (3, 1, 1))

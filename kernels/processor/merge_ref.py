@@ -4,7 +4,7 @@ import numpy as np
 
 
 def merge(raw, *, dark, gain, time, floor, ceiling, photon=True, margin=3.2, period=(1, 1)):
-    """See the contract."""
+    """Return the stage's result, see `merge.py`."""
     dark, gain, time, floor, ceiling = (
         np.asarray(values, np.float64)[:, None, None]
         for values in (dark, gain, time, floor, ceiling)
@@ -32,7 +32,7 @@ def merge(raw, *, dark, gain, time, floor, ceiling, photon=True, margin=3.2, per
 
 
 def neighbours(size, step):
-    """Index of each pixel's neighbour `step` away: on the other side where there is none, itself if there neither."""
+    """Return each pixel's neighbour `step` away; if outside, the opposite one or itself."""
     here = np.arange(size)
     there, opposite = here + step, here - step
     outside, both = (there < 0) | (there >= size), (opposite < 0) | (opposite >= size)

@@ -1,28 +1,39 @@
-"""Whole numbers from the raw values of a sensor without a converter, on the scale of corrected mosaics.
+"""Whole numbers from raw values of a sensor without a converter, as in corrected mosaics.
 
 Ports: raw (rows, cols) float32 -> (rows, cols) uint16:
 
     number = round(min(max((raw - black_level) scale / LIGHT + CORRECTED_BLACK, 0), CORRECTED_WHITE)),
 
-LIGHT that of one number. float32, each operation rounded by itself: the same bits on every device. Halves are rounded
-to even; NaN becomes 0.
+LIGHT the light of one number. Each float32 operation is rounded separately: the same bits on every
+device. Halves are rounded to even; NaN becomes 0.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 LIGHT = 1 / (CORRECTED_WHITE - CORRECTED_BLACK)  # of one number, the white level being 1
 
 
 @stage
-def quantise(device, raw, *, black_level, scale):
-    """Round raw values to whole numbers: black at CORRECTED_BLACK, the white level at CORRECTED_WHITE.
+def quantise(device: Device, raw: Array, *, black_level: float, scale: float) -> Array:
+    """Round raw values to whole numbers, CORRECTED_BLACK at black, CORRECTED_WHITE at white.
 
-    raw: shape (rows, cols) float32 [DN]. black_level: of raw [DN]. scale: 1 / (white level - black level) [DN-1].
-    Returns shape (rows, cols) uint16, what is beyond its ends cut. Raises BadData, OutOfRange.
+    Args:
+        raw: Raw values [DN], shape (rows, cols), float32.
+        black_level: Black level of raw [DN].
+        scale: 1 / (white level - black level) [1/DN].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Numbers, clipped to 0 .. CORRECTED_WHITE, shape (rows, cols), uint16.
+
+    Raises:
+        BadData: `raw` does not have two axes.
+        OutOfRange: `black_level` or `scale` is not allowed.
     """
     check(raw, black_level, scale)
     rows, cols = raw.shape
@@ -45,7 +56,7 @@ def quantise(device, raw, *, black_level, scale):
 
 
 def check(raw, black_level, scale):
-    """Refuse what are no raw values or levels; raises as `quantise`."""
+    """Raise BadData or OutOfRange as `quantise` does."""
     if len(raw.shape) != 2:
         raise BadData(f"raw values of shape {tuple(raw.shape)}: wanted (rows, cols)")
     check_black(black_level)
@@ -54,9 +65,13 @@ def check(raw, black_level, scale):
 
 
 def cases():
-    """Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from 1."""
+    """Yield cases.
+
+    Black, white, halves, beyond both ends, NaN, infinities, denormals, odd sizes, scales far from
+    1.
+    """
     random = np.random.default_rng(13)
-    why = "the same four float32 operations, rounded alike, and an exact rounding"
+    why = "the same four float32 operations, rounded in the same way, and an exact rounding"
     for rows, cols, black, white in (
         (1, 1, 0.0, 65535.0),
         (1, 17, 64.25, 1023.0),
@@ -89,7 +104,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Electrons up to a full well."""
+    """Return inputs: electrons up to a full well."""
     return {
         "raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32),
         "black_level": 0.0,

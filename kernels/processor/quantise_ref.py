@@ -7,7 +7,7 @@ from gpusim.kernels.processor.quantise import LIGHT, check
 
 
 def quantise(raw, *, black_level, scale):
-    """See the contract."""
+    """Return the stage's result, see `quantise.py`."""
     check(raw, black_level, scale)
     with np.errstate(over="ignore", invalid="ignore"):
         light = (np.asarray(raw, np.float32) - np.float32(black_level)) * np.float32(scale)

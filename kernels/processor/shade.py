@@ -1,7 +1,7 @@
-"""Lens shading of a mosaic of any colours undone: every pixel times a smooth gain.
+"""Correction of lens shading in any mosaic: every pixel times a smooth gain.
 
-Ports: raw (rows, cols) uint16 [DN], gains (C, ny, nx) float32 [1] -> (rows, cols) uint16 with black at 4096 and white
-at 65535 (see levels.py):
+Ports: raw (rows, cols) uint16 [DN], gains (C, ny, nx) float32 [1] -> (rows, cols) uint16 with black
+at 4096 and white at 65535 (see levels.py):
 
     round(4096 + 61439 gain (DN - black_level) scale), clipped to 0 .. 65535
 
@@ -10,24 +10,41 @@ Demosaick it with black_level = 4096, scale = 1 / 61439.
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 MOST_NODES = 1024  # each way: places between them are counted in 32-bit integers
 
 
 @stage
-def shade(device, raw, gains, *, cfa, black_level, scale):
-    """Multiply every pixel by its channel's gain there.
+def shade(
+    device: Device, raw: Array, gains: Array, *, cfa: Array, black_level: float, scale: float
+) -> Array:
+    """Multiply every pixel by its channel's gain at its place.
 
-    raw: shape (rows, cols) uint16 [DN]. gains: of each channel at nodes that go evenly from edge to edge of the frame,
-    bilinear between them, shape (C, ny, nx), 2 nodes or more each way, finite and >= 0 [1]. cfa: channel of each pixel
-    of one period of the mosaic, at most 8 x 8, whole numbers 0 .. C - 1 that all occur. black_level [DN].
-    scale: 1 / (white_level - black_level) [1/DN]; what gains lift above white is clipped to it.
-    Returns shape (rows, cols) uint16. Raises BadData, OutOfRange.
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        gains: Gains of each channel [1] at nodes that are even from edge to edge of the frame,
+            bilinear between them, shape (C, ny, nx), 2 nodes or more along each axis, finite and >=
+            0.
+        cfa: Channel of each pixel in one period of the mosaic, at most 8 x 8, whole numbers 0 .. C
+            - 1 that all occur.
+        black_level: Black level [DN].
+        scale: 1 / (white_level - black_level) [1/DN]. Values that gains lift above white are
+            clipped.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Numbers with black at 4096 and white at 65535, shape (rows, cols), uint16.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16, the mosaic is not allowed, or the gains' shape does
+            not fit.
+        OutOfRange: `black_level`, `scale` or a gain is not allowed.
     """
     check_mosaic(raw, scale)
     check_black(black_level)
@@ -81,7 +98,10 @@ def shade(device, raw, gains, *, cfa, black_level, scale):
 
 
 def cases():
-    """Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped."""
+    """Yield cases.
+
+    Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped.
+    """
     random = np.random.default_rng(10)
     why = (
         "gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the "
@@ -118,7 +138,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 10-bit Bayer mosaic, 17 x 17 nodes."""
+    """Return inputs: a 10-bit Bayer mosaic, 17 x 17 nodes."""
     random = np.random.default_rng(10)
     return {
         "raw": random.integers(0, 1024, (rows, cols), np.uint16),

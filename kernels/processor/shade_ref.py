@@ -4,7 +4,7 @@ import numpy as np
 
 
 def shade(raw, gains, *, cfa, black_level, scale):
-    """See the contract."""
+    """Return the stage's result, see `shade.py`."""
     cfa = np.asarray(cfa)
     y, x = (
         np.interp((np.arange(n) + 0.5) / n, np.linspace(0, 1, m), np.arange(m))

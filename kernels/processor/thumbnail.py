@@ -1,31 +1,47 @@
 """Thumbnail: the mean of each block of the camera's picture, for estimates of the light.
 
-Ports: camera (C, rows, cols) float32 -> (C, min(rows, R), min(cols, Q)) float32 of the same scale, R and Q the blocks
-wanted along both axes.
+Ports: camera (C, rows, cols) float32 -> (C, min(rows, R), min(cols, Q)) float32 in the same scale,
+R and Q the requested blocks along both axes.
 
-Block i of R takes the rows floor(i rows / R) .. floor((i + 1) rows / R) - 1, and so do columns. First the rows of every
-column are added, from the top, then the columns' sums, from the left: the same float32 additions on every device.
+Block i of R has the rows floor(i rows / R) .. floor((i + 1) rows / R) - 1; columns are divided in
+the same way. The rows of every column are added first, from the top, then the columns' sums, from
+the left: the same float32 additions on every device.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 MOST = 2048  # blocks along one axis
 CHUNK = 256  # columns that a CPU's work-item adds up: their sums stay in the nearest cache
 
 
 @stage
-def thumbnail(device, camera, ceiling, *, rows=48, cols=64):
-    """Means over the pixels of each block that are below the ceiling in every channel: clipped ones would lie.
+def thumbnail(
+    device: Device, camera: Array, ceiling: Array | float, *, rows: int = 48, cols: int = 64
+) -> Array:
+    """Return means over the pixels of each block that are below the ceiling in every channel.
 
-    camera: shape (C, height, width). ceiling: scalar or shape (C,), of the camera's scale. rows, cols: blocks wanted; a
-    smaller picture has one per pixel. NaN counts as clipped.
-    Returns shape (C, min(rows, height), min(cols, width)); a block that is clipped throughout is NaN in every channel.
-    Raises BadData, OutOfRange.
+    Clipped pixels would falsify the means. NaN counts as clipped.
+
+    Args:
+        camera: Camera channels, shape (C, height, width).
+        ceiling: Least clipped value in the camera's scale, scalar or shape (C,).
+        rows: Number of blocks along the columns; a smaller picture has one per pixel.
+        cols: Number of blocks along the rows; a smaller picture has one per pixel.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Means, shape (C, min(rows, height), min(cols, width)), float32. A block that is clipped
+        everywhere is NaN in every channel.
+
+    Raises:
+        BadData: Shapes do not fit.
+        OutOfRange: `rows` or `cols` is not a whole number, 1 to 2048.
     """
-    channels, height, width = (int(size) for size in checked(camera, rows, cols))
+    channels, height, width = (int(size) for size in check_inputs(camera, rows, cols))
     ceiling = np.asarray(ceiling, np.float64)
     if ceiling.shape not in ((), (channels,)):
         raise BadData(
@@ -70,8 +86,8 @@ def thumbnail(device, camera, ceiling, *, rows=48, cols=64):
     return out
 
 
-def checked(camera, rows, cols):
-    """Shape of the camera's picture; raises BadData and OutOfRange for what has no thumbnail."""
+def check_inputs(camera, rows, cols):
+    """Return the shape of the camera's picture. Raise BadData or OutOfRange as `thumbnail` does."""
     if len(camera.shape) != 3 or 0 in camera.shape:
         raise BadData(
             f"thumbnail: a picture of shape {tuple(camera.shape)}; wanted (channels, rows, cols)"
@@ -83,7 +99,11 @@ def checked(camera, rows, cols):
 
 
 def cases():
-    """One to six channels, blocks of unequal size, pictures smaller than the thumbnail, ceilings, clipped blocks."""
+    """Yield cases.
+
+    One to six channels, blocks of unequal size, pictures smaller than the thumbnail, ceilings,
+    clipped blocks.
+    """
     random = np.random.default_rng(7)
     for channels, height, width, rows, cols in (
         (3, 1, 1, 48, 64),
@@ -125,5 +145,5 @@ def _case(name, inputs):
 
 
 def bench(rows, cols):
-    """Three channels, some clipped."""
+    """Return inputs: three channels, some clipped."""
     return {"camera": np.random.default_rng(7).random((3, rows, cols), np.float32), "ceiling": 0.98}

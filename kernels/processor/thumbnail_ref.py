@@ -1,13 +1,13 @@
-"""The mean over each block of what is below the ceiling in every channel, float64."""
+"""Means over the pixels of each block that are below the ceiling in every channel, float64."""
 
 import numpy as np
 
 
 def thumbnail(camera, ceiling, *, rows=48, cols=64):
-    """See the contract."""
-    from gpusim.kernels.processor.thumbnail import checked
+    """Return the stage's result, see `thumbnail.py`."""
+    from gpusim.kernels.processor.thumbnail import check_inputs
 
-    channels, height, width = checked(camera, rows, cols)
+    channels, height, width = check_inputs(camera, rows, cols)
     rows, cols = min(rows, height), min(cols, width)
     camera = np.asarray(camera, np.float64)
     below = (camera < np.reshape(np.float32(ceiling), (-1, 1, 1))).all(0)

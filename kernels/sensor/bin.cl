@@ -25,8 +25,8 @@ __kernel void bin(
     __global PIXEL *restrict to = out + (size_t)y * out_cols;
     const float count = binning_y * BINNING_X;
 #if BLOCKS
-    // A row per work-item, some blocks at a time: columns lie side by side in memory, so whole vectors of them are
-    // added, and what has to be picked from here and there, the columns of one colour, is in the nearest cache.
+    // A row per work-item, some blocks at a time: columns are adjacent in memory, so whole vectors of them are added,
+    // and the columns of one colour, which must be gathered, are in the nearest cache.
     float columns[BLOCKS * BLOCK_X], sums[BLOCKS * STRIDE_X];
     for (int first = 0; first < out_cols; first += BLOCKS * STRIDE_X) {
         const int length = min(BLOCKS * STRIDE_X, out_cols - first);

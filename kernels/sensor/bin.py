@@ -1,26 +1,33 @@
-"""Binning: neighbours of one colour become one pixel, as charge before the converter or as numbers after it.
+"""Binning: neighbours of one colour become one pixel, as charge or as digital numbers.
 
-Ports: pixels (rows, cols) float32 [e-] or uint16 [DN] -> (out_rows, out_cols) of the same type and unit.
+Ports: pixels (rows, cols) float32 [e-] or uint16 [DN] -> (out_rows, out_cols) of the same type and
+unit.
 
-Pixels of one colour are `stride` apart, rows and columns alike: the mosaic's period, or 1 where `binning` pixels of one
-colour are adjacent (`gpusim.domain.binning`). Output row Y takes, with a = Y mod stride and B = Y div stride, the rows
+Pixels of one colour are `stride` apart along both axes: the mosaic's period, or 1 if `binning`
+pixels of one colour are adjacent (`gpusim.domain.binning`). Output row Y sums, with a = Y mod
+stride and B = Y div stride, the rows
 
-    B stride binning + a + stride j,   j = 0 .. binning - 1,
+    B stride binning + a + stride j,   j = 0 .. binning - 1.
 
-and so do columns: the binned frame has the same mosaic, a whole number of periods of it. Rows and columns beyond the
-last whole block of stride x binning are left out. Blocks of a mosaic interlock, so the middles of binned pixels do not
-lie on an even grid: 2 x 2 in a Bayer mosaic puts them 1 and 3 pixels apart, in turn.
+Columns do the same. The binned frame thus has the same mosaic, in whole periods. Rows and columns
+beyond the last whole block of stride x binning are left out. Blocks of a mosaic interlock, so the
+middles of binned pixels do not lie on an even grid: 2 x 2 in a Bayer mosaic puts them 1 and 3
+pixels apart, in turn.
 
-Charges: first the rows of every column are added, from the top, then the columns' sums, from the left, each addition
-rounded to float32: the same bits on every device. (A CCD does it in this order, too.)
-Numbers: the sum, 65535 where it is more; or the mean, rounded to nearest, halves to even. Black levels add up as
-everything else: that of a sum is binning_y binning_x times as high, that of a mean stays.
+Charges: the rows of every column are added first, from the top, then the columns' sums, from the
+left. Each addition is rounded to float32, so the bits are the same on every device. (A CCD adds in
+this order, too.) Numbers: the sum, limited to 65535; or the mean, rounded to nearest, halves to
+even. Black levels add up like everything else: the black level of a sum is binning_y binning_x
+times as high, and a mean keeps it.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
 CHUNK = (
@@ -29,16 +36,36 @@ CHUNK = (
 
 
 @stage
-def bin(device, pixels, *, binning, stride=(1, 1), average=False):
-    """Sums, or averages, of `binning` pixels that are `stride` apart.
+def bin(
+    device: Device,
+    pixels: Array,
+    *,
+    binning: tuple[int, int],
+    stride: tuple[int, int] = (1, 1),
+    average: bool = False,
+) -> Array:
+    """Sum, or average, `binning` pixels that are `stride` apart.
 
-    pixels: shape (rows, cols): float32 charges [e-], or uint16 digital numbers [DN]. binning: rows and columns that
-    become one, 1 to 8. stride: distance of neighbours of one colour along both axes [pixel]. average: of digital
-    numbers the mean instead of the sum; charges are always added.
-    Returns shape `binned_shape(pixels.shape, binning, stride)`, the type of `pixels`. Raises BadData, OutOfRange.
-    Source: Theuwissen 1995, Solid-State Imaging with Charge-Coupled Devices (charge is added without loss).
+    Args:
+        pixels: Charges [e-], float32, or digital numbers [DN], uint16, shape (rows, cols).
+        binning: Rows and columns that become one, 1 to 8.
+        stride: Distance of neighbours of one colour along both axes [pixel].
+        average: Return the mean of digital numbers instead of the sum. Charges are always added.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Binned pixels, shape `binned_shape(pixels.shape, binning, stride)`, in the type of `pixels`.
+
+    Raises:
+        BadData: `pixels` are neither charges nor digital numbers, or `average` is set for charges.
+        OutOfRange: A factor is not 1 to 8, a stride is not positive, or no block fits into the
+            frame.
+
+    Source:
+        Theuwissen 1995, Solid-State Imaging with Charge-Coupled Devices (charge is added without
+        loss).
     """
-    digital = checked(pixels, average)
+    digital = check_pixels(pixels, average)
     cols = pixels.shape[1]
     out_shape = binned_shape(pixels.shape, binning, stride)
     pixels = device.array(pixels, np.uint16 if digital else np.float32)
@@ -70,9 +97,9 @@ def bin(device, pixels, *, binning, stride=(1, 1), average=False):
     return out
 
 
-def checked(pixels, average) -> bool:
-    """Whether `pixels` are digital numbers; raises BadData for what is neither charges nor numbers."""
-    kind = getattr(pixels.dtype, "name", None) or pixels.dtype.__name__  # Warp's types are classes
+def check_pixels(pixels, average) -> bool:
+    """Return True for digital numbers, False for charges. Raise BadData for anything else."""
+    kind = dtype_name(pixels)
     if len(pixels.shape) != 2 or kind not in ("uint16", "float32", "float64"):
         raise BadData(
             f"pixels: {kind}, shape {tuple(pixels.shape)}; wanted (rows, cols) of charges, float32, or of "
@@ -83,11 +110,22 @@ def checked(pixels, average) -> bool:
     return kind == "uint16"
 
 
-def binned_shape(shape, binning, stride=(1, 1)) -> tuple[int, int]:
-    """Rows and columns of the binned frame.
+def binned_shape(
+    shape: Sequence[int], binning: tuple[int, int], stride: tuple[int, int] = (1, 1)
+) -> tuple[int, int]:
+    """Return rows and columns of the binned frame.
 
-    shape: rows and columns of the frame. binning, stride: as for `bin`.
-    Raises OutOfRange when a factor is not 1 to 8, a stride not positive, or not even one block fits into the frame.
+    Args:
+        shape: Rows and columns of the frame.
+        binning: Rows and columns that become one, 1 to 8.
+        stride: Distance of neighbours of one colour along both axes [pixel].
+
+    Returns:
+        Rows and columns.
+
+    Raises:
+        OutOfRange: A factor is not 1 to 8, a stride is not positive, or no block fits into the
+            frame.
     """
     for axis, factor, step in zip(("rows", "columns"), binning, stride, strict=True):
         if factor not in range(1, MOST + 1):
@@ -109,7 +147,11 @@ def binned_shape(shape, binning, stride=(1, 1)) -> tuple[int, int]:
 
 
 def cases():
-    """Bayer, X-Trans and cells of one colour, the largest factors, odd sizes, long rows; charges and numbers."""
+    """Yield cases.
+
+    Bayer, X-Trans and cells of one colour, the largest factors, odd sizes, long rows; charges and
+    numbers.
+    """
     random = np.random.default_rng(11)
     charges = "the same float32 additions in the same order"
     numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
@@ -153,7 +195,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Charges of a Bayer mosaic, 2 x 2."""
+    """Return inputs: charges of a Bayer mosaic, 2 x 2."""
     return {
         "pixels": np.random.default_rng(11).random((rows, cols), np.float32),
         "binning": (2, 2),

@@ -1,13 +1,13 @@
-"""Sums of pixels of one colour; float32 in a fixed order, because the sum's bits are part of the contract."""
+"""Sums of pixels of one colour, float32 in a fixed order: the bits are part of the contract."""
 
 import numpy as np
 
-from gpusim.kernels.sensor.bin import binned_shape, checked
+from gpusim.kernels.sensor.bin import binned_shape, check_pixels
 
 
 def bin(pixels, *, binning, stride=(1, 1), average=False):
-    """See the contract."""
-    digital = checked(pixels, average)
+    """Return the stage's result, see `bin.py`."""
+    digital = check_pixels(pixels, average)
     (by, bx), (sy, sx) = binning, stride
     rows, cols = binned_shape(np.shape(pixels), binning, stride)
     whole = np.asarray(pixels)[: rows * by, : cols * bx].astype(np.int64 if digital else np.float32)

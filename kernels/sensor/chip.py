@@ -1,6 +1,7 @@
-"""What one chip is expected to collect: the scene's mean electrons through its response, and its own dark current.
+"""Expected electrons of one chip: the scene's mean times its response, plus dark current.
 
-Ports: mean (rows, cols) float32 [e-]; response [1], dark [e- s-1] of the same shape or none -> expected float32 [e-]:
+Ports: mean (rows, cols) float32 [e-]; response [1], dark [e- s-1] of the same shape or None ->
+expected float32 [e-]:
 
     expected = max(min(scale mean, 1e30) response, 0) + dark_time dark
 
@@ -9,23 +10,44 @@ Two to four roundings, the same bits on every device. NaN stays NaN.
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.noise import MOST
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
-    """Mean electrons of every pixel of this chip.
+def chip(
+    device: Device,
+    mean: Array,
+    response: Array | None = None,
+    dark: Array | None = None,
+    *,
+    scale: float = 1.0,
+    dark_time: float = 0.0,
+) -> Array:
+    """Return the mean electrons of every pixel of this chip.
 
-    mean: of the scene, shape (rows, cols) [e-]. response: relative, dark: dark current [e- s-1], see `sensor.pattern`.
-    scale: multiplies the mean, for another exposure time than its own [1]. dark_time: exposure time, times what
-    temperature does to the dark current [s]. Returns shape (rows, cols). Raises BadData, OutOfRange.
+    Args:
+        mean: Mean electrons of the scene [e-], shape (rows, cols).
+        response: Relative response [1], shape (rows, cols), see `sensor.pattern`; None for 1.
+        dark: Dark current [e- s-1], shape (rows, cols), see `sensor.pattern`; None for 0.
+        scale: Factor of the mean [1], for another exposure time than its own.
+        dark_time: Exposure time, times the factor by which temperature changes the dark current
+            [s].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Expected electrons [e-], shape (rows, cols), float32.
+
+    Raises:
+        BadData: A plane has another shape than the mean.
+        OutOfRange: `scale` or `dark_time` is negative or above 1e30.
     """
     for name, plane in (("response", response), ("dark", dark)):
         if plane is not None and tuple(plane.shape) != tuple(mean.shape):
             raise BadData(
-                f"{name}: shape {tuple(plane.shape)}, wanted that of the mean, {tuple(mean.shape)}"
+                f"{name}: shape {tuple(plane.shape)}, wanted the mean's shape, {tuple(mean.shape)}"
             )
     for name, value in (("scale", scale), ("dark_time", dark_time)):
         if not 0 <= value <= MOST:
@@ -54,7 +76,7 @@ def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
 
 
 def cases():
-    """With and without each plane, extreme means: bit for bit."""
+    """Yield cases: with and without each plane, extreme means: bit for bit."""
     random = np.random.default_rng(5)
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
@@ -67,7 +89,7 @@ def cases():
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
             yield Case(
-                f"{rows}x{cols} {' '.join(chosen) or 'alone'}",
+                f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
                 {
                     "mean": mean.astype(np.float32),
                     "scale": 0.3,
@@ -81,7 +103,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Response and hot pixels."""
+    """Return inputs: response and hot pixels."""
     random = np.random.default_rng(5)
     mean, response, dark = random.random((3, rows, cols), np.float32)
     return {"mean": 1e3 * mean, "response": 1 + 0.01 * response, "dark": dark, "dark_time": 0.01}

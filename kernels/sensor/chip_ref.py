@@ -1,12 +1,12 @@
-"""expected = max(min(scale mean, 1e30) response, 0) + dark_time dark, in float32: see `noise_ref` for why."""
+"""expected = max(min(scale mean, 1e30) response, 0) + dark_time dark, float32 as in `noise_ref`."""
 
 import numpy as np
 
-MOST = np.float32(1e30)  # stands for infinity, so that no inf 0 arises
+MOST = np.float32(1e30)  # in place of infinity: avoids inf x 0
 
 
 def chip(mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
-    """See the contract."""
+    """Return the stage's result, see `chip.py`."""
     mean = np.float32(scale) * np.asarray(mean, np.float32)
     expected = np.where(mean > MOST, MOST, mean)
     if response is not None:

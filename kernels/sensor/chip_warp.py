@@ -1,4 +1,4 @@
-"""What one chip is expected to collect, one pixel per thread."""
+"""Expected electrons of one chip, one pixel per thread."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -1,30 +1,44 @@
-"""Exposure: each pixel takes its own channel, for the exposure time, less what the lens loses toward the corner.
+"""Exposure: each pixel collects its own channel for the exposure time, with the lens's fall-off.
 
-Ports: rates (channels, rows, cols) float32 [e- s-1], cfa (period_y, period_x) int32 -> mean (rows, cols) float32 [e-]:
+Ports: rates (channels, rows, cols) float32 [e- s-1], cfa (period_y, period_x) int32 -> mean (rows,
+cols) float32 [e-]:
 
-    mean(y, x) = T cos^4(theta) max(0, rates[cfa[y mod period_y, x mod period_x], y, x]),   tan(theta) = r slope,
+    mean(y, x) = T cos^4(theta) max(0, rates[cfa[y mod period_y, x mod period_x], y, x]),
+    tan(theta) = r slope,
 
-r the distance from the frame's centre [pixel], slope the tangent of the field angle per pixel (0: no fall-off). Light
-is not negative: what interpolation and transforms leave below 0 beside strong edges ends here, NaN goes on.
+r the distance from the frame's centre [pixel], slope the tangent of the field angle per pixel (0:
+no fall-off). Light is not negative: values below 0 that interpolation and transforms leave next to
+strong edges become 0. NaN stays NaN.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def collect(device, rates, cfa, exposure_time, slope):
-    """Mean electrons of every pixel of the mosaic.
+def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slope: float) -> Array:
+    """Return the mean electrons of every pixel of the mosaic.
 
-    rates: electrons per second if every pixel saw every channel, shape (channels, rows, cols). cfa: channel of each
-    pixel of one period, shape (period_y, period_x). exposure_time: [s]. slope: pixel pitch over image distance [1].
-    Returns shape (rows, cols) [e-]. Source: Farrell & Wandell, sections 4.1 (cos^4 law) and 5.1.
+    Args:
+        rates: Electrons per second [e- s-1] as if every pixel saw every channel, shape (channels,
+            rows, cols).
+        cfa: Channel of each pixel in one period of the mosaic, shape (period_y, period_x).
+        exposure_time: Exposure time [s].
+        slope: Pixel pitch over image distance [1].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Mean electrons [e-], shape (rows, cols), float32.
+
+    Source:
+        Farrell and Wandell, sections 4.1 (cos^4 law) and 5.1.
     """
     _, rows, cols = rates.shape
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
-    # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
+    # The period is a compile-time constant: a modulo by a variable would double the cost.
     device.launch(
         "sensor.collect",
         "collect",
@@ -43,7 +57,7 @@ def collect(device, rates, cfa, exposure_time, slope):
 
 
 def cases():
-    """All Bayer phases, monochrome, an odd period, a field of 100 degrees."""
+    """Yield cases: all Bayer phases, monochrome, an odd period, a field of 100 degrees."""
     random = np.random.default_rng(4)
     why = (
         "three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
@@ -87,7 +101,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A Bayer mosaic with fall-off."""
+    """Return inputs: a Bayer mosaic with fall-off."""
     random = np.random.default_rng(4)
     return {
         "rates": random.random((3, rows, cols), np.float32),

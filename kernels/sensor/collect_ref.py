@@ -4,14 +4,14 @@ import numpy as np
 
 
 def relative_illumination(rows, cols, slope):
-    """cos^4 of the field angle of every pixel centre, tan(theta) = r slope, shape (rows, cols)."""
+    """Return cos^4 theta at every pixel's centre, tan(theta) = r slope, shape (rows, cols)."""
     y = np.arange(rows)[:, None] - (rows - 1) / 2
     x = np.arange(cols) - (cols - 1) / 2
     return np.cos(np.arctan(np.hypot(y, x) * slope)) ** 4
 
 
 def collect(rates, cfa, exposure_time, slope):
-    """See the contract."""
+    """Return the stage's result, see `collect.py`."""
     rows, cols = rates.shape[1:]
     y, x = np.indices((rows, cols))
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]

@@ -1,5 +1,5 @@
-// One pixel of the map per work-item. The bits of dark currents are compared as numbers of 32 bits, so that denormals
-// count where the device takes them for 0: positive floats are ordered as their bits.
+// One pixel of the map per work-item. The bits of dark currents are compared as numbers of 32 bits: positive floats are
+// ordered as their bits, and denormals count even if the device treats them as 0.
 
 inline int ordered(const float value)
 {

@@ -1,28 +1,49 @@
 """Which pixels of a chip are dead or hot, as a map for `processor.defects`.
 
-Ports: response [1], dark [e- s-1] float32 of the chip, either or none -> (out_rows, out_cols) uint8:
+Ports: response [1], dark [e- s-1] float32 of the chip, either may be None -> (out_rows, out_cols)
+uint8:
 
-    flag = 255 if response = 0 or dark > least, of any of the pixels that become one; else 0.
+    flag = 255 if response = 0 or dark > least in any of the pixels that become one; else 0.
 
-Binned pixels are those of `sensor.bin`. The same on every device. NaN is no defect.
+Pixels are binned as in `sensor.bin`. The result is the same on every device. NaN is no defect.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def flag(device, response=None, dark=None, *, least=0.0, binning=(1, 1), stride=(1, 1)):
-    """Map of dead and hot pixels.
+def flag(
+    device: Device,
+    response: Array | None = None,
+    dark: Array | None = None,
+    *,
+    least: float = 0.0,
+    binning: tuple[int, int] = (1, 1),
+    stride: tuple[int, int] = (1, 1),
+) -> Array:
+    """Return the map of dead and hot pixels.
 
-    response: relative, shape (rows, cols); dark: dark current beyond the common one [e- s-1], of the same shape; see
-    `sensor.pattern`. least: dark current of a hot pixel [e- s-1], exclusive. binning, stride: as for `sensor.bin`.
-    Returns shape `binned_shape((rows, cols), binning, stride)`, 255 at defects. Raises BadData, OutOfRange.
+    Args:
+        response: Relative response [1], shape (rows, cols), see `sensor.pattern`; None for 1.
+        dark: Dark current in excess of the common one [e- s-1], shape (rows, cols); None for 0.
+        least: Dark current that a hot pixel exceeds [e- s-1].
+        binning: Rows and columns that become one, as for `sensor.bin`.
+        stride: Distance of neighbours of one colour along both axes [pixel].
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Flags, 255 at defects, shape `binned_shape((rows, cols), binning, stride)`, uint8.
+
+    Raises:
+        BadData: Both planes are None, they differ in shape, or `least` is NaN.
+        OutOfRange: `binning` or `stride` does not fit, as for `sensor.bin`.
     """
-    rows, cols = checked(response, dark, least)
+    rows, cols = check_planes(response, dark, least)
     out_shape = binned_shape((rows, cols), binning, stride)
     planes = [None if plane is None else device.array(plane) for plane in (response, dark)]
     use = [int(plane is not None) for plane in planes]
@@ -43,8 +64,8 @@ def flag(device, response=None, dark=None, *, least=0.0, binning=(1, 1), stride=
     return flags
 
 
-def checked(response, dark, least):
-    """Rows and columns of the chip; raises BadData as `flag`."""
+def check_planes(response, dark, least):
+    """Return rows and columns of the chip. Raise BadData as `flag` does."""
     shapes = {tuple(plane.shape) for plane in (response, dark) if plane is not None}
     if len(shapes) != 1 or len(min(shapes)) != 2 or 0 in min(shapes):
         raise BadData(
@@ -56,7 +77,11 @@ def checked(response, dark, least):
 
 
 def cases():
-    """With and without each plane, binned in mosaics and not, odd sizes, NaN, infinities, denormals, -0."""
+    """Yield cases.
+
+    With and without each plane, binned in mosaics and not, odd sizes, NaN, infinities, denormals,
+    -0.
+    """
     random = np.random.default_rng(14)
     for rows, cols, binning, stride in (
         (1, 1, (1, 1), (1, 1)),
@@ -87,20 +112,20 @@ def cases():
                     **{name: planes[name] for name in chosen},
                 },
                 0.0,
-                "comparisons alone",
+                "comparisons only",
                 metric="exact",
             )
     yield Case(
         "any dark current",
         {"dark": np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)},
         0.0,
-        "comparisons alone; denormals count",
+        "comparisons only; denormals count",
         metric="exact",
     )
 
 
 def bench(rows, cols):
-    """A thousandth of the pixels dead, as many hot."""
+    """Return inputs: a thousandth of the pixels dead, as many hot."""
     random = np.random.default_rng(14)
     return {
         "response": (random.random((rows, cols)) > 1e-3).astype(np.float32),

@@ -1,14 +1,14 @@
-"""Dead or hot pixels, block by block of those that become one."""
+"""Dead or hot pixels, for each block of pixels that become one."""
 
 import numpy as np
 
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.sensor.flag import checked
+from gpusim.kernels.sensor.flag import check_planes
 
 
 def flag(response=None, dark=None, *, least=0.0, binning=(1, 1), stride=(1, 1)):
-    """See the contract."""
-    shape = checked(response, dark, least)
+    """Return the stage's result, see `flag.py`."""
+    shape = check_planes(response, dark, least)
     bad = np.zeros(shape, bool)
     if response is not None:
         bad |= np.asarray(response, np.float32) == 0

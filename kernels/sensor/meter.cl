@@ -4,7 +4,7 @@
 #include "lanes.clh"
 #include "meter.clh"
 
-#define BLOCK 256  // columns whose sums are added alone, to keep sums short: 32 terms a lane
+#define BLOCK 256  // columns with a separate sum, to keep sums short: 32 terms a lane
 
 INLINE real chosen(const integer is, const real value, const real other) { return is ? value : other; }
 
@@ -142,7 +142,7 @@ __kernel void choose(
     // in:
     __global const int *restrict counts,
     __global const int *restrict above,
-    __global const int *restrict fractions,  // [fractions][3]: times 2^32, what is left times 2^64, times 2^96
+    __global const int *restrict fractions,  // [fractions][3]: times 2^32, the rest times 2^64, times 2^96
     // out:
     __global int *restrict state,
     __global int *restrict merged,           // [fractions][BINS]
@@ -162,7 +162,7 @@ __kernel void choose(
     uint prefix = state[3 * f];
     int rank = state[3 * f + 1], finite = state[3 * f + 2];
     if (shift == FIRST_SHIFT) {
-        finite = -all[BINS - 1];  // what is not finite
+        finite = -all[BINS - 1];  // values that are not finite
         for (int bin = 0; bin < BINS; ++bin) finite += all[bin];
         prefix = 0;
         rank = finite ? rank_of(fractions[3 * f], fractions[3 * f + 1], fractions[3 * f + 2], finite - 1) : 0;

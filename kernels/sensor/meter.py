@@ -1,26 +1,30 @@
-"""Statistics of a frame's light, reduced on the device: what automatic exposure and checks need, in a few numbers.
+"""Statistics of a frame's light, reduced on the device to a few numbers.
 
-Ports: rates (rows, cols) float32 [e- s-1] -> (6 + 2 Q,) float32, in place of the frame itself.
+Ports: rates (rows, cols) float32 [e- s-1] -> (6 + 2 Q,) float32.
 
-What is not finite is counted and left out of everything else. With n finite values r, s the same sorted:
+Values that are not finite are counted and left out of everything else. With n finite values r, and
+s the same values sorted:
 
     max r,  sum r / n,  sqrt(sum r^2 / n),  sum w_y w_x r,  number of values left out,  min r,
     then for every fraction q of Q   s[floor(h)], s[min(floor(h) + 1, n - 1)],   h = q (n - 1) in float64,
 
-the order statistics that NumPy's "linear" percentile interpolates between. Squares are added in three units, 2^-100, 1
-and 2^100, by the size of the value (Blue 1978, ACM TOMS 4 (1)), so that they neither overflow nor vanish; sums that
-exceed float32 are infinite or NaN. The quantiles are found by radix selection: keys, unsigned integers in the order of
-the values, are counted by their upper 11 bits, then those of the bin that has the rank by the next 11, then by the last
-10. Sums are in a fixed order and counts are integers: the same bits from run to run.
+the order statistics between which NumPy's "linear" percentile interpolates. Squares are added in
+three units, 2^-100, 1 and 2^100, by the size of the value (Blue 1978, ACM TOMS 4 (1)). They thus
+neither overflow nor vanish; sums that exceed float32 are infinite or NaN. Radix selection finds the
+quantiles. Its keys are unsigned integers in the order of the values. They are counted by their
+upper 11 bits, then those in the bin that holds the rank by the next 11, then by the last 10. Sums
+have a fixed order and counts are integers, so the bits are the same from run to run.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import cycle
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 MOST_FRACTIONS = 4  # histograms that fit in local memory
 PASSES = ((21, 11), (10, 11), (0, 10))  # shift and bits of each pass over the keys
@@ -33,18 +37,37 @@ MOST_CHUNKS = 64
 
 
 @stage
-def meter(device, rates, weights_y, weights_x, fractions=()):
-    """Statistics of the light of a frame.
+def meter(
+    device: Device,
+    rates: Array,
+    weights_y: Array,
+    weights_x: Array,
+    fractions: Sequence[float] = (),
+) -> Array:
+    """Return statistics of a frame's light.
 
-    rates: shape (rows, cols) [e- s-1], layers of stacked pixels one below the other. weights_y, weights_x: shapes
-        (rows,) and (cols,), finite; their products weight the fourth number, which is not divided by their sum.
-    fractions: up to 4 numbers 0 .. 1, for quantiles.
-    Returns float32, shape (6 + 2 len(fractions),): maximum, mean and root mean square [e- s-1], weighted sum, number of
-    values that are NaN or infinite (exact up to 2^24), minimum, and for every fraction the two values between which
-    NumPy interpolates. Values that are not finite are left out of all but their number; where all are, the rest is 0.
-    Raises BadData, OutOfRange.
+    Values that are not finite are left out of everything but their number. If no value is finite,
+    the other results are 0.
+
+    Args:
+        rates: Light [e- s-1], shape (rows, cols); layers of stacked pixels follow one another along
+            the rows.
+        weights_y: Weights of the rows [1], shape (rows,), finite. The products of both weights
+            apply to the fourth number, which is not divided by their sum.
+        weights_x: Weights of the columns [1], shape (cols,), finite.
+        fractions: Up to 4 numbers 0 .. 1, for quantiles.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Maximum, mean and root mean square [e- s-1], weighted sum [e- s-1], number of values that
+        are NaN or infinite (exact up to 2^24), minimum [e- s-1], and for every fraction the two
+        values between which NumPy interpolates [e- s-1]; shape (6 + 2 len(fractions),), float32.
+
+    Raises:
+        BadData: A shape does not fit, or there are more than 4 fractions.
+        OutOfRange: A fraction is not 0 to 1.
     """
-    fractions = checked(rates, weights_y, weights_x, fractions)
+    fractions = check_inputs(rates, weights_y, weights_x, fractions)
     rows, cols = (int(size) for size in rates.shape)
     arrays = [device.array(values) for values in (rates, weights_y, weights_x)]
     out = device.empty((6 + 2 * len(fractions),))
@@ -55,8 +78,8 @@ def meter(device, rates, weights_y, weights_x, fractions=()):
     return out
 
 
-def checked(rates, weights_y, weights_x, fractions):
-    """The fractions as a list of numbers. Raises BadData, OutOfRange."""
+def check_inputs(rates, weights_y, weights_x, fractions):
+    """Return the fractions as a list of numbers. Raise BadData or OutOfRange as `meter` does."""
     if len(rates.shape) != 2 or 0 in rates.shape or rates.shape[0] * rates.shape[1] >= 2**31:
         raise BadData(
             f"rates: shape {tuple(rates.shape)}, wanted (rows, cols), fewer than 2^31 pixels"
@@ -76,9 +99,10 @@ def checked(rates, weights_y, weights_x, fractions):
 
 
 def limbs(fractions):
-    """Fractions times 2^96 as three integers of 32 bits each, the highest first; 1 as the largest below, shape (Q, 3).
+    """Return the fractions times 2^96 as three 32-bit integers each, highest first, (Q, 3).
 
-    With it, and any fraction of 53 bits above 2^-43, the kernels find the rank of the float64 product.
+    1 becomes the largest number below it. From these, the kernels find the rank of the float64
+    product for any fraction of 53 bits above 2^-43.
     """
     whole = [min(int(fraction * 2.0**96), 2**96 - 1) for fraction in fractions]
     words = [[value >> shift & 0xFFFFFFFF for shift in (64, 32, 0)] for value in whole]
@@ -86,7 +110,7 @@ def limbs(fractions):
 
 
 def _by_chunks(device, arrays, rows, cols, numbers, count, out):
-    """CPUs: a strip of a row, or a chunk of the frame, per work-item."""
+    """Reduce on CPUs: a strip of a row, or a chunk of the frame, per work-item."""
     opencl, strips, size = device.kind == "opencl", -(-cols // STRIP), rows * cols
     launch = partial(device.launch, group=(1,) if opencl else None)
     defines = {"WIDTH": 8, "STRIP": STRIP}
@@ -158,7 +182,7 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
 
 
 def _by_groups(device, arrays, rows, cols, numbers, count, out):
-    """GPUs: a strip of a row, or a share of the frame, per work-group."""
+    """Reduce on GPUs: a strip of a row, or a share of the frame, per work-group."""
     strips, size, items, wide = (
         -(-cols // STRIP),
         rows * cols,
@@ -224,7 +248,10 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
 
 
 def cases():
-    """One pixel to several strips; equal, two, extreme, negative values; what is not finite; all quantiles' ends."""
+    """Yield cases.
+
+    One pixel to several strips; equal, extreme, negative, not finite values; quantiles' ends.
+    """
     random = np.random.default_rng(11)
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
@@ -273,7 +300,7 @@ def _case(name, rates, fractions):
         inputs,
         110 * 2.0**-24 * max(lost, 1.0) + tiny,
         "sums of 45 + 46 terms at most, then of parts, compensated, in trees of 8 levels (Higham 2002, 4.2): "
-        "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 products "
+        "105 roundings of sum |r|, weights, squares, root and quotient included; below 2^-126 products "
         "are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that",
         metric="local",
         floor=floor,
@@ -281,7 +308,7 @@ def _case(name, rates, fractions):
 
 
 def bench(rows, cols):
-    """Light with lamps, and no quantile, as exposure by the mean asks for it."""
+    """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
     return {
         "rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32),

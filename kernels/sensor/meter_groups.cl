@@ -4,7 +4,7 @@
 #pragma OPENCL FP_CONTRACT OFF
 #include "meter.clh"
 
-#define COPIES (LISTS == 1 ? 4 : LISTS == 2 ? 2 : 1)  // of a histogram: work-items that count alike wait less
+#define COPIES (LISTS == 1 ? 4 : LISTS == 2 ? 2 : 1)  // of a histogram: work-items that count in the same bin wait less
 #define EACH (BINS / ITEMS)
 
 // Brings values[FIELDS][ITEMS] to values[FIELDS][0], in a fixed order.
@@ -26,7 +26,7 @@ __kernel void parts(
     __global const float *restrict weights_x,  // [cols]
     // out:
     __global float *restrict sums,             // [FIELDS][rows][strips]
-    __global int *restrict counts,             // [cleared]: zeros, for what is counted later
+    __global int *restrict counts,             // [cleared]: zeros, for later counts
     // sizes:
     const int rows, const int cols, const int strips, const int cleared)
 {
@@ -146,7 +146,7 @@ __kernel void tally(
         }
 #pragma unroll
         for (int list = 0; list < LISTS; ++list) {
-            int held = 0, number = 0;  // neighbours are often alike: one addition for all
+            int held = 0, number = 0;  // neighbours are often equal: one addition for all
 #pragma unroll
             for (int j = 0; j < 4; ++j) {
                 const WORD high = keys[j] >> shift;
@@ -181,7 +181,7 @@ __kernel void tally(
 __kernel void choose(
     // in:
     __global const int *restrict counts,     // as in `tally`
-    __global const int *restrict fractions,  // [fractions][3]: times 2^32, what is left times 2^64, times 2^96
+    __global const int *restrict fractions,  // [fractions][3]: times 2^32, the rest times 2^64, times 2^96
     // out:
     __global int *restrict state,
     __global float *restrict out,            // from 6 on
@@ -207,7 +207,7 @@ __kernel void choose(
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     WORD prefix = 0;
-    int rank = 0, finite = sums[ITEMS - 1] - from[BINS - 1];  // the last bin has what is not finite
+    int rank = 0, finite = sums[ITEMS - 1] - from[BINS - 1];  // the last bin counts values that are not finite
     if (shift != FIRST_SHIFT) {
         prefix = state[3 * f];
         rank = state[3 * f + 1];

@@ -1,3 +1,3 @@
-"""CUDA devices run the text of meter_groups.cl: Warp has local memory in tiles alone."""
+"""CUDA devices run the text of meter_groups.cl: Warp has local memory only in tiles."""
 
 NATIVE = True  # see gpusim.backends.native

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def meter(rates, weights_y, weights_x, fractions=()):
-    """See the contract."""
+    """Return the stage's result, see `meter.py`."""
     rates = np.asarray(rates, np.float64)
     is_finite = np.isfinite(rates)
     values = np.sort(rates[is_finite])

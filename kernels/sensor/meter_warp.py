@@ -23,7 +23,7 @@ Fields = wp.types.vector(length=6, dtype=float)
 
 @wp.func
 def key_of(value: float):
-    """Unsigned numbers in the order of the values."""
+    """Return unsigned numbers in the order of the values."""
     bits = wp.cast(value, wp.uint32)
     key = bits | SIGN
     if (bits & SIGN) != ZERO:
@@ -43,7 +43,7 @@ def value_of(key: wp.uint32):
 
 @wp.func
 def rank_of(a: wp.uint32, b: wp.uint32, c: wp.uint32, most: wp.uint32):
-    """floor(q most) as float64 rounds the product; see meter.clh."""
+    """Return floor(q most) as float64 rounds the product; see meter.clh."""
     sum = (wp.uint64(c) * wp.uint64(most)) >> wp.uint64(32)
     sum += wp.uint64(b) * wp.uint64(most)
     low = sum & wp.uint64(0xFFFFFFFF)
@@ -220,7 +220,7 @@ def choose(
     finite = int(state[f, 2])
     if shift == FIRST_SHIFT:
         finite = int(0)
-        for bin in range(BINS - 1):  # the last one has what is not finite
+        for bin in range(BINS - 1):  # the last one counts values that are not finite
             finite += merged[f, bin]
         prefix = wp.uint32(0)
         rank = 0

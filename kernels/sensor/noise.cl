@@ -19,8 +19,8 @@
 #define COLUMN_STREAM 6u
 
 #if TELEGRAPH
-// 1 in one state of a pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew. Four frames
-// share a call of Philox: the longest chain of calls is what a GPU waits for.
+// State of a pixel's trap, 0 or 1, from the last frame in which it was drawn. Four frames share a call of Philox: a
+// GPU's time is the longest chain of calls.
 INLINE real trap_state(const word pixel, const integer traps, const uint frame, const uint switching,
                        const uint seed_low, const uint seed_high)
 {

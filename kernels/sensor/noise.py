@@ -1,22 +1,27 @@
-"""Temporal noise and digitisation: from a chip's mean electrons to digital numbers, the same bits on every device.
+"""Temporal noise and digitisation: from a chip's expected electrons to digital numbers.
 
-Ports: expected (rows, cols) float32 [e-]; offset, amplitude of the same shape, or none (see `sensor.pattern`)
--> digital numbers (rows, cols) or (frames, rows, cols) uint16 [DN]; without a converter float32 [DN], or float32 [e-].
+Ports: expected (rows, cols) float32 [e-]; offset, amplitude of the same shape or None (see
+`sensor.pattern`) -> digital numbers (rows, cols) or (frames, rows, cols) uint16 [DN]; without a
+converter float32 [DN], or float32 [e-].
 
-In this order, z standard normal numbers, s the state of a pixel's trap, 0 or 1:
+In this order, with z standard normal numbers and s the state of a pixel's trap, 0 or 1:
+
     m  = max(expected, 0) + dark_electrons
     k  ~ Poisson(m)                          or m itself without photon noise
-    e  = min(k, full_well)                   the well saturates before the noise of reading it
+    e  = min(k, full_well)                   the well saturates before read noise is added
     e' = e + read_noise z + offset + amplitude s + row_noise z(row) + column_noise z(column)
     DN = rint(min(max(gain e' + black_level, 0), white_level))
-All of it depends on (seed, frame, place in the whole frame) alone, and not on the tile, the batch of frames, the
-work-group or the device. What is 0 or absent costs nothing.
 
-k is within 1e-4 of Poisson in total variation at every mean up to 1.6e7 e- (photon "fast"), or within 1e-6 ("exact",
-in float64).
+A value depends only on seed, frame and place in the whole frame, not on the tile, the batch of
+frames, the work-group or the device: the bits are the same everywhere. Terms that are 0 or None
+cost nothing.
 
-Hard cases: mean 0 -> no photons; mean < 0 -> as 0; +inf -> full well; NaN -> NaN electrons, DN 0, neighbours unchanged.
-Counts above 2^24 are rounded to float32, whose spacing is then 2 e- or more (the standard deviation is 4096 e-).
+k is within 1e-4 of Poisson in total variation at every mean up to 1.6e7 e- (photon "fast"), or
+within 1e-6 ("exact", in float64).
+
+Hard cases: mean 0 gives no photons; a negative mean counts as 0; +inf fills the well; NaN gives NaN
+electrons and DN 0, and does not change neighbours. Counts above 2^24 are rounded to float32, whose
+spacing is then 2 e- or more (the standard deviation is 4096 e-).
 """
 
 import functools
@@ -24,10 +29,11 @@ from numbers import Integral
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import SLOWEST_SWITCHING
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
 OUT = 4  # place of its output among the arguments of the kernel `noise`
@@ -36,42 +42,69 @@ MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 @stage
 def noise(
-    device,
-    expected,
-    offset=None,
-    amplitude=None,
+    device: Device,
+    expected: Array,
+    offset: Array | None = None,
+    amplitude: Array | None = None,
     *,
-    dark_electrons=0.0,
-    read_noise=0.0,
-    row_noise=0.0,
-    column_noise=0.0,
-    telegraph_switching=1.0,
-    full_well,
-    gain,
-    black_level=0.0,
-    white_level=None,
-    photon="fast",
-    seed=0,
-    frame=0,
-    frames=None,
-    first=(0, 0),
-    frame_cols=None,
-    read=0,
-    electrons=False,
-):
-    """Digital numbers of one frame, or of several.
+    dark_electrons: float = 0.0,
+    read_noise: float = 0.0,
+    row_noise: float = 0.0,
+    column_noise: float = 0.0,
+    telegraph_switching: float = 1.0,
+    full_well: float,
+    gain: float,
+    black_level: float = 0.0,
+    white_level: float | None = None,
+    photon: str = "fast",
+    seed: int = 0,
+    frame: int = 0,
+    frames: int | None = None,
+    first: tuple[int, int] = (0, 0),
+    frame_cols: int | None = None,
+    read: int = 0,
+    electrons: bool = False,
+) -> Array:
+    """Return digital numbers of one frame, or of several.
 
-    expected: mean electrons of this chip, shape (rows, cols) [e-]. offset: of every pixel [e-]. amplitude: of its
-    telegraph noise [e-], 0 where it has none. dark_electrons: mean dark charge of the exposure [e-]. read_noise,
-    row_noise, column_noise: standard deviations [e-]. telegraph_switching: chance that a trap's state is drawn anew
-    from one frame to the next [1]. full_well [e-]. gain [DN/e-]. black_level, white_level [DN], the latter at most
-    65535, None: no converter. photon: "none", "fast" or "exact". seed: 0 to 2^64 - 1. frame: 0 to 2^32 - 1; frames:
-    how many from there on, None: that one alone. first: row and column of the tile in a frame that is frame_cols wide
-    (by default the tile is a whole frame). read: which of several reads of a frame, 0 to 2^31 - 1: each has its own
-    random numbers, but the traps' state is the frame's. electrons: return electrons before the converter.
-    Returns shape (rows, cols), or (frames, rows, cols): uint16 [DN], or float32 without a converter or as electrons.
-    Raises BadData, OutOfRange, UnknownName, DeviceError (exact on a device without float64).
-    Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
+    Args:
+        expected: Mean electrons of this chip [e-], shape (rows, cols).
+        offset: Offset of every pixel [e-], shape (rows, cols), or None.
+        amplitude: Amplitude of telegraph noise [e-], shape (rows, cols), 0 for pixels without; or
+            None.
+        dark_electrons: Mean dark charge of the exposure [e-].
+        read_noise: Standard deviation of read noise [e-].
+        row_noise: Standard deviation from row to row [e-].
+        column_noise: Standard deviation from column to column [e-].
+        telegraph_switching: Chance that a trap's state is drawn again from one frame to the next
+            [1].
+        full_well: Full-well capacity [e-].
+        gain: Conversion gain [DN/e-].
+        black_level: Black level [DN].
+        white_level: Largest digital number [DN], at most 65535; None for no converter.
+        photon: "none", "fast" or "exact".
+        seed: Number of the random sequence, 0 to 2^64 - 1.
+        frame: Number of the (first) frame, 0 to 2^32 - 1.
+        frames: Number of frames from there on, 1 to 65535; None for one frame without its own axis.
+        first: Row and column in the frame at which the tile begins [pixel].
+        frame_cols: Columns of the frame; None if the tile ends at its right edge.
+        read: Number of the read within a frame, 0 to 2^31 - 1. Each read has its own random
+            numbers; the traps' states belong to the frame.
+        electrons: Return electrons before the converter.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Digital numbers [DN], uint16, or float32 without a converter; or electrons [e-], float32;
+        shape (rows, cols), or (frames, rows, cols).
+
+    Raises:
+        BadData: A plane has another shape than `expected`.
+        OutOfRange: A number is outside its range.
+        UnknownName: There is no such `photon`.
+        DeviceError: `photon` is "exact" on a device without float64.
+
+    Source:
+        Farrell and Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
     check(
@@ -90,7 +123,7 @@ def noise(
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
             raise BadData(
-                f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}"
+                f"{name}: shape {tuple(plane.shape)}, wanted the electrons' shape, {(rows, cols)}"
             )
     frame_cols = checked_tile(cols, first, frame_cols)
     if photon == "exact" and not device.has_fp64:
@@ -178,7 +211,7 @@ def _key(seed):
 
 
 def checked_tile(cols, first, frame_cols) -> int:
-    """Columns of the frame in which a tile `cols` wide begins at `first`. Raises OutOfRange."""
+    """Return the columns of the frame. Raise OutOfRange if the tile does not fit into it."""
     frame_cols = first[1] + cols if frame_cols is None else frame_cols
     if not (min(first) >= 0 and first[1] + cols <= frame_cols):
         raise OutOfRange(
@@ -214,7 +247,7 @@ def check(full_well, gain, white_level, photon, switching, black_level, **magnit
 
 
 def check_drawn(seed, frame, frames, read):
-    """Raise OutOfRange for what names no random numbers."""
+    """Raise OutOfRange if seed, frame, frames or read is outside its range."""
     if frames is not None and not (isinstance(frames, Integral) and 0 < frames < 2**16):
         raise OutOfRange("frames", frames, "a whole number, 1 .. 65535, or None")
     for name, value, bits in (("seed", seed, 64), ("frame", frame, 32), ("read", read, 31)):
@@ -223,7 +256,11 @@ def check_drawn(seed, frame, frames, read):
 
 
 def cases():
-    """Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds: bit for bit."""
+    """Yield cases.
+
+    Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds:
+    bit for bit.
+    """
     random = np.random.default_rng(1)
     sensor = {
         "dark_electrons": 0.1,
@@ -320,7 +357,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Four decades of mean electrons and every kind of noise."""
+    """Return inputs: four decades of mean electrons and every kind of noise."""
     random = np.random.default_rng(1)
     mean = np.geomspace(1, 1e4, rows * cols, dtype=np.float32).reshape(rows, cols)
     amplitude = np.where(random.random((rows, cols)) < 1e-3, 10.0, 0.0).astype(np.float32)

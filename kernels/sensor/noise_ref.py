@@ -1,8 +1,9 @@
-"""Photon, dark, read, reset, row and column noise, telegraph noise, saturation and the analog-digital converter.
+"""Photon, dark, read, reset, line and telegraph noise, saturation, analog-digital converter.
 
-Unlike every other reference this one computes in float32: digital numbers have to agree bit for bit on all devices, so
-the order of correctly rounded float32 operations written here *is* the specification. What judges it is probability
-theory (tests/stages/test_noise.py), not a more precise computation.
+This reference computes in float32, unlike the others. Digital numbers must agree bit for bit on all
+devices, so the order of correctly rounded float32 operations written here *is* the specification.
+It is tested against probability theory (tests/stages/test_noise.py), not against a more precise
+computation.
 """
 
 import numpy as np
@@ -13,8 +14,8 @@ from gpusim.kernels.common.philox_ref import chance_word, philox, seed_words
 from gpusim.kernels.common.poisson_ref import poisson, poisson_exact
 from gpusim.kernels.sensor.noise import check, check_drawn, checked_tile
 
-MOST_EXPECTED = f32(1e30)  # stands for infinity, so that no inf - inf arises
-TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; 1 to 3 are those of `pattern`
+MOST_EXPECTED = f32(1e30)  # in place of infinity: avoids inf - inf
+TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; `pattern` has 1 to 3
 
 
 def noise(
@@ -40,7 +41,7 @@ def noise(
     read=0,
     electrons=False,
 ):
-    """See `gpusim.kernels.sensor.noise`."""
+    """Return the stage's result, see `noise.py`."""
     check(
         full_well,
         gain,
@@ -92,7 +93,7 @@ def noise(
 
 
 def convert(electrons, gain, black_level, white_level):
-    """Digital numbers: rounded to whole ones between 0 and the white level, or as they are where that is None."""
+    """Return digital numbers, rounded and limited to 0 .. white_level; not so if that is None."""
     level = f32(gain) * electrons + f32(black_level)
     if white_level is None:
         return level
@@ -101,10 +102,10 @@ def convert(electrons, gain, black_level, white_level):
 
 
 def trap_state(pixel, frame, switching, key):
-    """1 in one state of each pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew.
+    """Return the state of each pixel's trap, 0 or 1, from the last frame in which it was drawn.
 
-    So the states are a Markov chain over the frames, and yet each frame can be drawn alone. A word per frame: its last
-    bit is the state, the others decide whether it is drawn.
+    The states are a Markov chain over the frames, and yet a frame can be drawn without the others.
+    Each frame has one word: its last bit is the state, the other bits decide whether it is drawn.
     """
     state, open_ = np.zeros(pixel.shape, f32), np.ones(pixel.shape, bool)
     while open_.any():
@@ -116,6 +117,6 @@ def trap_state(pixel, frame, switching, key):
 
 
 def line_noise(line, read, frame, sigma, stream, key):
-    """What each row or column of a frame has in common."""
+    """Return the noise that all pixels of a row, or of a column, have in common."""
     words = philox((line.astype(np.uint32), read, frame, stream), key)
     return f32(sigma) * normal_pair(*words[:2])[0]

@@ -27,7 +27,7 @@ def trap_state(
     seed_low: wp.uint32,
     seed_high: wp.uint32,
 ):
-    """1 in one state of a pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew."""
+    """Return the state of a pixel's trap, 0 or 1, from the last frame in which it was drawn."""
     at = wp.uint32(frame)
     words = philox(pixel, wp.uint32(0), at >> wp.uint32(2), TELEGRAPH_STREAM, seed_low, seed_high)
     word = words[int(at & wp.uint32(3))]
@@ -47,8 +47,8 @@ def trap_state(
 
 
 @cache
-def specialised(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER, WIDTH):
-    """The kernel of this name with only the code that is needed; the constants are those of the OpenCL text."""
+def specialise(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER, WIDTH):
+    """Return the kernel of this name with only the necessary code; constants as in OpenCL."""
     if kernel == "lines":
         return lines
     value = wp.uint16 if CONVERTER else wp.float32
@@ -135,7 +135,7 @@ def lines(
     seed_high: int,
     first_frame: int,
 ):
-    """What every row and every column of a frame have in common: rows first."""
+    """Return the noise that every row and every column of a frame have in common: rows first."""
     number, i = wp.tid()
     down = i < rows
     line = wp.where(down, first_row + i, first_col + i - rows)

@@ -1,52 +1,76 @@
-"""Fixed patterns of one chip: what is the same in every frame, the same bits on every device.
+"""Fixed patterns of one chip: values that are equal in every frame, the same bits on every device.
 
-Port: -> values (rows, cols) float32. With z standard normal numbers of the pixel, its row and its column:
+Port: -> values (rows, cols) float32. With z standard normal numbers of the pixel, its row and its
+column:
 
     value = mean + pixel z + row z(row) + column z(column)
     value = 0                     in a part `dead` of the pixels
     value = value + scale x       in a part `share` of them, x exponentially distributed with mean 1
 
-A sensor has up to four such planes: the relative response [1], the offset [e-], the dark current beyond the common one
-[e- s-1] and the amplitude of telegraph noise [e-]. All of it depends on (seed, plane, place in the whole frame) alone.
+A sensor has up to four such planes: the relative response [1], the offset [e-], the dark current in
+excess of the common one [e- s-1], and the amplitude of telegraph noise [e-]. A value depends only
+on seed, plane and place in the whole frame.
 """
 
+from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 PLANES = (
     "response",
     "offset",
     "dark",
     "telegraph",
-)  # number of the plane: what keeps their random numbers apart
+)  # the plane's number separates their random numbers
 
 
 @stage
 def pattern(
-    device,
-    rows,
-    cols,
-    plane,
+    device: Device,
+    rows: int,
+    cols: int,
+    plane: str,
     *,
-    mean=0.0,
-    pixel=0.0,
-    row=0.0,
-    column=0.0,
-    dead=0.0,
-    share=0.0,
-    scale=0.0,
-    seed=0,
-    first=(0, 0),
-    frame_cols=None,
-):
-    """One plane of fixed values.
+    mean: float = 0.0,
+    pixel: float = 0.0,
+    row: float = 0.0,
+    column: float = 0.0,
+    dead: float = 0.0,
+    share: float = 0.0,
+    scale: float = 0.0,
+    seed: int = 0,
+    first: tuple[int, int] = (0, 0),
+    frame_cols: int | None = None,
+) -> Array:
+    """Return one plane of fixed values.
 
-    rows, cols: shape. plane: "response", "offset", "dark" or "telegraph". mean: of all pixels. pixel, row, column:
-    standard deviations. dead, share: parts of the pixels [1]. scale: mean of the exponential distribution.
-    seed: names the chip, 0 to 2^64 - 1. first: row and column of the tile in a frame that is frame_cols wide.
-    Returns shape (rows, cols). Raises OutOfRange, UnknownName. Source: Farrell & Wandell, section 5.3; EMVA 1288
-    release 4 for the split into pixels, rows and columns.
+    Args:
+        rows: Rows of the plane.
+        cols: Columns of the plane.
+        plane: "response" [1], "offset" [e-], "dark" [e- s-1] or "telegraph" [e-].
+        mean: Mean of all pixels, in the plane's unit.
+        pixel: Standard deviation from pixel to pixel, in the plane's unit.
+        row: Standard deviation from row to row, in the plane's unit.
+        column: Standard deviation from column to column, in the plane's unit.
+        dead: Part of the pixels with the value 0 [1].
+        share: Part of the pixels with an exponentially distributed addition [1].
+        scale: Mean of that distribution, in the plane's unit.
+        seed: Number of the chip, 0 to 2^64 - 1.
+        first: Row and column in the frame at which the tile begins [pixel].
+        frame_cols: Columns of the frame; None if the tile ends at its right edge.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Values, shape (rows, cols), float32.
+
+    Raises:
+        OutOfRange: `dead` or `share` is not 0 to 1, or `seed` is not 0 to 2^64 - 1.
+        UnknownName: There is no such plane.
+
+    Source:
+        Farrell and Wandell, section 5.3; EMVA 1288 release 4 for the split into pixels, rows and
+        columns.
     """
     if plane not in PLANES:
         raise UnknownName("plane", plane, PLANES)
@@ -84,7 +108,7 @@ def pattern(
 
 
 def cases():
-    """Every plane with every part, tiles, odd sizes: bit for bit."""
+    """Yield cases: every plane with every part, tiles, odd sizes: bit for bit."""
     why = "both sides do the same correctly rounded float32 operations in the same order"
     parts = {
         "mean": 1.0,
@@ -132,7 +156,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Response of pixels, rows and columns with dead pixels."""
+    """Return inputs: response of pixels, rows and columns with dead pixels."""
     return {
         "rows": rows,
         "cols": cols,

@@ -1,4 +1,4 @@
-"""Fixed patterns; float32, because the order of operations is the specification: see `noise_ref`."""
+"""Fixed patterns in float32; the order of operations is the specification, as in `noise_ref`."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def pattern(
     first=(0, 0),
     frame_cols=None,
 ):
-    """See `gpusim.kernels.sensor.pattern`."""
+    """Return the stage's result, see `pattern.py`."""
     y, x = (np.arange(n) + start for n, start in zip((rows, cols), first, strict=True))
     places = (y[:, None] * (frame_cols or first[1] + cols) + x).astype(np.uint32)
     key, draw = seed_words(seed), PLANES.index(plane)

@@ -1,6 +1,6 @@
 // A work-item sums CHUNK neighbours of one row (from the host; 1 on a GPU), one instant after the other: the inner loop
 // is plain, so LLVM vectorises it, and its sums stay in the nearest cache. Pixel after pixel instead, all instants of
-// one pixel would fall on the same cache lines where a picture's size is a multiple of a page.
+// one pixel would fall on the same cache lines if a picture's size is a multiple of a page.
 __kernel void shutter(
     // in:
     __global const float *restrict rates,    // [instants][rows][cols]

@@ -1,31 +1,40 @@
-"""Shutter: what every row gathers while it is open, from pictures of the rate at a few instants.
+"""Shutter: the light that every row collects while it is open, from the rates at a few instants.
 
-Ports: rates (instants, rows, cols) float32 [e- s-1], weights (rows, instants) float32 [s]
--> mean (rows, cols) float32 [e-]:
+Ports: rates (instants, rows, cols) float32 [e- s-1], weights (rows, instants) float32 [s] -> mean
+(rows, cols) float32 [e-]:
 
     mean(y, x) = sum over k of  weights[y, k] rates(k, y, x).
 
-A row that is exposed after the one above it has later weights (`gpusim.optics.shutter`). Of a row only the instants
-between its first and its last weight that is not zero are read: (m + 1) 4 byte a pixel for m of them.
+A row that is exposed after the one above it has later weights (`gpusim.optics.shutter`). The kernel
+reads only the instants between a row's first and last weight that is not zero: (m + 1) 4 bytes a
+pixel for m of them.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 CHUNK = 512  # pixels that a CPU's work-item sums up: 2 KiB, so the sums stay in the nearest cache
 
 
 @stage
-def shutter(device, rates, weights):
-    """Mean electrons of rows that are exposed one after the other.
+def shutter(device: Device, rates: Array, weights: Array) -> Array:
+    """Return the mean electrons of rows that are exposed one after the other.
 
-    rates: mean rate of every pixel at the instants, shape (instants, rows, cols) [e- s-1]. weights: shape
-    (rows, instants) [s], a small table, which is read on the host; zero where an instant does not matter to a row: what
-    lies there, were it NaN, has no effect before a row's first and after its last instant.
-    Returns shape (rows, cols) [e-]. For weights and rates that are not negative the relative error is below
-    m 2^-24 for m instants (m products and m - 1 sums round, the first to a sum of zero does not: Higham 2002, 3.1),
-    and 2^-24 more when the weights are rounded to float32 here.
+    The relative error is below m 2^-24 for m instants if weights and rates are not negative (m
+    products and m - 1 sums round, the first to a sum of zero does not: Higham 2002, 3.1), and 2^-24
+    more if the weights are rounded to float32 here.
+
+    Args:
+        rates: Mean rate of every pixel at the instants [e- s-1], shape (instants, rows, cols).
+        weights: Weights of the instants [s], shape (rows, instants): a small table, which the host
+            reads. It is zero if an instant does not matter to a row. Rates before a row's first and
+            after its last instant have no effect, even NaN.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Mean electrons [e-], shape (rows, cols), float32.
     """
     instants, rows, cols = rates.shape
     weights = np.ascontiguousarray(device.numpy(weights), np.float32)
@@ -49,7 +58,7 @@ def shutter(device, rates, weights):
 
 
 def spans(weights) -> np.ndarray:
-    """First instant whose weight is not zero, and the one after the last, int32 (rows, 2); 0, 0 for a row of zeros."""
+    """Return each row's first instant with a weight and its last plus 1, int32 (rows, 2)."""
     used = np.asarray(weights) != 0
     last = used.shape[1] - used[:, ::-1].argmax(axis=1)
     return np.stack([used.argmax(axis=1), np.where(used.any(axis=1), last, 0)], axis=1).astype(
@@ -58,7 +67,11 @@ def spans(weights) -> np.ndarray:
 
 
 def cases():
-    """One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing is read."""
+    """Yield cases.
+
+    One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing
+    is read.
+    """
     random = np.random.default_rng(7)
     for instants, used, rows, cols in (
         (1, 1, 1, 1),
@@ -91,7 +104,7 @@ def cases():
 
 
 def _moving_window(random, instants, used, rows):
-    """Weights of which `used` are not zero in any row, from the first instants in the first row to the last ones."""
+    """Return weights with `used` nonzero values a row, from the first to the last instants."""
     first = np.arange(rows) * (instants - used) // max(rows - 1, 1)
     k = np.arange(instants)
     inside = (k >= first[:, None]) & (k < first[:, None] + used)
@@ -99,7 +112,10 @@ def _moving_window(random, instants, used, rows):
 
 
 def bench(rows, cols):
-    """16 instants of which every row needs 5: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
+    """Return inputs.
+
+    16 instants, 5 for each row: read out in 20 ms, exposed for 6, pictures 2 ms apart.
+    """
     random = np.random.default_rng(7)
     return {
         "rates": random.random((16, rows, cols), np.float32),

@@ -1,10 +1,10 @@
-"""mean(y, x) = sum over k of weights(y, k) rates(k, y, x), float64; what has no weight counts as zero, NaN too."""
+"""mean(y, x) = sum over k of weights(y, k) rates(k, y, x), float64; NaN x 0 is 0."""
 
 import numpy as np
 
 
 def shutter(rates, weights):
-    """See the contract."""
+    """Return the stage's result, see `shutter.py`."""
     weights = np.asarray(weights, np.float64)
     mean = np.zeros(np.shape(rates)[1:])
     for k, picture in enumerate(np.asarray(rates)):

@@ -1,29 +1,41 @@
-"""Light of encoded frames: planes of numbers by a table, from pixels whose channels lie side by side.
+"""Light of encoded frames: planes of numbers by a table, from pixels with interleaved channels.
 
-Ports: codes (rows, cols, channels) or (rows, cols), uint8 or uint16; curve (256,) or (65536,) float32, what each code
-stands for -> (channels, rows, cols) float32. A frame goes to a device as the bytes that a camera or a decoder gave, and
-its curve (sRGB's, say) is that of any display: the devices need no power function and agree bit for bit.
+Ports: codes (rows, cols, channels) or (rows, cols), uint8 or uint16; curve (256,) or (65536,)
+float32, the value of each code -> (channels, rows, cols) float32.
+
+A frame goes to the device as the bytes that a camera or a decoder returned. The curve belongs to
+the display, for example sRGB. Devices need no power function and agree bit for bit.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
-CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # how many there are
+CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # number of codes
 
 
 @stage
-def decode(device, codes, curve):
-    """Linear planes of encoded pixels: curve[codes], channel by channel.
+def decode(device: Device, codes: Array, curve: Array) -> Array:
+    """Return linear planes of encoded pixels: curve[codes], channel by channel.
 
-    codes: uint8 or uint16, shape (rows, cols, channels), or (rows, cols) of one channel. curve: shape (256,) for uint8,
-    (65536,) for uint16; NaN and infinities stay.
-    Returns shape (channels, rows, cols). Raises BadData.
+    Args:
+        codes: Codes, uint8 or uint16, shape (rows, cols, channels), or (rows, cols) for one
+            channel.
+        curve: Value of each code, shape (256,) for uint8, (65536,) for uint16. NaN and infinities
+            stay.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Planes in the curve's unit, shape (channels, rows, cols), float32.
+
+    Raises:
+        BadData: A type or a shape does not fit.
     """
-    kind, (rows, cols, channels) = checked(codes, curve)
+    kind, (rows, cols, channels) = check_inputs(codes, curve)
     out, curve = device.empty((channels, rows, cols)), device.array(curve)
     codes = device.array(codes, kind)
     if not rows * cols:
@@ -46,8 +58,8 @@ def decode(device, codes, curve):
     return out
 
 
-def checked(codes, curve):
-    """Type of codes, and rows, columns and channels. Raises BadData."""
+def check_inputs(codes, curve):
+    """Return the type of the codes, and (rows, cols, channels). Raise BadData as `decode` does."""
     kind, shape = type_of(codes), tuple(codes.shape)
     if kind is None or kind.type not in (np.uint8, np.uint16):
         raise BadData(f"decode: codes of type {kind or codes.dtype}; wanted uint8 or uint16")
@@ -64,7 +76,11 @@ def checked(codes, curve):
 
 
 def cases():
-    """Every code of both types, odd sizes, one to five channels, no pixels, curves with NaN and infinities."""
+    """Yield cases.
+
+    Every code of both types, odd sizes, one to five channels, no pixels, curves with NaN and
+    infinities.
+    """
     random, why = np.random.default_rng(8), "an entry of the table, nothing is computed"
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
@@ -121,7 +137,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A frame of 8 bits, sRGB."""
+    """Return inputs: a frame of 8 bits, sRGB."""
     return {
         "codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
         "curve": DISPLAYS["srgb"].table(np.uint8),

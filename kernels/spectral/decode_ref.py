@@ -4,10 +4,10 @@ import numpy as np
 
 
 def decode(codes, curve):
-    """Codes (rows, cols, channels) or (rows, cols), curve (256,) or (65536,) -> (channels, rows, cols)."""
-    from gpusim.kernels.spectral.decode import checked
+    """Return the stage's result, see `decode.py`."""
+    from gpusim.kernels.spectral.decode import check_inputs
 
-    _, (_, _, channels) = checked(codes, curve)
+    _, (_, _, channels) = check_inputs(codes, curve)
     codes, curve = np.asarray(codes), np.asarray(curve, np.float64)
     if codes.ndim == 2:
         return curve[codes][None]

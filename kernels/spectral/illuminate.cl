@@ -1,5 +1,5 @@
 // One pixel per work-item, all its products: neighbouring items form the vector, every map and plane is read once a
-// product at most, and the caches hold what a row of items reads again. LIGHTS and SURFACES: from the host.
+// product at most, and the caches hold values that a row of items reads again. LIGHTS and SURFACES: from the host.
 #define ILLUMINATE(LOAD) \
     const int x = get_global_id(0), y = get_global_id(1); \
     GUARD(y >= rows || x >= cols) \

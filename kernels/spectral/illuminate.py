@@ -1,24 +1,34 @@
-"""Surfaces in several lights: entries of a scene for every light and surface, each light by its map.
+"""Surfaces in several lights: an entry of a scene for every light and surface.
 
-Ports: maps (lights, rows, cols) float32, coefficients (surfaces, rows, cols) float32 or float16
--> (lights * surfaces, rows, cols) float32, light by light.
+Ports: maps (lights, rows, cols) float32, coefficients (surfaces, rows, cols) float32 or float16 ->
+(lights * surfaces, rows, cols) float32, light by light.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def illuminate(device, maps, coefficients):
-    """Products of every map and every plane of coefficients.
+def illuminate(device: Device, maps: Array, coefficients: Array) -> Array:
+    """Multiply every map with every plane of coefficients.
 
-    maps: shape (lights, rows, cols). coefficients: shape (surfaces, rows, cols), float32 or float16, widened exactly.
-    Returns shape (lights * surfaces, rows, cols). Raises BadData.
+    Args:
+        maps: Strength of each light, shape (lights, rows, cols).
+        coefficients: Coefficients of the surfaces [1], shape (surfaces, rows, cols), float32 or
+            float16, which is widened exactly.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Products, shape (lights * surfaces, rows, cols), float32.
+
+    Raises:
+        BadData: The shapes do not fit.
     """
-    lights, surfaces, shape = checked(maps, coefficients)
+    lights, surfaces, shape = check_inputs(maps, coefficients)
     is_half = type_of(coefficients) == np.float16
     maps, coefficients = (
         device.array(maps),
@@ -40,8 +50,8 @@ def illuminate(device, maps, coefficients):
     return out
 
 
-def checked(maps, coefficients):
-    """Lights, surfaces, and rows and columns. Raises BadData."""
+def check_inputs(maps, coefficients):
+    """Return the numbers of lights and surfaces, and (rows, cols). Raise BadData."""
     if (
         len(maps.shape) != 3
         or len(coefficients.shape) != 3
@@ -55,7 +65,11 @@ def checked(maps, coefficients):
 
 
 def cases():
-    """One light and many, one surface and a cube's, odd sizes, no pixels, dark lights, negative coefficients, NaN."""
+    """Yield cases.
+
+    One light and many, one surface and a cube's, odd sizes, no pixels, dark lights, negative
+    coefficients, NaN.
+    """
     random = np.random.default_rng(31)
     for lights, surfaces, *shape in (
         (1, 1, 1, 1),
@@ -88,7 +102,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """Two lights on surfaces of seven coefficients."""
+    """Return inputs: two lights on surfaces of seven coefficients."""
     random = np.random.default_rng(31)
     return {
         "maps": random.random((2, rows, cols), np.float32),
@@ -97,5 +111,5 @@ def bench(rows, cols):
 
 
 def operations(maps, coefficients):
-    """A multiplication for each sample of each product."""
+    """Count operations: a multiplication for each sample of each product."""
     return len(maps) * coefficients.size

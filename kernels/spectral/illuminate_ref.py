@@ -4,7 +4,7 @@ import numpy as np
 
 
 def illuminate(maps, coefficients):
-    """Maps (K, rows, cols), coefficients (J, rows, cols) -> (K J, rows, cols)."""
+    """Return the stage's result, see `illuminate.py`."""
     products = np.einsum(
         "kyx,jyx->kjyx", np.asarray(maps, np.float64), np.asarray(coefficients, np.float64)
     )

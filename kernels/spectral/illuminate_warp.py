@@ -18,7 +18,7 @@ def products(
     lights: int,
     surfaces: int,
 ):
-    """All products of a pixel."""
+    """Write all products of a pixel."""
     for k in range(lights):
         light = maps[k, y, x]
         for j in range(surfaces):

@@ -1,27 +1,37 @@
-"""Spectral integration of sampled or basis content: planes = W . content, one weighted sum over bands per plane.
+"""Spectral integration of sampled or basis content: one weighted sum over the bands per plane.
 
-Ports: content (bands, rows, cols) float32 or float16, weights (planes, bands) float32 -> planes (planes, rows, cols)
-float32. The weights carry quantum efficiency, light and quadrature (`gpusim.optics.weights`), so the unit of the
-result is theirs times the content's. Content of float16 is half the memory and bus; each sample is widened to float32,
-exactly, before it is weighted, so the result is that of the same values in float32.
+Ports: content (bands, rows, cols) float32 or float16, weights (planes, bands) float32 -> planes
+(planes, rows, cols) float32. The weights contain quantum efficiency, light and quadrature
+(`gpusim.optics.weights`); the result has their unit times the content's. Content of float16 takes
+half the memory and bus. Each sample is widened to float32 exactly before it is weighted, so the
+result equals that for the same values in float32.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 LINES = "spectral.integrate_lines"  # the kernels of CPUs
-SUMS = 2**13  # that one of their work-items has: 32 KiB
-TOGETHER = 4  # bands that it reads at once: 20 GB/s on two cores of an EPYC, 13 with all 31 at once
+SUMS = 2**13  # of one of their work-items: 32 KiB
+TOGETHER = 4  # bands read at once: 20 GB/s on two cores of an EPYC, 13 with all 31 at once
 
 
 @stage
-def integrate(device, content, weights):
-    """Weighted sums over the bands of `content`, computed in one pass over it.
+def integrate(device: Device, content: Array, weights: Array) -> Array:
+    """Return weighted sums over the bands of `content`, in one pass over it.
 
-    content: float32 or float16, shape (bands, rows, cols). weights: shape (planes, bands).
-    Returns shape (planes, rows, cols). Source: Farrell & Wandell, section 5.1, the sum over wavelength.
+    Args:
+        content: Samples or coefficients, shape (bands, rows, cols), float32 or float16.
+        weights: Weights of the bands in each plane, shape (planes, bands).
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Planes, shape (planes, rows, cols), float32.
+
+    Source:
+        Farrell and Wandell, section 5.1, the sum over wavelength.
     """
     bands, rows, cols = content.shape
     is_half = type_of(content) == np.float16
@@ -57,7 +67,7 @@ def integrate(device, content, weights):
 
 
 def cases():
-    """Odd sizes, one band, many planes, nine decades of range."""
+    """Yield cases: odd sizes, one band, many planes, nine decades of range."""
     random = np.random.default_rng(1)
     for rows, cols, bands, planes in (
         (1, 1, 31, 3),
@@ -107,7 +117,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """A 31-band cube to three channels."""
+    """Return inputs: a 31-band cube to three channels."""
     random = np.random.default_rng(1)
     return {
         "content": random.random((31, rows, cols), np.float32),
@@ -116,5 +126,5 @@ def bench(rows, cols):
 
 
 def operations(content, weights):
-    """A multiplication and an addition for each sample and plane."""
+    """Count operations: a multiplication and an addition for each sample and plane."""
     return 2 * len(weights) * content.size

@@ -4,5 +4,5 @@ import numpy as np
 
 
 def integrate(content, weights):
-    """Content (bands, rows, cols), weights (planes, bands) -> (planes, rows, cols)."""
+    """Return the stage's result, see `integrate.py`."""
     return np.tensordot(np.asarray(weights, np.float64), np.asarray(content, np.float64), axes=1)

@@ -17,7 +17,7 @@ def sum_up(
     bands: int,
     count: int,
 ):
-    """All planes of pixel i."""
+    """Write all planes of pixel i."""
     cols = content.shape[2]
     y = i // cols
     x = i - y * cols

@@ -1,4 +1,4 @@
-// One pixel per work-item writes all its planes; unrolled, so that neighbours form the vector. PLANES: from the host.
+// One pixel per work-item writes all its planes; unrolled, neighbours then form the vector. PLANES: from the host.
 __kernel void materials(
     // in:
     __global const ushort *restrict ids,

@@ -1,21 +1,31 @@
-"""Planes of a scene of materials: planes_p(x) = shading(x) W[p, id(x)], a table look-up instead of a sum over bands.
+"""Planes of a scene of materials: a table look-up instead of a sum over bands.
 
-Ports: ids (rows, cols) uint16, shading (rows, cols) float32, table (planes, materials) float32
--> planes (planes, rows, cols) float32. Six bytes a pixel are read instead of a whole spectrum.
+Ports: ids (rows, cols) uint16, shading (rows, cols) float32, table (planes, materials) float32 ->
+planes (planes, rows, cols) float32:
+
+    planes_p(x) = shading(x) W[p, id(x)].
+
+Six bytes per pixel are read instead of a whole spectrum.
 """
 
 import numpy as np
 
-from gpusim.kernels.stage import Case, stage
+from gpusim.backends import Device
+from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def materials(device, ids, shading, table):
-    """Weighted planes of a scene that stores one material per pixel.
+def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array:
+    """Return weighted planes of a scene that stores one material per pixel.
 
-    ids: shape (rows, cols), each below the number of materials. shading: shape (rows, cols).
-    table: shape (planes, materials), what material m at shading 1 adds to plane p.
-    Returns shape (planes, rows, cols).
+    Args:
+        ids: Material of each pixel, shape (rows, cols), uint16, below the number of materials.
+        shading: Factor of each pixel, shape (rows, cols).
+        table: Value of each material at shading 1 in each plane, shape (planes, materials).
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Planes, shape (planes, rows, cols), float32.
     """
     rows, cols = ids.shape
     ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
@@ -38,7 +48,7 @@ def materials(device, ids, shading, table):
 
 
 def cases():
-    """One material to hundreds, shading over nine decades."""
+    """Yield cases: one material to hundreds, shading over nine decades."""
     random = np.random.default_rng(2)
     for rows, cols, planes, count in (
         (1, 1, 3, 1),
@@ -60,7 +70,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """The 24 patches of a ColorChecker to 31 bands."""
+    """Return inputs: the 24 patches of a ColorChecker to 31 bands."""
     random = np.random.default_rng(2)
     return {
         "ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
@@ -70,5 +80,5 @@ def bench(rows, cols):
 
 
 def operations(ids, shading, table):
-    """A multiplication for each sample."""
+    """Count operations: a multiplication for each sample."""
     return len(table) * ids.size

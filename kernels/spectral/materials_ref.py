@@ -4,5 +4,5 @@ import numpy as np
 
 
 def materials(ids, shading, table):
-    """Ids (rows, cols), shading (rows, cols), table (planes, materials) -> (planes, rows, cols)."""
+    """Return the stage's result, see `materials.py`."""
     return np.asarray(shading, np.float64) * np.asarray(table, np.float64)[:, ids]

@@ -16,7 +16,7 @@ INLINE float total(real values)
     return sum;
 }
 
-// WIDTH projections of samples and differences from those at `lanes` columns, `apart` of which have a right neighbour.
+// WIDTH projections of samples and differences at `lanes` columns; `apart` of the columns have a right neighbour.
 INLINE void add_projections(
     __global const float *restrict upper, __global const float *restrict lower, __global const float *restrict table,
     const size_t frame, const int entries, const int lanes, const int apart, const int *rows_of, real sums[3][BLOCK])
@@ -101,7 +101,7 @@ __kernel void mixed(
     }
 }
 
-// What a difference between two samples adds to the squares of entries: one entry's, or those of two.
+// Part of a difference between two samples in the squares of entries: one entry's square, or two.
 INLINE float step_square(const int id, const int other, const float shade, const float its)
 {
     return id == other ? (its - shade) * (its - shade) : shade * shade + its * its;

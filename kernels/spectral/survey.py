@@ -1,28 +1,30 @@
-"""Survey of a scene's spectra: mean squares of a few projections of its samples and of neighbours' differences.
+"""Survey of a scene's spectra: mean squares of projections of samples and of differences.
 
-Ports: content (entries, rows, cols) float32 or float16, or shading (rows, cols) float32 with ids (rows, cols) uint16;
-table (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's, of
-factors that keep them in float32's range.
+Ports: content (entries, rows, cols) float32 or float16, or shading (rows, cols) float32 with ids
+(rows, cols) uint16; table (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, in squares of
+the content's unit times the table's, times factors that keep them in float32's range.
 
-Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its
-shading as the entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
+Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e. A sample with
+an id has its shading as the entry of that number, and 0 in the others. For each pair of
+neighbouring rows the result holds the means over
 
-    0  the upper row       of v_p^2 and of |c|^2
-    1  its columns but one of the same for the difference to the right neighbour; 0 where there is one column
-    2  the upper row       of the same for the difference to the row below; 0 where that is the last row itself
+    0  the upper row:           v_p^2 and |c|^2
+    1  its columns but one:     the same for the difference to the right neighbour; 0 for one column
+    2  the upper row:           the same for the difference to the row below; 0 for the last row
 
-with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the second. They are
-p^T M p and the trace of moments M = E[c c^T], of which a plan's predicted error is made (`gpusim.optics.drift`),
-without the moments themselves. Differences are taken before projections, which a smooth picture would lose in rounding
-otherwise.
+with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the
+second. They are p^T M p and the trace of moments M = E[c c^T], from which `gpusim.optics.drift`
+predicts a plan's error, without the moments themselves. Differences are taken before projections;
+otherwise rounding would lose them in a smooth picture.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.take import take
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 GROUPS = "spectral.survey_groups"
 MOST = 16  # projections: three sums of each are a GPU's registers
@@ -31,30 +33,46 @@ BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, a
 
 
 @stage
-def survey(device, content, table, first, ids=None, scale=(1.0, 1.0)):
-    """Mean squares of projections and of their differences, over pairs of rows.
+def survey(
+    device: Device,
+    content: Array,
+    table: Array,
+    first: Array,
+    ids: Array | None = None,
+    scale: tuple[float, float] = (1.0, 1.0),
+) -> Array:
+    """Return mean squares of projections and of their differences over pairs of rows.
 
-    content: float32 or float16, shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the
-    shading, shape (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows,
-    clipped to the frame. ids: uint16, shape (rows, cols), each below the number of entries. scale: factors of the
-    content and of the projections, powers of two (others are rounded).
-    Returns shape (n, 3, P + 1). NaN stays NaN; the squares of what is then beyond 1.8e19 are infinite, of what is below
-    1e-23 they are 0. Light of 1e23 needs a factor.
-    Raises BadData, OutOfRange.
+    NaN stays NaN. Squares of values beyond 1.8e19 are infinite, squares of values below 1e-23 are
+    0, after the scale; light of 1e23 needs a factor.
+
+    Args:
+        content: Samples of a cube or coefficients of a basis, shape (entries, rows, cols), float32
+            or float16; with ids the shading, shape (rows, cols).
+        table: Projections, finite, shape (P, entries), P at most 16.
+        first: Upper rows, int32, shape (n,), clipped to the frame.
+        ids: Entry of each pixel, uint16, shape (rows, cols), or None.
+        scale: Factors of the content and of the projections, powers of two (others are rounded).
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Mean squares, shape (n, 3, P + 1), float32.
+
+    Raises:
+        BadData: Shapes do not fit.
+        OutOfRange: There are no projections, or more than 16.
     """
-    entries, rows, cols = checked(content, table, first, ids)
+    entries, rows, cols = check_inputs(content, table, first, ids)
     count, pairs = table.shape[0], first.shape[0]
-    if (
-        ids is None and pairs and type_of(content) == np.float16
-    ):  # of the pairs' rows alone: they are few
-        content, first, rows = _widened(device, content, first)
+    if ids is None and pairs and type_of(content) == np.float16:  # only the few rows of the pairs
+        content, first, rows = _widen_rows(device, content, first)
     unit, of_table = map(float, scale)
     if of_table != 1:
         table = device.numpy(table) * np.float32(of_table)
     opencl = device.kind == "opencl"
     if not (
         device.is_gpu or opencl
-    ):  # Warp's loops are vectors along the projections, which lie side by side for them
+    ):  # Warp's loops are vectors along the projections: these must be adjacent
         table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
     content, table, first = (
         device.array(content),
@@ -70,46 +88,28 @@ def survey(device, content, table, first, ids=None, scale=(1.0, 1.0)):
         return out
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
-    if ids is None:
-        device.launch(
-            "spectral.survey",
-            "mixed",
-            grid,
-            content,
-            table,
-            first,
-            out,
-            entries,
-            rows,
-            cols,
-            count,
-            unit,
-            defines=defines,
-            group=group,
-        )
-    else:
-        device.launch(
-            "spectral.survey",
-            "labelled",
-            grid,
-            ids,
-            content,
-            table,
-            first,
-            out,
-            entries,
-            rows,
-            cols,
-            count,
-            unit,
-            defines=defines,
-            group=group,
-        )
+    device.launch(
+        "spectral.survey",
+        "mixed" if ids is None else "labelled",
+        grid,
+        *(() if ids is None else (ids,)),
+        content,
+        table,
+        first,
+        out,
+        entries,
+        rows,
+        cols,
+        count,
+        unit,
+        defines=defines,
+        group=group,
+    )
     return out
 
 
-def _widened(device, content, first):
-    """The rows of pairs as content of their own, float32, its upper rows, and how many rows there are."""
+def _widen_rows(device, content, first):
+    """Return the rows of the pairs as float32 content, their upper rows, and the number of rows."""
     upper = np.clip(device.numpy(first), 0, content.shape[1] - 1)
     rows = np.stack([upper, upper + 1], axis=1).reshape(1, -1)
     content = take(device.array(content, np.float16), rows, device=device)
@@ -117,7 +117,7 @@ def _widened(device, content, first):
 
 
 def _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit):
-    """Work-groups over parts of a row, then the parts of every row in their order."""
+    """Reduce parts of rows by work-groups, then the parts of every row in their order."""
     count, pairs = table.shape[0], first.shape[0]
     chunks = -(-cols // THREADS)
     parts = device.empty((pairs, chunks, 3 * (count + 1)))
@@ -154,8 +154,8 @@ def _by_groups(device, content, table, first, ids, out, entries, rows, cols, uni
     )
 
 
-def checked(content, table, first, ids):
-    """Entries, rows and columns. Raises BadData for shapes that do not fit, OutOfRange for too many projections."""
+def check_inputs(content, table, first, ids):
+    """Return entries, rows and columns. Raise BadData or OutOfRange as `survey` does."""
     shape, wanted = tuple(content.shape), "(entries, rows, cols)" if ids is None else "(rows, cols)"
     if len(shape) != (3 if ids is None else 2) or 0 in shape:
         raise BadData(f"survey: content of shape {shape}; wanted {wanted}")
@@ -176,7 +176,11 @@ def checked(content, table, first, ids):
 
 
 def cases():
-    """Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values, zeros, NaN."""
+    """Yield cases.
+
+    Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values,
+    zeros, NaN.
+    """
     random = np.random.default_rng(11)
     for rows, cols, entries, count in (
         (1, 1, 31, 3),
@@ -232,7 +236,7 @@ def cases():
 
 
 def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
-    """Arrays as the stage takes them, and the largest relative error of any number by the bound in `why`."""
+    """Return a case with its largest relative error by the bound in `why`."""
     content = content.astype(np.float16 if content.dtype == np.float16 else np.float32)
     table, unit = table.astype(np.float32), 2.0**-24
     inputs = {"content": content, "table": table, "first": first.astype(np.int32), "scale": scale}
@@ -266,7 +270,10 @@ def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
 
 
 def bench(rows, cols):
-    """Twelve projections of a 31-band cube, which has the 34 rows that are read in a frame of 1080 and no others."""
+    """Return inputs.
+
+    Twelve projections of a 31-band cube: only the 34 rows that a frame of 1080 reads.
+    """
     random = np.random.default_rng(11)
     pairs = min(17, max(rows // 2, 1))
     return {

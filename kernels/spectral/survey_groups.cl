@@ -1,5 +1,5 @@
-// survey.cl for GPUs: a work-item takes one column, a work-group THREADS of them; their sums meet in local memory, in
-// one order, and those of a row's groups in another kernel: a group for each whole row would leave most of a GPU idle.
+// survey.cl for GPUs: a work-item takes one column, a work-group THREADS of them. Their sums are added in local memory,
+// in one order, and the sums of a row's groups in another kernel: a group per row would leave most of a GPU idle.
 // From the host: PROJECTIONS, THREADS (a multiple of SEGMENTS).
 // OpenCL C that is also CUDA C++, see gpusim/backends/native.py.
 #ifndef PAIR

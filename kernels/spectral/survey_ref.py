@@ -4,10 +4,10 @@ import numpy as np
 
 
 def survey(content, table, first, ids=None, scale=(1.0, 1.0)):
-    """See the contract."""
-    from gpusim.kernels.spectral.survey import checked
+    """Return the stage's result, see `survey.py`."""
+    from gpusim.kernels.spectral.survey import check_inputs
 
-    _, rows, cols = checked(content, table, first, ids)
+    _, rows, cols = check_inputs(content, table, first, ids)
     table = np.asarray(table, np.float64)
     out = np.zeros((len(first), 3, len(table) + 1))
     for number, y in enumerate(np.clip(first, 0, rows - 1)):
@@ -26,7 +26,7 @@ def survey(content, table, first, ids=None, scale=(1.0, 1.0)):
 
 
 def _entries(content, ids, count, row):
-    """Entries of the samples of a row, shape (entries, cols)."""
+    """Return the entries of the samples of a row, shape (entries, cols)."""
     if ids is None:
         return np.asarray(content[:, row], np.float64)
     columns = np.arange(len(ids[row]))
@@ -36,6 +36,6 @@ def _entries(content, ids, count, row):
 
 
 def _mean_squares(table, entries):
-    """Means over the columns, shape (P + 1,)."""
+    """Return means over the columns, shape (P + 1,)."""
     squares = np.vstack([(table @ entries) ** 2, (entries**2).sum(0)])
     return squares.mean(1)

@@ -12,7 +12,7 @@ vec16 = wp.types.vector(length=16, dtype=float)
 def store(
     out: wp.array3d[float], i: int, kind: int, count: int, sums: vec16, squares: float, length: int
 ):
-    """Means from sums."""
+    """Write means from sums."""
     for p in range(count):
         out[i, kind, p] = sums[p] / float(length)
     out[i, kind, count] = squares / float(length)
@@ -20,7 +20,7 @@ def store(
 
 @wp.func
 def weights_of(table: wp.array2d[float], e: int):
-    """An entry in all projections."""
+    """Return an entry in all projections."""
     row = vec16()
     for p in range(16):
         row[p] = table[e, p]
@@ -79,7 +79,7 @@ def mixed(
 
 @wp.func
 def difference(table: wp.array2d[float], id: int, other: int, shade: float, its: float):
-    """Projections of a difference, which samples of one entry have without cancellation."""
+    """Return projections of a difference; samples of one entry cancel exactly."""
     if id == other:
         return (its - shade) * weights_of(table, id)
     return its * weights_of(table, other) - shade * weights_of(table, id)
@@ -87,7 +87,7 @@ def difference(table: wp.array2d[float], id: int, other: int, shade: float, its:
 
 @wp.func
 def difference_square(id: int, other: int, shade: float, its: float):
-    """What a difference adds to the squares of entries: one entry's, or those of two."""
+    """Return the part of a difference in the squares of entries: one entry's square, or two."""
     if id == other:
         return (its - shade) * (its - shade)
     return shade * shade + its * its

@@ -1,13 +1,13 @@
-// One sample per work-item; neighbours lie side by side where a window's columns do, and always in the result.
-// WHOLE_ROWS: from the host, whether columns are in their order and not looked up. float16 in memory is core OpenCL: no
-// extension is needed to load it.
+// One sample per work-item; neighbours are adjacent if a window's columns are, and always in the result. WHOLE_ROWS:
+// from the host, whether columns are in their order and not looked up. float16 in memory is core OpenCL: no extension
+// is needed to load it.
 #if WHOLE_ROWS
 #define COLUMN x
 #else
 #define COLUMN clamp(chosen_cols[line / height * width + x], 0, cols - 1)
 #endif
 
-// Where a work-item reads and where it writes.
+// The places that a work-item reads and writes.
 #define PLACES \
     const int x = get_global_id(0), line = get_global_id(1), entry = get_global_id(2); \
     GUARD(x >= width || line >= lines || entry >= entries) \

@@ -1,15 +1,17 @@
-"""Windows of a scene's samples as float32, gathered on the device: what the host reads of a scene that is there.
+"""Windows of a scene's samples as float32, gathered on the device, for the host to read.
 
-Ports: content (entries, rows, cols) float32, float16 or uint16, rows (n, h) int32, cols (n, w) int32
--> (n, entries, h, w) float32, of uint16 the same; of one plane (rows, cols), a shading or numbers of materials,
-(n, h, w). Values are copied exactly: every float16 is a float32, denormals and infinities included; NaN stays NaN.
+Ports: content (entries, rows, cols) float32, float16 or uint16, rows (n, h) int32, cols (n, w)
+int32 -> (n, entries, h, w) float32, or uint16 for uint16. One plane (rows, cols), a shading or
+numbers of materials, gives (n, h, w). Values are copied exactly: every float16 is a float32,
+denormals and infinities included; NaN stays NaN.
 """
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Case, stage
+from gpusim.kernels.stage import Array, Case, stage
 
 KERNELS = {
     np.dtype(np.float32): "take",
@@ -19,15 +21,27 @@ KERNELS = {
 
 
 @stage
-def take(device, content, rows=None, cols=None):
-    """Samples at the crossings of rows and columns: out[k, e, i, j] = content[e, rows[k, i], cols[k, j]].
+def take(
+    device: Device, content: Array, rows: Array | None = None, cols: Array | None = None
+) -> Array:
+    """Gather samples at crossings: out[k, e, i, j] = content[e, rows[k, i], cols[k, j]].
 
-    content: float32, float16 or uint16, shape (entries, rows, cols) or (rows, cols). rows: int32, shape (n, h). cols:
-    int32, shape (n, w). Both in any order, clipped to the frame; by default all in their order, in one window where
-    both are. Float16 is widened; the whole of a content is thus its float32.
-    Returns shape (n, entries, h, w), or (n, h, w). Raises BadData.
+    Args:
+        content: Samples, shape (entries, rows, cols) or (rows, cols), float32, float16 (it is
+            widened) or uint16.
+        rows: Rows of each window, int32, shape (n, h), in any order, clipped to the frame; None for
+            all rows.
+        cols: Columns of each window, int32, shape (n, w), in any order, clipped to the frame; None
+            for all columns. If both are None, there is one window.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Samples, shape (n, entries, h, w), or (n, h, w), float32 or uint16.
+
+    Raises:
+        BadData: A type or a shape does not fit.
     """
-    dtype, (*entries, height, width), (count, lines, across) = checked(content, rows, cols)
+    dtype, (*entries, height, width), (count, lines, across) = check_inputs(content, rows, cols)
     planes = entries[0] if entries else 1
     out = device.empty(
         (count, planes, lines, across), np.uint16 if dtype == np.uint16 else np.float32
@@ -39,9 +53,9 @@ def take(device, content, rows=None, cols=None):
         )
         cols = (
             rows if whole else device.array(cols, np.int32)
-        )  # not read where columns are in their order
+        )  # not read if columns are in their order
         content = device.reshape(device.array(content, dtype), (planes, height, width))
-        # Whole rows are a build of their own on OpenCL: PoCL does not vectorise where columns are looked up.
+        # Whole rows are a separate build on OpenCL: PoCL does not vectorise a look-up of columns.
         device.launch(
             "spectral.take",
             KERNELS[dtype],
@@ -62,8 +76,8 @@ def take(device, content, rows=None, cols=None):
     return out if entries else device.reshape(out, (count, lines, across))
 
 
-def checked(content, rows, cols):
-    """Type that the content is read as, its shape, and that of its windows, (n, h, w). Raises BadData."""
+def check_inputs(content, rows, cols):
+    """Return the type to read, the content's shape, and (n, h, w). Raise BadData as `take` does."""
     shape = tuple(content.shape)
     if len(shape) not in (2, 3) or 0 in shape:
         raise BadData(
@@ -79,8 +93,8 @@ def checked(content, rows, cols):
     of_cols = of_cols or (of_rows[0], shape[-1])
     if len(of_rows) != 2 or len(of_cols) != 2 or of_rows[0] != of_cols[0]:
         raise BadData(
-            f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w), of as "
-            "many windows"
+            f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w) with "
+            "the same n"
         )
     return (
         np.dtype(kind.type if kind.type in (np.float16, np.uint16) else np.float32),
@@ -90,7 +104,11 @@ def checked(content, rows, cols):
 
 
 def cases():
-    """Every float16 and uint16 there is, NaN and infinities, odd sizes, samples beyond the frame and twice, none."""
+    """Yield cases.
+
+    Every float16 and uint16 there is, NaN and infinities, odd sizes, samples beyond the frame and
+    twice, none.
+    """
     random, why = np.random.default_rng(5), "values are copied, and every float16 is a float32"
     numbers = np.arange(2**16, dtype=np.uint16)
     every = numbers.view(np.float16)
@@ -147,7 +165,10 @@ def cases():
 
 
 def bench(rows, cols):
-    """Twelve windows of 64 x 64 from a 31-band cube, which has their samples and no others: all of it is read."""
+    """Return inputs.
+
+    Twelve windows of 64 x 64 from a 31-band cube without other samples: all is read.
+    """
     chosen = np.arange(12 * 64, dtype=np.int32).reshape(12, 64)
     return {
         "content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32),

@@ -4,10 +4,10 @@ import numpy as np
 
 
 def take(content, rows=None, cols=None):
-    """Content (entries, rows, cols) or (rows, cols), rows (n, h), columns (n, w) -> (n, entries, h, w) or (n, h, w)."""
-    from gpusim.kernels.spectral.take import checked
+    """Return the stage's result, see `take.py`."""
+    from gpusim.kernels.spectral.take import check_inputs
 
-    checked(content, rows, cols)
+    check_inputs(content, rows, cols)
     content = np.asarray(content)
     content = content if content.dtype == np.uint16 else content.astype(np.float64)
     height, width = content.shape[-2:]

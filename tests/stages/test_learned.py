@@ -15,7 +15,7 @@ from gpusim.io.camera.learned import bayer_table, read_table, write_table
 from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.learned import X_TRANS, learned
-from gpusim.kernels.processor.learned_ref import classify, extended, grouped, positions
+from gpusim.kernels.processor.learned_ref import classify, extend_plane, grouped, positions
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.*scipy.ndimage.filters:DeprecationWarning"
@@ -89,7 +89,7 @@ def test_surroundings_keep_the_colors_of_any_mosaic():
         period = [list(text) for text in mosaic]
         everywhere = np.tile(period, (36 // len(period),) * 2)
         frame = everywhere[12:25, 12:26]
-        np.testing.assert_array_equal(extended(frame, made, 9), everywhere[3:34, 3:35])
+        np.testing.assert_array_equal(extend_plane(frame, made, 9), everywhere[3:34, 3:35])
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

@@ -60,7 +60,7 @@ def test_stage_is_complete(stage):
 
 @pytest.mark.parametrize("stage", stage_names())
 def test_signature_is_that_of_a_call(stage):
-    """The device last and by keyword alone, the rest as the reference has it; every case's inputs fit."""
+    """The device is last and by keyword only, the rest is as for the reference; every case's inputs fit."""
     signature = inspect.signature(public_function(stage))
     *others, device = signature.parameters.values()
     assert (device.name, device.kind, device.default) == (
@@ -69,7 +69,12 @@ def test_signature_is_that_of_a_call(stage):
         "auto",
     )
     reference = getattr(import_module(f"gpusim.kernels.{stage}_ref"), stage.rpartition(".")[2])
-    assert str(signature.replace(parameters=others)) == str(inspect.signature(reference))
+    assert not [one.name for one in others if one.annotation is one.empty]
+    assert signature.return_annotation is not signature.empty
+    expected = inspect.signature(reference).parameters.values()
+    assert [(p.name, p.kind, p.default) for p in others] == [
+        (p.name, p.kind, p.default) for p in expected
+    ]
     for case in stage_module(stage).cases():
         signature.bind(**case.inputs, device="numpy")
 
