@@ -1,4 +1,7 @@
-"""How fast a device runs each stage: measured once, kept in the user's cache folder, and what a frame takes by it."""
+"""Predicted time of a frame, from the measured speed of every stage on a device.
+
+Speeds are measured once and stored in the user's cache folder.
+"""
 
 import json
 import time
@@ -21,9 +24,11 @@ IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to 
 
 
 class Speeds:
-    """Milliseconds of a stage by its work: a part that is always taken, and one for each unit of `of_plan`.
+    """Time of a stage as a function of its work: a constant part, and a part per unit of `of_plan`.
 
-    device: what they are of. cache: file in which they are kept, None for none.
+    Args:
+        device: The device.
+        cache: File that stores the speeds; None for the default file in the user's cache folder.
     """
 
     def __init__(self, device: Device, cache: Path | None = None):
@@ -34,7 +39,13 @@ class Speeds:
         self.known: dict[str, list[float]] = self._read()
 
     def of(self, stage: str) -> tuple[float, float]:
-        """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
+        """Return the constant time of a stage and its time per unit of work [ms].
+
+        They are measured if they are not known.
+
+        Args:
+            stage: Name of the stage.
+        """
         if stage not in self.known:
             sizes = (
                 REFERENCE_SIZES
@@ -52,7 +63,11 @@ class Speeds:
         return always, unit
 
     def ms(self, work: dict[str, float]) -> dict[str, float]:
-        """Milliseconds of every stage of a frame."""
+        """Return the time of every stage of a frame [ms].
+
+        Args:
+            work: Units of work by stage.
+        """
         found = {}
         for stage, amount in work.items():
             always, unit = self.of(stage)
@@ -60,7 +75,7 @@ class Speeds:
         return found
 
     def _timed(self, stage, rows, cols):
-        """Work of a stage's benchmark, and its median milliseconds with its arrays on the device."""
+        """Return the work of the stage benchmark and its median time [ms], with resident arrays."""
         inputs = stage_module(stage).bench(rows, cols)
         resident = {
             key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
@@ -102,10 +117,12 @@ class Speeds:
 
 
 def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
-    """Predicted milliseconds of every stage of a frame by a plan, after the first of its kind.
+    """Return the predicted time of every stage of a frame after the first [ms].
 
-    simulator: a `gpusim.pipeline.simulator.Simulator` with the plan's camera. speeds: of its device, measured by
-    default.
+    Args:
+        simulator: A `gpusim.pipeline.simulator.Simulator` with the camera of the plan.
+        plan: The plan.
+        speeds: Speeds of the simulator's device; None measures them.
     """
     speeds = Speeds(simulator.device) if speeds is None else speeds
     developer = Developer(plan.camera, simulator.device, edges=np.empty(0))
