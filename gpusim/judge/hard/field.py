@@ -1,4 +1,4 @@
-"""What changes over the field and with distance: cases 13 to 16 and 30."""
+"""Blur that varies over the field or with distance, and wide angles: cases 13 to 16 and 30."""
 
 from dataclasses import replace
 from functools import cache
@@ -29,7 +29,7 @@ BANDS = np.array([450.0, 550.0, 650.0])
 
 
 def blurred(plane, blur, device, border="reflect", **more):
-    """The stage `optics.field` on one plane."""
+    """Return one plane after the stage `optics.field`."""
     inputs = {
         "planes": plane[None].astype(np.float32),
         "mix": ONE,
@@ -47,7 +47,7 @@ def blurred(plane, blur, device, border="reflect", **more):
     "met; never silent",
 )
 def colour(device):
-    """Of a frame of 320 x 240, and of half its size, where a kernel is sheared by twice as much: at f/8 and f/4."""
+    """Frames of 320 x 240 and of half that size, for which a kernel shears twice as fast."""
     return worst(
         _colour_of((240, 320), 8.0, device),
         _colour_of((120, 160), 8.0, device),
@@ -56,7 +56,10 @@ def colour(device):
 
 
 def _colour_of(shape, f_number, device):
-    """Truth at some pixels: light at s lands at s (1 + e), spread by the defocused pattern of its wavelength."""
+    """Compare some pixels with the truth.
+
+    Light from s falls on s (1 + e), spread by the defocused pattern of its wavelength.
+    """
     camera = open_camera("mono")
     lateral = Spectrum(np.array([450.0, 650.0]), np.array([-3.0, 3.0]) / (np.hypot(*shape) / 2))
     axial = Spectrum(
@@ -111,7 +114,7 @@ def _colour_of(shape, f_number, device):
 
 
 def _coloured(values, camera, weights, place, reach=60):
-    """One pixel's electrons; the light that is spread beyond `reach` is taken as even around."""
+    """Return the electrons of one pixel; beyond `reach` the light is assumed to be uniform."""
     optics, total = camera.optics, 0.0
     rows, cols = values.shape[1:]
     y, x = (np.arange(at - reach, at + reach + 1) for at in place)
@@ -139,7 +142,10 @@ _defocused = cache(truth.defocused)
 
 @cache
 def measured_lens(shape, waves, count, size):
-    """The lens of `seidel_lens` from point spreads at `count` field heights, four samples to a pixel, 199 a side."""
+    """Return `seidel_lens` as point spreads at `count` field heights.
+
+    They have four samples per pixel and 199 along a side.
+    """
     heights, pitch = np.linspace(0, 1, count), 550e-9 * 2.8 / Q
     values = np.stack([spread(h, 0.0, waves, 199) for h in heights])[:, None]
     psf = PointSpread(
@@ -164,7 +170,7 @@ def measured_lens(shape, waves, count, size):
 
 @cache
 def coma_by_field_height(shape, size):
-    """Overlap-add of it, nodes 20 pixels apart."""
+    """Return its overlap-add blur, with nodes 20 pixels apart."""
     return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9))
 
 
@@ -174,7 +180,7 @@ def coma_by_field_height(shape, size):
     "corner points: centroids within 0.02 pixel, mirror images to 1e-5 (float32)",
 )
 def quadrants(device):
-    """Spreads by field height, turned; of the largest value of a point's image."""
+    """Point spreads by field height are turned; errors are relative to the peak of the image."""
     shape, size = (121, 161), 25
     blur, exact = coma_by_field_height(shape, size), seidel_lens(shape, MILD, size)
     images, off, offsets = [], 0.0, np.arange(-12, 13)
@@ -194,7 +200,10 @@ def quadrants(device):
 
 
 def seam(shape, blur, device) -> float:
-    """Largest second difference over the local value, on a flat field and on a ramp of 1 % per pixel."""
+    """Return the largest second difference relative to the local value.
+
+    The scenes are a flat field and a ramp of 1 % per pixel.
+    """
     largest = 0.0
     for plane in (np.ones(shape), 1 + 0.01 * np.arange(shape[1]) * np.ones(shape)):
         # the mirrored ramp has a kink of its own at the border
@@ -210,7 +219,11 @@ def seam(shape, blur, device) -> float:
 
 @cache
 def of_mild_lens(method, shape=(180, 320)):
-    """Its blur by eigen-kernels ("eigen") or by overlap-add in windows of a name; so small a frame varies fast."""
+    """Return the blur of the mild lens by eigen-kernels or by overlap-add.
+
+    method: "eigen", or the name of a window for overlap-add. Over such a small frame the lens
+    varies fast.
+    """
     lens = seidel_lens(shape, MILD, SIZE)
     return (
         eigen_kernels(lens, shape, terms=12)
@@ -241,7 +254,10 @@ DEPTH_LINES = np.array([540.0, 550.0, 560.0])
 
 
 def _distance(confusion):
-    """Distance [m] of a signed circle of confusion [pixel], > 0 beyond the plane in focus: the thin lens, by hand."""
+    """Return the distance [m] for a signed circle of confusion [pixel], by the thin-lens equation.
+
+    The circle is positive beyond the plane in focus.
+    """
     f, d0 = DEPTH_LENS.focal_length, DEPTH_LENS.object_distance
     sensor = 1 / (1 / f - 1 / d0)
     # c = (f / N) (sensor - image) / image, image = 1 / (1 / f - 1 / d)
@@ -256,9 +272,10 @@ def _distance(confusion):
     "1e-2",
 )
 def depth_edge(device):
-    """One line of light. One side is in focus, where the sum of blurred layers is exact.
+    """A scene with one spectral line. One side is in focus, so the sum of blurred layers is exact.
 
-    Patterns are those of a defocused pupil in space; beyond 60 pixels of 8 is 1e-4 of a point's light, taken as even.
+    The patterns are computed in space for a defocused pupil. Of a circle of 8 pixels, 1e-4 of the
+    light falls beyond 60 pixels; it is assumed to be uniform.
     """
     camera = open_camera("mono")
     camera = replace(
@@ -312,7 +329,10 @@ def _one_line(plane):
 
 
 def _out_of_focus(plane, confusion, reach=60):
-    """A plane by the pattern of a circle of confusion [pixel], the edge pixels going on; W020 = c / (8 q)."""
+    """Return a plane after the blur by a circle of confusion [pixel]; W020 = c / (8 q).
+
+    The edge pixels continue beyond the frame.
+    """
     from scipy.signal import fftconvolve
 
     q = 550e-9 * DEPTH_LENS.working_f_number / DEPTH_PITCH
@@ -335,9 +355,10 @@ def _pattern(q, waves, reach):
     "100 degrees: energy per solid angle to 1e-3, no holes, more than 2 samples a pixel reported",
 )
 def wide_angle(device):
-    """An even sphere through a lens of equal areas: energy pi f^2 sin^2(theta) within theta, ring by ring.
+    """A uniform sphere through an equal-area lens: energy pi f^2 sin^2(theta) within theta.
 
-    A pinhole has the irradiance cos^4; the distortion brings it to the radius 2 f sin(theta / 2), and conserves energy.
+    A pinhole has the irradiance cos^4. The distortion moves it to the radius 2 f sin(theta / 2) and
+    conserves energy.
     """
     half, n, focal = np.radians(50), 240, open_camera("mono").optics.focal_length
     angles = np.linspace(0, np.radians(52), 53)

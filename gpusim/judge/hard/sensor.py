@@ -16,9 +16,10 @@ from gpusim.pipeline.report import Error
 
 
 def clipped_error(mean: float, photon: str) -> float:
-    """Error of the mean of counts in a well as deep as their mean [e-], by the sampler's own map.
+    """Return the error of the mean of counts in a well as deep as their mean [e-].
 
-    E max(k - m, 0) = m P(k = floor(m)): the mean deviation by de Moivre, over 2.
+    The distribution is from the map of the sampler. E max(k - m, 0) = m P(k = floor(m)): half the
+    mean deviation of de Moivre.
     """
     from scipy import stats
 
@@ -79,7 +80,10 @@ def saturation(device):
 
 
 def _converter(end, device, gain=100.0, sigma=0.5, size=2048):
-    """Error of the mean of numbers clipped in the middle of their noise [e-]; it has a sigma of 1.4e-4."""
+    """Return the error of the mean of numbers that are clipped in the middle of their noise [e-].
+
+    Its standard deviation is 1.4e-4.
+    """
     black = 300.0 if end == "black" else 65535 - 300.0
     level = (0 if end == "black" else 65535) - black  # [DN] above black
     mean = np.full((size, size), max(level, 0) / gain, f32)
@@ -161,7 +165,10 @@ def rounding(device):
 
 @case(28, "many frames", "10 000 frames averaged: mean <= 1e-6 relative, nothing lost in the sum")
 def many_frames(device):
-    """4e7 numbers of a relative 1e-3 leave 1.6e-7, 1e7 of them 3e-7. The sum of 700 frames, beyond 2^24, is exact."""
+    """4e7 numbers with a relative noise of 1e-3 leave 1.6e-7, and 1e7 of them leave 3e-7.
+
+    The sum of 700 frames exceeds 2^24 and is exact.
+    """
     from scipy import stats
 
     level, count, found = 1e6, 10_000, []
