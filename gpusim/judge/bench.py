@@ -23,7 +23,7 @@ CHAINS, CPU_STEPS, GPU_STEPS = (
     10,
     100_000,
     16_384,
-)  # of `fma_gflops`; steps enough to hide launching
+)  # of `fma_gflops`; enough steps to hide launch times
 
 
 def ceilings(device: Device) -> dict:
@@ -75,7 +75,7 @@ def fma_gflops(device: Device) -> float:
                 group=(1,) if is_cpu else None,
             )
         best_ms = min(best_ms, ms["common.fma"])
-    # rounded to float32 a is off by 6e-8 of 1, which 1 / (1 - a) makes 6e-6; what rounding adds is as small
+    # float32 rounds a by 6e-8, which 1 / (1 - a) makes 6e-6; rounding adds as little
     if not np.allclose(device.numpy(out), CHAINS * b / (1 - a), rtol=1e-4):
         raise DeviceError(
             f"{device.name}: a kernel of multiplications and additions gave other sums than it should"

@@ -31,8 +31,8 @@ LATER = (
     "sensor.meter",
     "sensor.pattern",
     "sensor.chip",
-)  # stages beside the mean electrons
-REPEATS, SECONDS = 5, 2.0  # frames of a point, at least, and the time that they may take beyond
+)  # stages that are not part of the mean electrons
+REPEATS, SECONDS = 5, 2.0  # frames per point, at least, and time for more [s]
 
 
 def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
@@ -231,7 +231,7 @@ def draw(rows: list[dict], path, title: str):
             (max(row["rms"], 1e-8), row["ms"], row["point"]) for row in rows if row["kind"] == kind
         )
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
-        for number, (x, y, name) in enumerate(points):  # beside one another above and below
+        for number, (x, y, name) in enumerate(points):  # neighbours alternate above and below
             axes.annotate(
                 name,
                 (x, y),

@@ -16,11 +16,11 @@ from gpusim.kernels.stage import public_function, stage_module
 from gpusim.pipeline.cost import of_bench, of_plan
 from gpusim.pipeline.developer import Developer
 
-SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
-GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
-REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
-SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
-IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to wait
+SIZES = ((96, 128), (480, 640))  # rows and columns of a stage's benchmarks
+GPU_SIZES = ((96, 128), (720, 1280))  # the same for GPUs; smaller ones do not fill them
+REFERENCE_SIZES = ((16, 24), (48, 64))  # the same for the slow NumPy reference
+SECONDS = 0.08  # for repetitions of a stage at one size, after it is built
+IN_A_ROW = 100  # repetitions at most on a GPU, whose clock slows down after a pause
 
 
 class Speeds:
@@ -87,10 +87,10 @@ class Speeds:
             function(**resident, device=self.device)
 
         with noted(tape if self.device.is_gpu else None):
-            run()  # and built
+            run()  # builds the kernels
         if (
             self.device.is_gpu and tape.is_replayable
-        ):  # as in a program's frames, where nothing small is copied again
+        ):  # as in the frames of a program, which copy no small arrays again
             run = tape.replay
         warm = time.perf_counter() + SECONDS / 4
         while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:

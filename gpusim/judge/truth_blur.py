@@ -125,7 +125,7 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
     whole = all(np.abs(place - np.rint(place)).max() < 1e-9 for place in apart)
     first = [place[0] if whole else 0.0 for place in places]
     rest = apart if whole else places
-    # of a real world the other half of the columns is the conjugate at the opposite frequencies
+    # the other half of the columns is the conjugate at the opposite frequencies
     twice = np.where((np.arange(len(fx)) == 0) | (2 * np.arange(len(fx)) == period[1]), 1.0, 2.0)
     folded, seen, even = np.zeros(spectrum.shape, complex), 0.0, 0.0
     for a, b in _replicas(cut):

@@ -30,11 +30,11 @@ MODES: dict[str, Any] = {
 RIM, FARTHEST = (
     32,
     512,
-)  # [sample] around the scene that take part in the series, beside those that are shown, at most
+)  # [sample] around the scene in the series: beyond the displaced places, and at most
 FINER, PARTS = (
     2.0,
     4,
-)  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
+)  # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 
 
 def axis_of(camera, shape) -> tuple[float, float]:
@@ -113,7 +113,7 @@ def band_limited(planes, y, x, border: str) -> np.ndarray:
     for at, n, more, length in zip((y, x), planes.shape[1:], rim, lengths, strict=True):
         if border == "zero":
             inside &= (at > -more) & (at < n - 1 + more)
-        if border != "reflect":  # of a mirrored world the series is itself
+        if border != "reflect":  # the series is mirrored already
             at = np.clip(at, -more, n - 1 + more)
         at = 2 * (at + more)
         first = np.ceil(at - TAPS / 2).astype(int)

@@ -16,7 +16,7 @@ from gpusim.judge.verify import verify
 def _open_channel():
     """Return a function that sends messages by the standard output, which other code then does not write to."""
     channel = os.dup(1)
-    os.dup2(2, 1)  # what a driver or a kernel prints goes to the standard error
+    os.dup2(2, 1)  # drivers and kernels now print to the standard error
 
     def send(**message):
         os.write(channel, json.dumps(message).encode() + b"\n")

@@ -37,9 +37,7 @@ def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]
         case = CASES[number]
         try:
             got, limit, why = case.run(device)
-        except (
-            Exception
-        ) as error:  # whatever a driver raises, the row says it and the other cases go on
+        except Exception as error:  # a driver may raise anything; the next cases are still judged
             got, limit, why = float("inf"), 0.0, f"{type(error).__name__}: {error}".splitlines()[0]
         got = float(got) if got == got else float("inf")
         yield {

@@ -20,8 +20,8 @@ LAGS = (
     (0, 16),
     (16, 0),
     (0, 128),
-)  # vectors of 8, groups of 16 of them
-FEW = 20  # a product of two numbers of mean m has skewness 1 / (m sqrt n) over n; this makes it exp(1) at SIGMAS
+)  # across vectors of 8 and groups of 16
+FEW = 20  # a product of two counts of mean m has skewness 1 / (m sqrt n) over n: exp(1) at SIGMAS
 
 
 def two_sided(z) -> float:

@@ -149,7 +149,7 @@ def wider_than_a_tile(device):
     )
     seen = (
         np.abs(alone - whole[:, :24, :24]).max() / whole.max()
-    )  # what a tile misses without its surroundings
+    )  # light that a tile misses without its surroundings
     return worst(
         Found(
             np.abs(tiled - whole).max() / whole.max(),
@@ -175,7 +175,7 @@ def slanted_edge(rows: int, cols: int) -> np.ndarray:
     a, b = np.cos(ANGLE), np.sin(ANGLE)
     y, x = np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1])[:, None, None] / 2
     distance = a * x + b * y
-    # area of {a u + b v > -distance} in the unit square about 0: positive parts squared over 2 a b, at its corners
+    # area of {a u + b v > -distance} in the unit square: squared positive parts at the corners, / 2 a b
     corners = [
         (1, distance + (a + b) / 2),
         (-1, distance + (a - b) / 2),

@@ -206,7 +206,7 @@ def seam(shape, blur, device) -> float:
     """
     largest = 0.0
     for plane in (np.ones(shape), 1 + 0.01 * np.arange(shape[1]) * np.ones(shape)):
-        # the mirrored ramp has a kink of its own at the border
+        # the mirrored ramp has a kink at the border
         image = blurred(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
         for axis in (0, 1):
             second = np.diff(image, 2, axis=axis)

@@ -177,7 +177,7 @@ def thirteen_decades(device):
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
     scene = Scene(Cube(WAVELENGTHS, values), unit_light(WAVELENGTHS))
     found = [_dark("float32, 1e-7 .. 1e6", values, scene, device)]
-    try:  # as numbers of float16, 1e6 is infinite
+    try:  # 1e6 is infinite in float16
         with np.errstate(over="ignore"):
             half = values.astype(np.float16)
         found.append(
@@ -191,7 +191,7 @@ def thirteen_decades(device):
         how = "taken"
     except GpusimError:
         how = "refused"
-    # what float16 can hold: the nine decades below its largest number, rounded by 2^-11 = 4.9e-4
+    # the nine decades of float16 below its largest number, rounded by 2^-11 = 4.9e-4
     held = with_points(np.full((40, 60), 1e-4), [(11, 13), (30, 44)], [6e4, 6e4], [None, 20])
     half = Scene(Cube(WAVELENGTHS, held.astype(np.float16)), unit_light(WAVELENGTHS))
     return worst(

@@ -9,7 +9,7 @@ MILD, STRONG = (
     (0.7, 0.5, 0.4),
     (2.5, 2.0, 1.2),
 )  # coma, astigmatism, field curvature at the corner [wave]
-PIXELS = 64  # of the window that a point's light is computed in
+PIXELS = 64  # side of the window around a point
 
 
 def spectrum(height, angle, waves, oversampling):

@@ -53,7 +53,7 @@ def step(predicate, shape):
         middle = np.clip((low + high + 1) // 2, 0, STEPS - 1)
         found = predicate((middle + 0.5) / STEPS)
         low, high = np.where(found, low, middle), np.where(found, middle, high)
-        low = np.where(low == STEPS - 1, STEPS, low)  # none at all
+        low = np.where(low == STEPS - 1, STEPS, low)  # for none
     return high
 
 
@@ -104,7 +104,7 @@ def exact_expansion_probabilities(mean):
     return k[:-1], np.diff(below) / STEPS
 
 
-MAPS = {  # search, expansion, where one follows the other
+MAPS = {  # search, expansion, and the mean at which the expansion begins
     "fast": (search_probabilities, expansion_probabilities, FAST),
     "exact": (exact_search_probabilities, exact_expansion_probabilities, EXACT),
 }

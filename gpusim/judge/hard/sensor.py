@@ -100,7 +100,7 @@ def _converter(end, device, gain=100.0, sigma=0.5, size=2048):
         seed=2,
         device=device,
     )
-    half = sigma / np.sqrt(2 * np.pi)  # mean of the half of a normal distribution that is left
+    half = sigma / np.sqrt(2 * np.pi)  # mean of the remaining half of a normal distribution
     return abs(
         (dn.mean(dtype=np.float64) - black) / gain
         - (level / gain + (half if end == "black" else -half))
@@ -124,7 +124,7 @@ def darkness(device):
         n, rate = k.size, float(f32(1e-4))
         found += [
             Found(abs(k.sum() - n * rate) / np.sqrt(n * rate), 5, f"mean [sigma], {photon}"),
-            # of the squares n (m + 2 m^2) is the variance
+            # the squares have the variance n (m + 2 m^2)
             Found(
                 abs(((k - rate) ** 2).sum() - n * rate) / np.sqrt(n * (rate + 2 * rate**2)),
                 5,

@@ -61,7 +61,7 @@ def open_to_all(camera=CAMERA):
         sensor=sensor,
         optics=replace(camera.optics, model="none"),
         processor=replace(camera.processor, color="none"),
-    )  # one line alone has no colours
+    )  # a single line has no colours
 
 
 def integrals(light: Spectrum) -> np.ndarray:
@@ -142,7 +142,7 @@ CELL, HALF, ACROSS = (
     16,
     7,
     35,
-)  # [pixel] from point to point of the sweep, around each that count; points in a row
+)  # [pixel] between points, and around each; points in a row
 SWEEP = np.arange(400.0, 701.0)
 
 
