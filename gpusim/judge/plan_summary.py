@@ -46,7 +46,7 @@ class Forecast:
         front = tuple(
             sorted(
                 (
-                    (sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
+                    (sum(frame_ms(simulator, _vary_plan(plan, option), speeds).values()), option)
                     for option in plan.front
                 ),
                 key=lambda one: one[0],
@@ -126,7 +126,7 @@ class Forecast:
         ]
 
 
-def _varied(plan, option):
+def _vary_plan(plan, option):
     """Return the plan with the cost-relevant fields of another option."""
     count, channels = option.planes, len(plan.weights)
     table = (

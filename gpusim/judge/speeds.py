@@ -54,7 +54,7 @@ class Speeds:
                 if self.device.is_gpu
                 else SIZES
             )
-            (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
+            (low, small), (high, large) = (self._time_stage(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
             if self.cache is not None:
@@ -74,7 +74,7 @@ class Speeds:
             found[stage] = always + unit * amount
         return found
 
-    def _timed(self, stage, rows, cols):
+    def _time_stage(self, stage, rows, cols):
         """Return the work of the stage benchmark and its median time [ms], with resident arrays."""
         inputs = stage_module(stage).bench(rows, cols)
         resident = {

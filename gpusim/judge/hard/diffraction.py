@@ -144,11 +144,11 @@ def wider_than_a_tile(device):
             tiled[:, y : y + 24, x : x + 24] = blur(
                 window, tables, mix, "zero", period, margin, device=device
             )
-    alone = blur(
+    single = blur(
         np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device
     )
     seen = (
-        np.abs(alone - whole[:, :24, :24]).max() / whole.max()
+        np.abs(single - whole[:, :24, :24]).max() / whole.max()
     )  # light that a tile misses without its surroundings
     return worst(
         Found(
@@ -156,7 +156,7 @@ def wider_than_a_tile(device):
             1e-5,
             "largest difference over the brightest pixel",
         ),
-        Found(0.05 / seen, 1.0, "0.05 over what a tile alone misses"),
+        Found(0.05 / seen, 1.0, "0.05 over the loss of a tile without surroundings"),
     )
 
 
@@ -310,7 +310,7 @@ def _folded_input():
     "folded mosaic",
     "odd sizes, four Bayer phases: the folded frame equals the full one, sampled, to 1e-6",
 )
-def folded(device):
+def folded_mosaic(device):
     found = []
     light, q = _folded_input()
     for cfa in ([[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]]):

@@ -15,7 +15,7 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.io.camera.cameras import open_camera
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case, worst
-from gpusim.judge.hard.lenses import MILD, Q, seidel_lens, spread, textured
+from gpusim.judge.hard.lenses import MILD, Q, make_texture, seidel_lens, spread
 from gpusim.judge.hard.scenes import mean_of
 from gpusim.kernels.optics.field import field
 from gpusim.optics.field import eigen_kernels, overlap_add
@@ -28,7 +28,7 @@ ONE = np.ones((1, 1), np.float32)
 BANDS = np.array([450.0, 550.0, 650.0])
 
 
-def blurred(plane, blur, device, border="reflect", **more):
+def blur_plane(plane, blur, device, border="reflect", **more):
     """Return one plane after the stage `optics.field`."""
     inputs = {
         "planes": plane[None].astype(np.float32),
@@ -76,7 +76,7 @@ def _colour_of(shape, f_number, device):
             relative_illumination="none",
         ),
     )
-    values = np.stack([textured(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
+    values = np.stack([make_texture(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
     simulator, words = (
         Simulator(camera, device=device, tolerance="1e-3"),
@@ -99,7 +99,7 @@ def _colour_of(shape, f_number, device):
         )
     ]
     exact = np.array(
-        [_coloured(values, camera, program.plan.weights[0], place) for place in places]
+        [_pixel_electrons(values, camera, program.plan.weights[0], place) for place in places]
     )
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not frame.report.verdict.met:
@@ -113,7 +113,7 @@ def _colour_of(shape, f_number, device):
     )
 
 
-def _coloured(values, camera, weights, place, reach=60):
+def _pixel_electrons(values, camera, weights, place, reach=60):
     """Return the electrons of one pixel; beyond `reach` the light is assumed to be uniform."""
     optics, total = camera.optics, 0.0
     rows, cols = values.shape[1:]
@@ -137,7 +137,7 @@ def _coloured(values, camera, weights, place, reach=60):
     return total
 
 
-_defocused = cache(truth.defocused)
+_defocused = cache(truth.defocused_airy)
 
 
 @cache
@@ -187,7 +187,7 @@ def quadrants(device):
     for y, x in ((20, 20), (20, 140), (100, 20), (100, 140)):
         plane = np.zeros(shape, np.float32)
         plane[y, x] = 1
-        image = blurred(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
+        image = blur_plane(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
         wanted = exact(np.array([[y, x]]))[0, 0]
         for axis in (0, 1):
             centroid, true = (
@@ -207,7 +207,7 @@ def seam(shape, blur, device) -> float:
     largest = 0.0
     for plane in (np.ones(shape), 1 + 0.01 * np.arange(shape[1]) * np.ones(shape)):
         # the mirrored ramp has a kink at the border
-        image = blurred(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
+        image = blur_plane(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
         for axis in (0, 1):
             second = np.diff(image, 2, axis=axis)
             largest = max(
@@ -284,7 +284,7 @@ def depth_edge(device):
     size, found = 96, []
     y, x = np.indices((size, size))
     disc = (np.hypot(y - size / 2 + 0.3, x - size / 2) < 26).astype(float)
-    front, back = 0.5 * textured((size, size), 1), textured((size, size), 2)
+    front, back = 0.5 * make_texture((size, size), 1), make_texture((size, size), 2)
     for order, (near, far) in {"near sharp": (0.0, 8.0), "far sharp": (-8.0, 0.0)}.items():
         distances = _distance(near), _distance(far)
         behind = Scene(
@@ -307,16 +307,18 @@ def depth_edge(device):
             depth=np.where(disc > 0, *distances),
         )
         report = simulator(picture).report
-        told = report.beside | {name: bound.rms for name, bound in report.account.bounds.items()}
-        told = max(
-            told.get(name, 0.0)
+        reported = report.beside | {
+            name: bound.rms for name, bound in report.account.bounds.items()
+        }
+        reported = max(
+            reported.get(name, 0.0)
             for name in ("depth, if without layers", "depth, occlusion left out")
         )
         found.append(
             Found(
-                1e-2 / max(told, 1e-300),
+                1e-2 / max(reported, 1e-300),
                 1.0,
-                f"1e-2 over {told:.2g}, reported without layers, {order}",
+                f"1e-2 over {reported:.2g}, reported without layers, {order}",
             )
         )
     return worst(*found)
@@ -345,7 +347,7 @@ def _out_of_focus(plane, confusion, reach=60):
 @cache
 def _pattern(q, waves, reach):
     at = np.arange(reach + 1)
-    light = truth.defocused(q, waves, 1.5 * reach + 2)
+    light = truth.defocused_airy(q, waves, 1.5 * reach + 2)
     return truth.whole(truth.in_pixels(light, at, at, int(np.ceil(6 + 3 / q))))
 
 
@@ -382,9 +384,9 @@ def wide_angle(device):
         ring, before = now - before, now
         wrong = max(wrong, abs(ring[0] / ring[1] - 1))
     squeezed = distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=0.4), (64, 64), 1.4e-6)
-    is_told = squeezed.ratio[1] > 2 and "more than 2 samples per pixel" in squeezed.report
+    is_reported = squeezed.ratio[1] > 2 and "more than 2 samples per pixel" in squeezed.report
     return worst(
         Found(wrong, 1e-3, "energy of a ring of angles"),
         Found(np.count_nonzero(mean <= 0), 0, "holes"),
-        Found(0.0 if is_told else 1.0, 0, "2.5 samples a pixel not reported"),
+        Found(0.0 if is_reported else 1.0, 0, "2.5 samples a pixel not reported"),
     )

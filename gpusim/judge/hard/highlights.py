@@ -74,7 +74,7 @@ def in_the_dark(device):
     "coloured highlights",
     "20 narrow-band points of 1e4 .. 1e6, natural background: <= 0.1 sigma at 2000 e-",
 )
-def coloured(device):
+def coloured_highlights(device):
     scene = replace(natural((160, 112), surfaces="munsell"), border="zero")
     random = np.random.default_rng(3)
     places = np.stack([random.integers(0, 112, 20), random.integers(0, 160, 20)], axis=1)

@@ -92,7 +92,7 @@ def seidel_lens(shape, waves, size):
     return lens
 
 
-def textured(shape, seed):
+def make_texture(shape, seed):
     """Return a positive scene of amplitude spectrum 1/f, with mean 1 and RMS contrast 0.3."""
     random = np.random.default_rng(seed)
     f = np.hypot(np.fft.fftfreq(2 * shape[0])[:, None], np.fft.fftfreq(2 * shape[1]))
@@ -103,7 +103,7 @@ def textured(shape, seed):
     return np.maximum(scene, 0.02)
 
 
-def scattered(plane, lens, border):
+def scatter(plane, lens, border):
     """Return a plane after a brute-force blur.
 
     Every source pixel, also of the surroundings, spreads the kernel of its own place.
@@ -126,7 +126,7 @@ def scattered(plane, lens, border):
     return out[2 * half : 2 * half + rows, 2 * half : 2 * half + cols]
 
 
-def scattered_at(plane, lens, points):
+def scatter_at(plane, lens, points):
     """Return single pixels of a large frame after the same blur, shape (points,).
 
     The points must be half a kernel or more away from the border. Kernels of the source pixels in

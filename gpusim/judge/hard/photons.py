@@ -87,7 +87,7 @@ def kinds(device) -> list[str]:
     return ["fast", "exact"] if device.has_fp64 else ["fast"]
 
 
-def differing(device, photon, mean) -> int:
+def count_differing(device, photon, mean) -> int:
     """Return the number of pixels whose counts differ from the reference."""
     found, wanted = (
         electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy"))
@@ -138,7 +138,7 @@ def poisson_numbers(device):
                 abs(rare / -np.expm1(-float(f32(1e-8))) - 1), 1e-2, f"P(photon) at 1e-8, {photon}"
             ),
             Found(
-                differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)),
+                count_differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)),
                 0,
                 "counts that are not the reference's",
             ),
@@ -207,7 +207,7 @@ def ramp(device):
         plane = np.tile(MAPS[photon][2] + np.linspace(-0.5, 0.5, 256), (128, 1))
         found += [
             Found(steps(photon), 3e-4, f"largest step, {photon}"),
-            Found(differing(device, photon, plane), 0, "counts that are not the reference's"),
+            Found(count_differing(device, photon, plane), 0, "counts that are not the reference's"),
         ]
     return worst(*found)
 
@@ -264,7 +264,7 @@ RELAXED = "-cl-denorms-are-zero -cl-fast-relaxed-math"
 
 
 @contextmanager
-def relaxed(device):
+def open_relaxed(device):
     """Yield a second device that builds programs without denormals and with fast mathematics.
 
     It is None for NumPy, and for Warp, whose noise kernels set their compiler options.
@@ -304,7 +304,7 @@ def fast_mathematics(device):
         return found
 
     found = of(device, "as built")
-    with relaxed(device) as other:
+    with open_relaxed(device) as other:
         words = "" if other else "; no other build, the kernels state their compiler's options"
         found += of(other, "fast math") if other else []
     most = max(

@@ -65,7 +65,9 @@ def red_and_blue():
     return (
         made,
         values,
-        truth.mosaic_of(truth.repeated(values.astype(float), made.q, weights, made.period), CFA),
+        truth.mosaic_of(
+            truth.blur_periodic(values.astype(float), made.q, weights, made.period), CFA
+        ),
     )
 
 
@@ -85,7 +87,7 @@ def grey_edge():
         scene,
         made,
         values,
-        truth.mosaic_of(truth.repeated(values, made.q, made.weights, made.period), CFA),
+        truth.mosaic_of(truth.blur_periodic(values, made.q, made.weights, made.period), CFA),
     )
 
 
@@ -116,7 +118,7 @@ def numerical_rank(device):
 @case(
     29,
     "error in one 8 x 8 tile",
-    "lines of other wavelengths in one tile of an even frame: the check sees >= 50 % "
+    "lines of other wavelengths in one tile of an even frame: the prediction is >= 50 % "
     "of the largest error",
 )
 def one_tile(device):
@@ -134,9 +136,9 @@ def one_tile(device):
         truth.spread(values.astype(float) - 0.5, q, weights), CFA
     )
     sigma = np.abs(frame.mean - exact) / np.sqrt(np.maximum(exact + camera.sensor.read_sigma**2, 1))
-    seen = frame.report.account.total.max_sigma
+    predicted = frame.report.account.total.max_sigma
     return Found(
-        sigma.max() / seen,
+        sigma.max() / predicted,
         2.0,
-        f"true maximum, {sigma.max():.2g} sigma, over the one seen, {seen:.2g}",
+        f"true maximum, {sigma.max():.2g} sigma, over the predicted {predicted:.2g}",
     )

@@ -9,7 +9,14 @@ from gpusim.domain.noise import Noise
 from gpusim.judge.hard.acceptance import ALPHA
 from gpusim.judge.hard.case import Found, case, worst
 from gpusim.judge.hard.maps import probabilities
-from gpusim.judge.hard.photons import IDEAL, WITHOUT_CONVERTER, differing, electrons, f32, kinds
+from gpusim.judge.hard.photons import (
+    IDEAL,
+    WITHOUT_CONVERTER,
+    count_differing,
+    electrons,
+    f32,
+    kinds,
+)
 from gpusim.kernels.sensor.noise import noise
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.report import Error
@@ -55,7 +62,7 @@ def saturation(device):
                 f"mean of clipped counts [e-], {photon}",
             ),
             Found(
-                differing(device, photon, np.full((256, 256), 20.0)),
+                count_differing(device, photon, np.full((256, 256), 20.0)),
                 0,
                 "counts that are not the reference's",
             ),
@@ -140,7 +147,7 @@ def darkness(device):
         and some.rms > 0
         and np.isfinite([some.rms, some.max_local, some.p999_sigma, some.max_sigma]).all()
     )
-    return worst(*found, Found(0 if sane else 1, 0, "the error of nothing"))
+    return worst(*found, Found(0 if sane else 1, 0, "the error without light"))
 
 
 @case(27, "rounding", "0.1 and 10 e-/DN: bias <= 1e-3 DN")

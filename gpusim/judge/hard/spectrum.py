@@ -89,7 +89,7 @@ def integrals(light: Spectrum) -> np.ndarray:
     return rates * sensor.pixel_pitch**2 * sensor.fill_factor * np.pi / (1 + 4 * optics.f_number**2)
 
 
-def counted(light: Spectrum, count: int, device) -> np.ndarray:
+def simulate_patches(light: Spectrum, count: int, device) -> np.ndarray:
     """Return the same from the simulator, for a scene with `count` samples of the spectrum."""
     nodes = np.linspace(400, 700, count)
     values = PATCHES.at(nodes).T.reshape(count, 4, 6).astype(np.float32)
@@ -99,7 +99,7 @@ def counted(light: Spectrum, count: int, device) -> np.ndarray:
 
 
 def _largest(light, count, device):
-    return np.abs(counted(light, count, device) / integrals(light) - 1).max()
+    return np.abs(simulate_patches(light, count, device) / integrals(light) - 1).max()
 
 
 @case(
@@ -121,18 +121,18 @@ def fluorescent(device):
     "light of 2 nm lines at 447.3, 523.7, 638.1 nm: <= 0.5 %, 24 patches, all channels",
 )
 def lasers(device):
-    alone = ", ".join(
+    single = ", ".join(
         f"{one[0]} nm {_largest(lines([one], 2.0), 31, device):.1e}" for one in LASERS
     )
     return Found(
-        _largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser alone: {alone})"
+        _largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser only: {single})"
     )
 
 
 @case(7, "low-pressure sodium", "589.0 and 589.6 nm: R/G within 1 % of the truth, 24 patches")
 def sodium(device):
     light = lines(SODIUM, 0.02)
-    found, exact = counted(light, 31, device), integrals(light)
+    found, exact = simulate_patches(light, 31, device), integrals(light)
     return Found(
         np.abs((found[0] / found[1]) / (exact[0] / exact[1]) - 1).max(), 1e-2, "R/G, 31 samples"
     )
@@ -150,7 +150,7 @@ SWEEP = np.arange(400.0, 701.0)
     8,
     "monochromatic sweep",
     "points of 400 .. 700 nm by 1 nm: guaranteed mode <= 1e-3; without it the report says "
-    "where spectra are outside of what is likely",
+    "that the spectra are unlikely",
 )
 def sweep(device):
     """Four points of each line, one in each phase of the mosaic, on uniform ground of 550 nm.
@@ -267,11 +267,11 @@ def _outside_of_the_likely(device):
     ):
         report = frame.report
         error = truth.relative(frame.mean.astype(float), exact)
-        told = report.account.total.rms
-        shown = max(1e-3, 2.5 * told) if report.verdict.met else np.inf
+        reported = report.account.total.rms
+        shown = max(1e-3, 2.5 * reported) if report.verdict.met else np.inf
         yield Found(
             error / shown,
             1.0,
-            f"lines {words}: error {error:.1e} over what the report tells, {told:.1e}"
+            f"lines {words}: error {error:.1e} over the reported {reported:.1e}"
             + ("" if report.verdict.met else ", NOT met"),
         )

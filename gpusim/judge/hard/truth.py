@@ -31,7 +31,7 @@ def airy(radius, q: float) -> np.ndarray:
     return np.pi / (4 * q * q) * (2 * j1(v) / v) ** 2
 
 
-def defocused(q: float, waves: float, reach: float):
+def defocused_airy(q: float, waves: float, reach: float):
     """Return the same out of focus, as a function of the distance [pixel].
 
     The integral of J0 over the pupil, in a table of 24 entries per ring.
@@ -159,7 +159,7 @@ def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def repeated(values, q, weights, period) -> np.ndarray:
+def blur_periodic(values, q, weights, period) -> np.ndarray:
     """Return channels in a world that continues its outermost pixels and repeats with `period`.
 
     It is computed band by band, and judges stages that transform a period.
