@@ -152,18 +152,19 @@ def _check_outputs(outputs, arguments):
 
 def _verify(arguments):
     from gpusim.io.atomic import check_output
-    from gpusim.judge.verify import verify
+    from gpusim.judge.verify import verify_devices
 
     check_output(arguments.json)
     if arguments.hard:
         return _verify_hard(arguments)
-    devices, broken = _devices(arguments.device)
-    rows = broken + [row for device in devices for row in verify(device, _stages(arguments.stage))]
-    for row in rows:
+    rows = []
+    for row in verify_devices(arguments.device, _stages(arguments.stage)):
+        rows.append(row)
         print(
             f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
             f"(tolerance {row['tolerance']:8.2e})  {row['case']}"
-            + ("" if row["ok"] else f": {row['why']}")
+            + ("" if row["ok"] else f": {row['why']}"),
+            flush=True,
         )
     failed = sum(not row["ok"] for row in rows)
     print(f"{len(rows) - failed} passed, {failed} failed")

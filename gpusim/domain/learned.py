@@ -132,7 +132,7 @@ class Code:
             return np.asarray(raw, np.float64) - self.black_level
         y = np.asarray(raw, np.float32) + np.float32(self.offset - self.black_level)
         code = np.copysign(np.sqrt(np.abs(y)), y) - np.float32(np.sqrt(self.offset))
-        return np.floor(np.float64(code * np.float32(factors)) * GRAIN + 0.5) / GRAIN
+        return np.floor(np.asarray(code * np.float32(factors), np.float64) * GRAIN + 0.5) / GRAIN
 
     def decode(self, code):
         """Return the signal above black [DN] of a code."""

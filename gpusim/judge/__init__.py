@@ -1,1 +1,1 @@
-"""What judges gpusim: truth, verification, benchmarks, forecasts, hard cases."""
+"""Judges of gpusim: truth, verification, benchmarks, forecasts, hard cases."""

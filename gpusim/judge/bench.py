@@ -1,4 +1,7 @@
-"""Speed against error of every stage: `gpusim bench`. A stage that fails its verification gets no speed."""
+"""Speed against error of every stage: `gpusim bench`.
+
+A stage that fails its verification gets no speed.
+"""
 
 import time
 from collections.abc import Iterator
@@ -19,21 +22,35 @@ CHAINS, CPU_STEPS, GPU_STEPS = (
     10,
     100_000,
     16_384,
-)  # of `fma_gflops`; steps enough to hide launching
+)  # of `fma_gflops`; enough steps to hide launch times
 
 
 def ceilings(device: Device) -> dict:
-    """Measured limits of a device: copy_gbps [GB/s] and fma_gflops [GFLOP/s]; None on the NumPy device."""
+    """Return the measured limits of a device.
+
+    Args:
+        device: The device.
+
+    Returns:
+        copy_gbps [GB/s] and fma_gflops [GFLOP/s]; both None on the NumPy device.
+    """
     if device.kind == "numpy":
         return {"copy_gbps": None, "fma_gflops": None}
     return {"copy_gbps": copy_gbps(device), "fma_gflops": fma_gflops(device)}
 
 
 def fma_gflops(device: Device) -> float:
-    """Measured float32 throughput [GFLOP/s], an operation being a multiplication or an addition; best of ten.
+    """Return the measured float32 throughput [GFLOP/s], the best of ten.
 
-    The kernel does s = s a + b in chains that do not wait for one another and stay in registers, as wide as the
-    device's vectors, on all work-items at once. Raises DeviceError when the sums are not what the recurrence tends to.
+    A multiplication and an addition are one operation each. The kernel computes s = s a + b in
+    independent chains that stay in registers, as wide as the vectors of the device, on all
+    work-items at once.
+
+    Args:
+        device: An OpenCL or Warp device.
+
+    Raises:
+        DeviceError: The sums are wrong.
     """
     is_cpu = not device.is_gpu
     items, steps = (64, CPU_STEPS) if is_cpu else (2**18, GPU_STEPS)
@@ -57,7 +74,7 @@ def fma_gflops(device: Device) -> float:
                 group=(1,) if is_cpu else None,
             )
         best_ms = min(best_ms, ms["common.fma"])
-    # rounded to float32 a is off by 6e-8 of 1, which 1 / (1 - a) makes 6e-6; what rounding adds is as small
+    # float32 rounds a by 6e-8, which 1 / (1 - a) makes 6e-6; rounding adds as little
     if not np.allclose(device.numpy(out), CHAINS * b / (1 - a), rtol=1e-4):
         raise DeviceError(
             f"{device.name}: a kernel of multiplications and additions gave other sums than it should"
@@ -72,15 +89,24 @@ def bench(
     seconds: float = 2.0,
     limits: dict | None = None,
 ) -> Iterator[dict]:
-    """One row per stage.
+    """Yield one row per stage.
 
-    size: rows and columns. seconds: time spent on repeating one stage. limits: the device's `ceilings`, if measured.
-    Keys: stage, device, size, ms_p25, ms_p50, ms_p75 (device events plus host library calls), bytes (what must be read
-    and written once: inputs and results), gbps, operations (multiplications and additions, where the stage's contract
-    says them, else None), gflops, floor_ms (bytes at the measured copy bandwidth, or operations at the measured rate
-    of multiplications and additions if that takes longer), bound ("memory" or "arithmetic"; None where operations are
-    not known), ratio_to_floor, build_ms (compilation, or loading what was cached), rel_rms_error and max_error (over
-    the largest value) against float64; or, for a stage that fails its verification, stage, device and failed (why).
+    Args:
+        device: The device.
+        stages: Names of stages; None for all.
+        size: Rows and columns.
+        seconds: Time to spend on repetitions of one stage [s].
+        limits: The `ceilings` of the device; None measures them.
+
+    Yields:
+        Rows with stage, device, size, ms_p25, ms_p50, ms_p75 (device events plus host library
+        calls), bytes (inputs and results, read and written once), gbps, operations (multiplications
+        and additions; None if the stage does not count them), gflops, floor_ms (the larger of the
+        time for the bytes at the measured copy bandwidth and for the operations at the measured
+        throughput), bound ("memory" or "arithmetic"; None if the operations are not known),
+        ratio_to_floor, build_ms (compilation, or loading from a cache), rel_rms_error and max_error
+        (relative to the largest value) against float64. A stage that fails its verification has
+        only stage, device and failed (the reason).
     """
     limits = ceilings(device) if limits is None else limits
     for name in stages or stage_names():
@@ -120,7 +146,7 @@ def bench(
 
 
 def _floor(moved, operations, p50, limits):
-    """The least time that the device's limits allow, what sets it, and how many times as long the stage takes."""
+    """Return the least time within the device limits, the limit that sets it, and the ratio."""
     if limits["copy_gbps"] is None:
         return {"floor_ms": None, "bound": None, "ratio_to_floor": None}
     memory = moved / limits["copy_gbps"] / 1e6
@@ -134,6 +160,7 @@ def _floor(moved, operations, p50, limits):
 
 
 def _errors(name, device):
+    """Return the relative RMS error and the largest error over the largest value."""
     inputs = stage_module(name).bench(*ERROR_SIZE)
     result = np.asarray(public_function(name)(**inputs, device=device), np.float64)
     reference = np.asarray(public_function(name)(**inputs, device="numpy"), np.float64)
@@ -143,7 +170,7 @@ def _errors(name, device):
 
 
 def _measure(name, device, size, seconds):
-    """Milliseconds of each repetition with all arrays on the device, bytes of inputs and result, and operations."""
+    """Return the times of the repetitions [ms], bytes of inputs and result, and operations."""
     module = stage_module(name)
     inputs = module.bench(*size)
     moved = sum(value.nbytes for value in inputs.values() if isinstance(value, np.ndarray))

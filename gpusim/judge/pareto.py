@@ -1,8 +1,9 @@
-"""Time against true error of a scene, by plans along the front and beside them: `gpusim bench --pareto`.
+"""Time against true error of a scene for a range of plans: `gpusim bench --pareto`.
 
-Time is that of the electrons' mean, from a scene's samples on the device, after the first frame. Beside the plans stand
-what a user of SciPy writes, in float32 with as many workers as cores: each band by its own transfer function, and each
-channel by its mean one; and the float64 truth that all are judged by.
+The time is for the mean electrons, from scene samples on the device, after the first frame. For
+comparison there are the implementations that a user of SciPy would write, in float32 with one
+worker per core: each band with its own transfer function, and each channel with its mean one. The
+float64 truth judges all of them.
 """
 
 import os
@@ -30,16 +31,27 @@ LATER = (
     "sensor.meter",
     "sensor.pattern",
     "sensor.chip",
-)  # stages beside the mean electrons
-REPEATS, SECONDS = 5, 2.0  # frames of a point, at least, and the time that they may take beyond
+)  # stages that are not part of the mean electrons
+REPEATS, SECONDS = 5, 2.0  # frames per point, at least, and time for more [s]
 
 
 def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
-    """One row per point.
+    """Yield one row per point.
 
-    Keys: point (its name), kind ("plan", "exact", "scipy" or "truth"), tolerance, ms, predicted_ms (of the whole frame,
-    of plans alone), rms, p999_sigma, max_sigma (true), predicted (the rms), met, words. Raises as a simulation and
-    `verify` do.
+    Args:
+        camera: A camera whose blur is the same all over the field.
+        scene: The scene.
+        device: The device to time.
+
+    Yields:
+        Rows with point (its name), kind ("plan", "exact", "scipy" or "truth"), tolerance, ms,
+        predicted_ms (of the whole frame; only for plans), the true errors rms, p999_sigma and
+        max_sigma, predicted (the predicted rms), met, and words.
+
+    Raises:
+        BadData: The blur varies over the field.
+        OutOfRange: The truth does not support this camera and scene.
+        DoesNotFit: The truth needs more memory than there is.
     """
     require_truth(camera, scene)
     if camera.optics.varies:
@@ -105,7 +117,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
 
 def _frames(simulator, scene, seconds):
-    """Median milliseconds of the mean electrons of copies of a scene, these electrons, and the plan."""
+    """Return the median time [ms] for copies of a scene, the mean electrons, and the plan."""
     program = simulator.program(scene, seconds)
     times: list[float] = []
     stop = time.perf_counter() + SECONDS
@@ -122,7 +134,10 @@ def _frames(simulator, scene, seconds):
 
 
 def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
-    """What a user of SciPy writes: functions that give the mean electrons, for cameras of a mosaic of whole samples."""
+    """Return the functions that a user of SciPy would write, each for the mean electrons, by name.
+
+    The result is empty for cameras that they cannot simulate: they need a mosaic of whole samples.
+    """
     exact = Simulator(camera, device="numpy")
     plan = exact.plan(scene)
     if (
@@ -183,7 +198,7 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
 
 
 def _whole(tables, period):
-    """Half spectra (L, rows, cols // 2 + 1) from real quarters, or from complex halves as pairs of numbers."""
+    """Return half spectra (L, rows, cols // 2 + 1) from real quarters or from complex halves."""
     rows, cols = period[0], period[1] // 2 + 1
     if tables.shape[1:] == (rows // 2 + 1, cols):
         return tables[:, np.minimum(np.arange(rows), rows - np.arange(rows))]
@@ -192,7 +207,16 @@ def _whole(tables, period):
 
 
 def draw(rows: list[dict], path, title: str):
-    """Write a figure of time against true error. Raises BadData without matplotlib."""
+    """Write a figure of time against true error.
+
+    Args:
+        rows: Rows of `pareto`.
+        path: File to write.
+        title: Title of the figure.
+
+    Raises:
+        BadData: Matplotlib is not installed.
+    """
     try:
         import matplotlib
     except ImportError:
@@ -207,7 +231,7 @@ def draw(rows: list[dict], path, title: str):
             (max(row["rms"], 1e-8), row["ms"], row["point"]) for row in rows if row["kind"] == kind
         )
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
-        for number, (x, y, name) in enumerate(points):  # beside one another above and below
+        for number, (x, y, name) in enumerate(points):  # neighbours alternate above and below
             axes.annotate(
                 name,
                 (x, y),

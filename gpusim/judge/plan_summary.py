@@ -1,4 +1,4 @@
-"""What a plan will do, err and cost, before any frame: `gpusim plan`."""
+"""Summary of a plan before any frame: its models, predicted errors and cost: `gpusim plan`."""
 
 from dataclasses import asdict, dataclass, replace
 
@@ -16,10 +16,14 @@ BAR = 30  # letters of the longest bar
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """A plan, and what a frame by it takes on a device.
+    """A plan, and the predicted time of its frames on a device.
 
-    ms: of every stage of a frame after the first. device: its name. front: the options that were cheaper or more
-    accurate, and what a frame by each takes there [ms], from the fastest on.
+    Attributes:
+        plan: The plan.
+        device: Name of the device.
+        ms: Predicted time of every stage of a frame after the first [ms].
+        front: Alternatives that are cheaper or more accurate, each with its time per frame on the
+            device [ms], fastest first.
     """
 
     plan: Plan
@@ -29,12 +33,20 @@ class Forecast:
 
     @classmethod
     def of(cls, simulator: Simulator, scene: Scene) -> "Forecast":
-        """For a scene. Raises as `Simulator.plan` does."""
+        """Return the forecast for a scene.
+
+        Args:
+            simulator: Camera, device and tolerance.
+            scene: The scene.
+
+        Raises:
+            GpusimError: As `Simulator.plan` does.
+        """
         plan, speeds = simulator.plan(scene), Speeds(simulator.device)
         front = tuple(
             sorted(
                 (
-                    (sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
+                    (sum(frame_ms(simulator, _vary_plan(plan, option), speeds).values()), option)
                     for option in plan.front
                 ),
                 key=lambda one: one[0],
@@ -47,7 +59,7 @@ class Forecast:
         return self.plan.tolerance or Tolerance(rms=1.0)
 
     def as_dict(self) -> dict:
-        """Plain data, for JSON."""
+        """Return plain data for JSON."""
         plan = self.plan
         return {
             "plan": plan.name,
@@ -100,7 +112,7 @@ class Forecast:
         return "\n".join(lines)
 
     def _errors(self):
-        """A bar for every error, of the figure that the tolerance binds most."""
+        """Return one line with a bar per error, in the figure that is closest to the tolerance."""
         bounds = self.plan.account.bounds
         _, figure, *_, unit = self.plan.account.total.nearest(self._tolerance)
         values = {name: getattr(bound, figure) for name, bound in bounds.items() if bound.is_known}
@@ -114,8 +126,8 @@ class Forecast:
         ]
 
 
-def _varied(plan, option):
-    """The plan as far as its cost goes, by another option."""
+def _vary_plan(plan, option):
+    """Return the plan with the cost-relevant fields of another option."""
     count, channels = option.planes, len(plan.weights)
     table = (
         None

@@ -1,4 +1,7 @@
-"""How fast a device runs each stage: measured once, kept in the user's cache folder, and what a frame takes by it."""
+"""Predicted time of a frame, from the measured speed of every stage on a device.
+
+Speeds are measured once and stored in the user's cache folder.
+"""
 
 import json
 import time
@@ -15,17 +18,19 @@ from gpusim.kernels.stage import public_function, stage_module
 from gpusim.optics.splines import multiplications
 from gpusim.pipeline.step import steps_needed
 
-SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
-GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
-REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
-SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
-IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to wait
+SIZES = ((96, 128), (480, 640))  # rows and columns of a stage's benchmarks
+GPU_SIZES = ((96, 128), (720, 1280))  # the same for GPUs; smaller ones do not fill them
+REFERENCE_SIZES = ((16, 24), (48, 64))  # the same for the slow NumPy reference
+SECONDS = 0.08  # for repetitions of a stage at one size, after it is built
+IN_A_ROW = 100  # repetitions at most on a GPU, whose clock slows down after a pause
 
 
 class Speeds:
-    """Milliseconds of a stage by its work: a part that is always taken, and one for each unit of `Step.work`.
+    """Time of a stage as a function of its work: a constant part, and a part per unit of `Step.work`.
 
-    device: what they are of. cache: file in which they are kept, None for none.
+    Args:
+        device: The device.
+        cache: File that stores the speeds; None for the default file in the user's cache folder.
     """
 
     def __init__(self, device: Device, cache: Path | None = None):
@@ -36,7 +41,13 @@ class Speeds:
         self.known: dict[str, list[float]] = self._read()
 
     def of(self, stage: str) -> tuple[float, float]:
-        """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
+        """Return the constant time of a stage and its time per unit of work [ms].
+
+        They are measured if they are not known.
+
+        Args:
+            stage: Name of the stage.
+        """
         if stage not in self.known:
             sizes = (
                 REFERENCE_SIZES
@@ -45,7 +56,7 @@ class Speeds:
                 if self.device.is_gpu
                 else SIZES
             )
-            (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
+            (low, small), (high, large) = (self._time_stage(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
             if self.cache is not None:
@@ -54,15 +65,19 @@ class Speeds:
         return always, unit
 
     def ms(self, work: dict[str, float]) -> dict[str, float]:
-        """Milliseconds of every stage of a frame."""
+        """Return the time of every stage of a frame [ms].
+
+        Args:
+            work: Units of work by stage.
+        """
         found = {}
         for stage, amount in work.items():
             always, unit = self.of(stage)
             found[stage] = always + unit * amount
         return found
 
-    def _timed(self, stage, rows, cols):
-        """Work of a stage's benchmark, and its median milliseconds with its arrays on the device."""
+    def _time_stage(self, stage, rows, cols):
+        """Return the work of the stage benchmark and its median time [ms], with resident arrays."""
         inputs = stage_module(stage).bench(rows, cols)
         resident = {
             key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
@@ -74,10 +89,10 @@ class Speeds:
             function(**resident, device=self.device)
 
         with noted(tape if self.device.is_gpu else None):
-            run()  # and built
+            run()  # builds the kernels
         if (
             self.device.is_gpu and tape.is_replayable
-        ):  # as in a program's frames, where nothing small is copied again
+        ):  # as in the frames of a program, which copy no small arrays again
             run = tape.replay
         warm = time.perf_counter() + SECONDS / 4
         while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:
@@ -104,10 +119,12 @@ class Speeds:
 
 
 def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
-    """Predicted milliseconds of every stage of a frame by a plan, after the first of its kind.
+    """Return the predicted time of every stage of a frame after the first [ms].
 
-    simulator: a `gpusim.pipeline.simulator.Simulator` with the plan's camera. speeds: of its device, measured by
-    default.
+    Args:
+        simulator: A `gpusim.pipeline.simulator.Simulator` with the camera of the plan.
+        plan: The plan.
+        speeds: Speeds of the simulator's device; None measures them.
     """
     speeds = Speeds(simulator.device) if speeds is None else speeds
     work: dict[str, float] = {}

@@ -65,7 +65,16 @@ def require_truth(camera, scene):
 
 
 def true_error(simulator, scene, exposure) -> Error:
-    """Error of an exposure's mean electrons; simulator: by which it was made. Raises DoesNotFit."""
+    """Return the error of the mean electrons of an exposure.
+
+    Args:
+        simulator: The simulator that made the exposure.
+        scene: The scene.
+        exposure: The exposure.
+
+    Raises:
+        DoesNotFit: The truth needs more memory than there is.
+    """
     camera = simulator.camera
     error = Error.between(*seen(simulator, scene, exposure), camera.sensor.read_sigma)
     if camera.optics.varies and len(blocks(scene.shape)) > 1:
@@ -75,7 +84,11 @@ def true_error(simulator, scene, exposure) -> Error:
 
 
 def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
-    """Mean electrons of an exposure and their truth; of a large frame whose blur varies in parts of it, one row."""
+    """Return the mean electrons of an exposure, and their truth.
+
+    For a large frame with a blur that varies over the field, both are one row of samples from
+    `blocks`.
+    """
     mean, camera = np.array(simulator.device.numpy(exposure.mean), np.float32), simulator.camera
     parts = blocks(scene.shape) if camera.optics.varies else [(slice(None), slice(None))]
     found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
@@ -89,10 +102,22 @@ def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
-    """Mean electrons of every pixel, float64, shape (rows, cols) or, of stacked pixels, (C, rows, cols).
+    """Return the mean electrons of every pixel, float64.
 
-    simulator: the class `Simulator`, which imports this module. plan: of the frame, of which the truth knows nothing.
-    Light between points that are sampled too coarsely may come out negative, and stays so. Raises DoesNotFit.
+    Light between points that are sampled too coarsely may be negative, and is not clipped.
+
+    Args:
+        simulator: The class `Simulator`, which imports this module.
+        camera: The camera.
+        scene: The scene.
+        plan: Plan of the frame; the truth does not use it.
+        exposure_time: [s].
+
+    Returns:
+        Shape (rows, cols), or (C, rows, cols) for stacked pixels.
+
+    Raises:
+        DoesNotFit: The truth needs more memory than there is.
     """
     del plan
     return _electrons(
@@ -101,7 +126,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
 
 
 def _electrons(simulator, camera, scene, exposure_time, parts):
-    """Mean electrons of parts of a frame: see `true_mean`."""
+    """Return the mean electrons of parts of a frame: see `true_mean`."""
     optics, cfa = camera.optics, camera.sensor.cfa_indices
     light = placed_light(camera, scene)
     if optics.model == "none":
@@ -134,7 +159,7 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
 
 
 def _rates_by_depth(simulator, camera, scene, light):
-    """Electrons per second of every pixel in every channel, (C, rows, cols), by a depth plan of the reference's own."""
+    """Return electrons per second (C, rows, cols), with a depth plan of the reference."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))
     reach = simulator(camera, device="numpy").plan(scene).depth.reach

@@ -46,9 +46,13 @@ def period_of(
 
 
 def blurred_rates(light, camera, scene) -> np.ndarray:
-    """Electrons per second of every pixel in every channel before fall-off, (C, rows, cols).
+    """Return electrons per second of every pixel in every channel before fall-off, (C, rows, cols).
 
-    light: of every wavelength where the lens puts it, (L, rows, cols), with the scene's margin.
+    Args:
+        light: Light of every wavelength at its place in the image, (L, rows, cols), with the margin
+            of the scene.
+        camera: The camera.
+        scene: The scene.
     """
     optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
     weights, pitch = electrons_per_content(scene, camera), sensor.pixel_pitch / ratio
@@ -79,7 +83,16 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
 
 
 def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
-    """What light from beyond the transforms adds at places (rows, cols) among the samples; weights: times q, (C, L)."""
+    """Return the light from beyond the transforms, (C, rows, cols), or 0.
+
+    Args:
+        weights: Electrons per content times q, shape (C, L).
+        light: As for `blurred_rates`.
+        optics: The lens.
+        scene: The scene.
+        period: Rows and columns of the transforms.
+        places: Rows and columns of the pixels among the samples.
+    """
     border, tail = rule_of(scene.border), tail_of(optics)
     if border == "reflect" or not tail:
         return 0.0
@@ -101,17 +114,18 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
 
 
 def _at_pixels(spectrum, period, transfer, cut, wide, places):
-    """Mean irradiance over the apertures, of points with this spectrum, over that of even points of 1; and the latter.
+    """Return the mean irradiance over the apertures relative to a uniform scene, and the latter.
 
-    transfer: of the lens at fy, fx [cycle/sample], 0 from `cut` on; of a cut of 0 it is that of the pixels already.
-    wide: height and width of the apertures. places: their rows and columns in the period [sample].
+    transfer: Transfer function of the lens at fy, fx [cycle/sample], 0 from `cut` on. If cut is 0,
+    it includes the pixels. wide: Height and width of the apertures. places: Their rows and columns
+    in the period [sample].
     """
     fy, fx = np.fft.fftfreq(period[0]), np.arange(period[1] // 2 + 1) / period[1]
     apart = [place - place[0] for place in places]
     whole = all(np.abs(place - np.rint(place)).max() < 1e-9 for place in apart)
     first = [place[0] if whole else 0.0 for place in places]
     rest = apart if whole else places
-    # of a real world the other half of the columns is the conjugate at the opposite frequencies
+    # the other half of the columns is the conjugate at the opposite frequencies
     twice = np.where((np.arange(len(fx)) == 0) | (2 * np.arange(len(fx)) == period[1]), 1.0, 2.0)
     folded, seen, even = np.zeros(spectrum.shape, complex), 0.0, 0.0
     for a, b in _replicas(cut):
@@ -142,7 +156,7 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
 
 
 def _replicas(cut):
-    """Whole frequencies, along rows and columns, around which samples repeat what the lens passes."""
+    """Return the whole frequencies around which sampling repeats the spectrum of the lens."""
     reach = range(-ceil(cut + 0.5), ceil(cut + 0.5) + 1) if cut else (0,)
     return [(a, b) for a in reach for b in reach]
 

@@ -1,8 +1,8 @@
-"""The truth's geometry: light where the lens and a view put it, and what it loses toward the corner, float64.
+"""The geometry of the truth: displaced light and fall-off, float64.
 
-Between its samples a scene is band-limited: the Fourier series through them and their mirror image, after as much of
-what its border says as a place can be outside. Where a place of the image comes from is found by Newton's method for
-every place by itself, from the camera's own model.
+Between its samples a scene is band-limited: the Fourier series through the samples and their mirror
+image, after an extension by the rule of the border. Newton's method finds the source of every place
+in the image, from the model of the camera.
 """
 
 from math import ceil
@@ -30,15 +30,15 @@ MODES: dict[str, Any] = {
 RIM, FARTHEST = (
     32,
     512,
-)  # [sample] around the scene that take part in the series, beside those that are shown, at most
+)  # [sample] around the scene in the series: beyond the displaced places, and at most
 FINER, PARTS = (
     2.0,
     4,
-)  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
+)  # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 
 
 def axis_of(camera, shape) -> tuple[float, float]:
-    """Where the optical axis meets a frame of `shape`, from its middle, (rows, cols) [pixel]."""
+    """Return the place of the optical axis, from the middle of a frame, (rows, cols) [pixel]."""
     distortion, pitch = camera.optics.distortion, camera.sensor.pixel_pitch
     model = None if distortion is None else framed(distortion, shape, pitch)
     if not isinstance(model, Framed):
@@ -48,7 +48,10 @@ def axis_of(camera, shape) -> tuple[float, float]:
 
 
 def placed_light(camera, scene) -> np.ndarray:
-    """Light of every wavelength where the lens and the view put it, shape (L, rows, cols) of the scene's samples."""
+    """Return the light of every wavelength at its place in the image, (L, rows, cols).
+
+    The distortion of the lens and the view of the scene displace it.
+    """
     light = scene.content.on_host().bands_at(slice(None))
     distortion = camera.optics.distortion
     if distortion is None and scene.view.is_plain:
@@ -61,7 +64,7 @@ def placed_light(camera, scene) -> np.ndarray:
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
-        """Rows and columns of the scene that places of the image show, and the light's area over the image's."""
+        """Return rows and columns of the source, and its area relative to the image."""
         y, x = np.broadcast_arrays(y, x)
         flux = np.ones(y.shape)
         if model is not None:
@@ -84,13 +87,23 @@ def placed_light(camera, scene) -> np.ndarray:
 
 
 def _most_samples(source, y, x):
-    """Most samples of the scene from one place of the image to the next."""
+    """Return the most scene samples from one place of the image to the next."""
     at = np.stack(source(y[:, None], x)[:2])
     return max(np.hypot(*np.diff(at, axis=axis)).max(initial=0) for axis in (1, 2))
 
 
 def band_limited(planes, y, x, border: str) -> np.ndarray:
-    """Values of planes (L, rows, cols) at places (y, x) [sample], of one shape, between and beyond the samples."""
+    """Return values of planes between and beyond their samples.
+
+    Args:
+        planes: Shape (L, rows, cols).
+        y: Rows of the places [sample].
+        x: Columns of the places [sample], with the shape of y.
+        border: Rule of the border.
+
+    Returns:
+        Shape (L, *y.shape).
+    """
     rim = [
         0 if border == "reflect" else int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
         for at, n in zip((y, x), planes.shape[1:], strict=True)
@@ -100,7 +113,7 @@ def band_limited(planes, y, x, border: str) -> np.ndarray:
     for at, n, more, length in zip((y, x), planes.shape[1:], rim, lengths, strict=True):
         if border == "zero":
             inside &= (at > -more) & (at < n - 1 + more)
-        if border != "reflect":  # of a mirrored world the series is itself
+        if border != "reflect":  # the series is mirrored already
             at = np.clip(at, -more, n - 1 + more)
         at = 2 * (at + more)
         first = np.ceil(at - TAPS / 2).astype(int)
@@ -129,13 +142,19 @@ def _kernel(t):
 
 
 def _kernel_transform(f):
-    """Transform of `_kernel` at f [cycle per fine sample], below 1/4, where the root is real."""
+    """Return the transform of `_kernel` at f [cycle/fine sample], |f| < 1/4."""
     root = np.sqrt(SHAPE**2 - (np.pi * TAPS * f) ** 2)
     return TAPS * np.sinh(root) / root
 
 
 def falloff_gain(camera, scene) -> np.ndarray:
-    """Light of every pixel over that on the axis, (rows, cols): lens, microlenses and pixels. Raises OutOfRange."""
+    """Return the light of every pixel relative to the axis, (rows, cols).
+
+    It includes the lens, the microlenses and the vignetting of the pixels.
+
+    Raises:
+        OutOfRange: A table of the relative illumination ends before the corner of the frame.
+    """
     optics, sensor, shape, pitch = (
         camera.optics,
         camera.sensor,
@@ -166,7 +185,7 @@ def falloff_gain(camera, scene) -> np.ndarray:
 
 
 def _tangent(camera, scene):
-    """Tangent of the angle from the axis at which every pixel's light comes, (rows, cols)."""
+    """Return the tangent of the angle of incidence in object space, (rows, cols)."""
     optics, sensor = camera.optics, camera.sensor
     slope = sensor.pixel_pitch / optics.image_distance
     if scene.fov:
@@ -188,9 +207,10 @@ def _tangent(camera, scene):
 
 
 def pixel_places(camera, scene) -> list[np.ndarray]:
-    """Middles of the light-sensitive parts of the pixels' rows and columns among the scene's samples [sample].
+    """Return the centres of the light-sensitive areas among the scene's samples [sample].
 
-    The frame is in the middle of the samples; whole pixels of samples begin on whole samples.
+    The frame is in the middle of the samples. If a pixel is a whole number of samples, it begins
+    with a sample.
     """
     ratio, places = float(scene.samples_per_pixel), []
     for n, pixels, move in zip(scene.samples, scene.shape, camera.sensor.displacement, strict=True):
@@ -201,7 +221,7 @@ def pixel_places(camera, scene) -> list[np.ndarray]:
 
 
 def plain_rates(channels, camera, scene) -> np.ndarray:
-    """Channels (C, rows, cols) at the pixels without any blur: samples are even over their cells."""
+    """Return channels (C, rows, cols) at the pixels without blur; samples fill their cells."""
     out = channels
     widths = [
         side / camera.sensor.pixel_pitch * scene.samples_per_pixel

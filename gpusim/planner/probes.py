@@ -305,5 +305,6 @@ def _mean_squares(values):
     values, power = in_range(values)
     rows, cols = values.shape[-2:]
     return np.ldexp(
-        np.float64(np.einsum("...yx,...yx->...", values, values) / (rows * cols)), 2 * power
+        np.asarray(np.einsum("...yx,...yx->...", values, values) / (rows * cols), np.float64),
+        2 * power,
     )

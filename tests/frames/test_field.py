@@ -9,9 +9,9 @@ from devices import DEVICES, KINDS
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.judge.hard.field import ONE, SIZE, measured_lens, of_mild_lens, seam
-from gpusim.judge.hard.field import blurred as blurred_on
-from gpusim.judge.hard.lenses import MILD, STRONG, kernel, scattered, scattered_at, seidel_lens
-from gpusim.judge.hard.lenses import textured as natural
+from gpusim.judge.hard.field import blur_plane as blurred_on
+from gpusim.judge.hard.lenses import MILD, STRONG, kernel, scatter, scatter_at, seidel_lens
+from gpusim.judge.hard.lenses import make_texture as natural
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.optics.field import choose, eigen_kernels, image_error, overlap_add
 
@@ -30,7 +30,7 @@ def test_a_kernel_at_every_pixel_is_the_brute_force(device, border):
     plane = natural(shape, 5)
     blur = overlap_add(lens, shape, shape, window="bilinear")
     assert blur.error[0] < 1e-12
-    truth = scattered(plane, lens, border)
+    truth = scatter(plane, lens, border)
     assert np.abs(blurred(plane, blur, device, border) - truth).max() < 2.5e-6 * truth.max()
 
 
@@ -40,7 +40,7 @@ def check_accuracy(shape, points, waves, make, bound):
     plane = natural(shape, 1).astype(np.float32).astype(np.float64)
     random = np.random.default_rng(0)
     at = np.stack([random.integers(SIZE // 2, n - SIZE // 2, points) for n in shape], axis=1)
-    truth = scattered_at(plane, lens, at)
+    truth = scatter_at(plane, lens, at)
     blur = make(lens)
     error = blurred(plane, blur, DEVICES[0])[at[:, 0], at[:, 1]] - truth
     true = np.sqrt(np.mean(error**2) / np.mean(truth**2))

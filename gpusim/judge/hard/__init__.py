@@ -1,7 +1,8 @@
-"""Thirty hard cases, each with the figure that it must keep: `gpusim verify --hard`, and what the tests run.
+"""Thirty hard cases, each with the figure that it must keep: `gpusim verify --hard`, and the tests.
 
-Truth is float64 NumPy that shares nothing with what it judges: sums in real space for blurs, distributions from
-probability theory, integrals between the breakpoints of tables. Each file has the cases of one subject.
+The truth is float64 NumPy that shares no code with the tested part: sums in real space for blurs,
+distributions from probability theory, integrals between the breakpoints of tables. Each file has
+the cases of one subject.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,10 +15,21 @@ SUBJECTS = ("highlights", "spectrum", "diffraction", "field", "photons", "sensor
 
 
 def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]:
-    """One row per case: number, name, device, asked, got, limit, ok, why (what the figure is).
+    """Yield one row per case.
 
-    numbers: of the cases, by default all. A case that raises on the device gives a row with an infinite figure and the
-    reason in `why`: a device that fails is a failure, never a skip. Raises KeyError for a number that is none.
+    A case that raises an exception on the device gives a row with an infinite figure, and the next
+    case follows.
+
+    Args:
+        device: The device.
+        numbers: Numbers of cases; None for all.
+
+    Yields:
+        Rows with number, name, device, asked (the criterion), got (the figure), limit, ok, and why
+        (the meaning of the figure, or the reason of the failure).
+
+    Raises:
+        KeyError: There is no case of this number.
     """
     for subject in SUBJECTS:
         import_module(f"gpusim.judge.hard.{subject}")
@@ -25,9 +37,7 @@ def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]
         case = CASES[number]
         try:
             got, limit, why = case.run(device)
-        except (
-            Exception
-        ) as error:  # whatever a driver raises, the row says it and the other cases go on
+        except Exception as error:  # a driver may raise anything; the next cases are still judged
             got, limit, why = float("inf"), 0.0, f"{type(error).__name__}: {error}".splitlines()[0]
         got = float(got) if got == got else float("inf")
         yield {

@@ -1,7 +1,7 @@
-"""The acceptance suite of random numbers: p-values of a sample against independent Poisson numbers, by test.
+"""The acceptance suite of random numbers: p-values of a sample against independent Poisson numbers.
 
-Every statistical test has a fixed seed and fails at a p-value below ALPHA, the chance that a right sampler with new
-random numbers would fail it.
+Every statistical test has a fixed seed. It fails at a p-value below ALPHA, the probability that a
+correct sampler with new random numbers would fail it.
 """
 
 from itertools import combinations
@@ -20,19 +20,24 @@ LAGS = (
     (0, 16),
     (16, 0),
     (0, 128),
-)  # vectors of 8, groups of 16 of them
-FEW = 20  # a product of two numbers of mean m has skewness 1 / (m sqrt n) over n; this makes it exp(1) at SIGMAS
+)  # across vectors of 8 and groups of 16
+FEW = 20  # a product of two counts of mean m has skewness 1 / (m sqrt n) over n: exp(1) at SIGMAS
 
 
 def two_sided(z) -> float:
-    """P-value of a standard normal number."""
+    """Return the two-sided p-value of a standard normal number."""
     from scipy import stats
 
     return float(2 * stats.norm.sf(abs(z)))
 
 
 def p_values(k, mean) -> dict[str, float]:
-    """P-values of a sample of counts, shape (rows, cols), against independent Poisson numbers of this mean."""
+    """Return p-values of a sample against independent Poisson numbers, by test.
+
+    Args:
+        k: Counts, shape (rows, cols).
+        mean: Mean of the Poisson distribution.
+    """
     from scipy import stats
 
     n, k = k.size, np.asarray(k, np.float64)
@@ -81,7 +86,10 @@ def p_values(k, mean) -> dict[str, float]:
 
 
 def _table(values, mean):
-    """P(k < value) and P(k = value) of Poisson numbers k that are rounded to float32, which matters above 2^24."""
+    """Return P(k < value) and P(k = value) of Poisson numbers k that are rounded to float32.
+
+    The rounding matters above 2^24.
+    """
     from scipy import stats
 
     low, mass = stats.poisson.cdf(values - 1, mean), stats.poisson.pmf(values, mean)
@@ -94,7 +102,10 @@ def _table(values, mean):
 
 
 def correlation(first, second, mean) -> float:
-    """P-value of independence of two samples (k - mean) / sqrt(mean); of few photons, of where both have some."""
+    """Return the p-value of independence of two samples (k - mean) / sqrt(mean).
+
+    For few photons it tests the number of pixels in which both have some.
+    """
     from scipy import stats
 
     n = first.size
@@ -106,9 +117,13 @@ def correlation(first, second, mean) -> float:
 
 
 def suite(draw, mean) -> dict[str, float]:
-    """P-values of a sampler at this mean, by test.
+    """Return p-values of a sampler, by test.
 
-    draw: (seed=1, frame=0) -> counts (rows, cols). Frames, seeds and the colours of a mosaic must be independent too.
+    Frames, seeds and the colours of a mosaic must be independent, too.
+
+    Args:
+        draw: Function (seed=1, frame=0) that returns counts (rows, cols).
+        mean: Mean of the counts.
     """
 
     def normalised(k):
@@ -132,6 +147,11 @@ def suite(draw, mean) -> dict[str, float]:
 
 
 def check(draw, mean):
-    """Fail unless the sampler passes at this mean; draw: see `suite`."""
+    """Raise AssertionError unless the sampler passes.
+
+    Args:
+        draw: As for `suite`.
+        mean: Mean of the counts.
+    """
     failed = {name: value for name, value in suite(draw, mean).items() if not value >= ALPHA}
     assert not failed, failed

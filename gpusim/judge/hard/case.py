@@ -1,4 +1,4 @@
-"""What a hard case is: a criterion with its figure, and a function that finds what a device makes of it."""
+"""A hard case: a criterion with its figure, and a function that measures the figure on a device."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,13 @@ from gpusim.backends import Device
 
 
 class Found(NamedTuple):
-    """got: the figure found. limit: the largest allowed. words: what the figure is, and what was found beside."""
+    """The result of one measurement.
+
+    Attributes:
+        got: The measured figure.
+        limit: The largest allowed figure.
+        words: The meaning of the figure, and secondary results.
+    """
 
     got: float
     limit: float
@@ -17,7 +23,14 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One hard case. asked: its criterion, with figures. run: what a device makes of it."""
+    """One hard case.
+
+    Attributes:
+        number: Its number.
+        name: Its name.
+        asked: Its criterion, with figures.
+        run: Function that measures the figure on a device.
+    """
 
     number: int
     name: str
@@ -29,7 +42,7 @@ CASES: dict[int, Case] = {}
 
 
 def case(number: int, name: str, asked: str):
-    """Make a function (device) -> Found the case of this number."""
+    """Return a decorator that registers a function (device) -> Found as the case of this number."""
 
     def add(run):
         CASES[number] = Case(number, name, asked, run)
@@ -39,9 +52,9 @@ def case(number: int, name: str, asked: str):
 
 
 def worst(*found: Found) -> Found:
-    """The one that is nearest to its limit or farthest beyond, with the words of all; every one is asked for.
+    """Return the result that is closest to its limit or farthest beyond, with the words of all.
 
-    A limit of 0 allows nothing: any more is infinitely far beyond.
+    A limit of 0 allows nothing: any larger figure is infinitely far beyond it.
     """
 
     def ratio(one):

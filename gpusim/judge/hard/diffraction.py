@@ -34,9 +34,9 @@ PLANS: dict[str, dict] = {
     "any spectrum: electrons to 1e-6 in every plan, truncated kernels too; sums of energy to 1e-6",
 )
 def flat_fields(device):
-    """Relative to a pixel's light in all channels: one may be all but blind to a line.
+    """Errors are relative to a pixel's light in all channels, as one channel may hardly see a line.
 
-    Energy is summed over a whole period, from which nothing is lost.
+    Energy is summed over a whole period, which loses nothing.
     """
     random = np.random.default_rng(4)
     fields = {
@@ -69,7 +69,7 @@ def flat_fields(device):
 
 
 def _flat(simulator, wavelengths, fields):
-    """Largest error of even frames' electrons, over a pixel's in all channels; fields: their spectra."""
+    """Return the largest error of uniform frames of these spectra, over all channels of a pixel."""
     wrong = 0.0
     for spectrum in fields:
         values = np.tile(spectrum[:, None, None], (1, 36, 48)).astype(np.float32)
@@ -81,7 +81,7 @@ def _flat(simulator, wavelengths, fields):
 
 
 def _energy(device, options):
-    """Largest relative error of a channel's electrons in all, all pixels having every channel."""
+    """Return the largest relative error of the total electrons per channel, for stacked pixels."""
     values = np.zeros((31, 64, 64), np.float32)
     values[:, 16:48, 8:56] = natural((48, 32)).content.values
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT, "zero")
@@ -97,7 +97,7 @@ def _energy(device, options):
     "f/1.8, 4 um (Q = 0.25), 9 sub-pixel places: flux to 1e-4 at all, kernels <= 1e-3 of the peak",
 )
 def moved_points(device):
-    """The point is moved by a wavefront's slope, -2 Q of it, before the pixels integrate."""
+    """A wavefront with slope s moves the point by -2 Q s before the pixels integrate."""
     q, period, size = 550e-9 * 1.8 / 4e-6, (96, 96), 9
     light = np.zeros((1, size, size), np.float32)
     light[0, size // 2, size // 2] = 1
@@ -122,9 +122,10 @@ def moved_points(device):
     "f/16, 1.0 um (Q = 6 .. 11): tiles of 24 pixels equal the untiled frame to 1e-5",
 )
 def wider_than_a_tile(device):
-    """Tiles are cut with the surroundings that they see, which hold all of the scene, at another place of the period.
+    """Tiles are cut together with their surroundings, which hold all of the scene.
 
-    Tables are folded from the transfer function of a circle in float64.
+    They lie at another place of the period. Tables are folded from the transfer function of a
+    circle in float64.
     """
     planes, lines = natural((72, 72)).content.values[[5, 15, 25]], WAVELENGTHS[[5, 15, 25]]
     margin, period, mix = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
@@ -143,19 +144,19 @@ def wider_than_a_tile(device):
             tiled[:, y : y + 24, x : x + 24] = blur(
                 window, tables, mix, "zero", period, margin, device=device
             )
-    alone = blur(
+    single = blur(
         np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device
     )
     seen = (
-        np.abs(alone - whole[:, :24, :24]).max() / whole.max()
-    )  # what a tile misses without its surroundings
+        np.abs(single - whole[:, :24, :24]).max() / whole.max()
+    )  # light that a tile misses without its surroundings
     return worst(
         Found(
             np.abs(tiled - whole).max() / whole.max(),
             1e-5,
             "largest difference over the brightest pixel",
         ),
-        Found(0.05 / seen, 1.0, "0.05 over what a tile alone misses"),
+        Found(0.05 / seen, 1.0, "0.05 over the loss of a tile without surroundings"),
     )
 
 
@@ -166,14 +167,15 @@ DARK, BRIGHT = 0.1, 1.0
 
 
 def slanted_edge(rows: int, cols: int) -> np.ndarray:
-    """Light share of every sample: the area right of a line through the middle, ANGLE from the columns; exact.
+    """Return the share of every sample that lies to the right of a slanted line through the middle.
 
-    The integral of the ramp that a line cuts off a unit square: second differences of the cube's half, x |x|^2 / 6.
+    The line is ANGLE from the columns. The integral of the ramp that a line cuts off a unit square
+    is a second difference of half the cube, x |x|^2 / 6.
     """
     a, b = np.cos(ANGLE), np.sin(ANGLE)
     y, x = np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1])[:, None, None] / 2
     distance = a * x + b * y
-    # area of {a u + b v > -distance} in the unit square about 0: positive parts squared over 2 a b, at its corners
+    # area of {a u + b v > -distance} in the unit square: squared positive parts at the corners, / 2 a b
     corners = [
         (1, distance + (a + b) / 2),
         (-1, distance + (a - b) / 2),
@@ -184,9 +186,10 @@ def slanted_edge(rows: int, cols: int) -> np.ndarray:
 
 
 def _fitted_edge(image):
-    """Column at which a straight line crosses the first row, and its columns per row, through the rows' centroids.
+    """Return the column at which a straight line crosses the first row, and its columns per row.
 
-    The centroids are taken within a window about the last fit, so that the tails' ends weigh the same on both sides.
+    The line goes through the centroids of the rows. Each centroid is computed in a window about the
+    last fit, to weight both tails equally.
     """
     rows, cols = image.shape
     slope = np.diff(image, axis=1)
@@ -200,10 +203,11 @@ def _fitted_edge(image):
 
 
 def mtf50(image) -> tuple[float, float]:
-    """MTF50 [cycles per pixel] and the edge's tilt.
+    """Return the MTF50 [cycle/pixel] and the tilt of the edge.
 
-    MTF(f) = |int exp(-2 pi i f d) dE(d)|, E the pixels in the order of their distances d from the edge: ISO 12233
-    without its quarter-pixel bins, whose pixels are not evenly in them (they cost 0.4 %, measured on the bare edge).
+    MTF(f) = |int exp(-2 pi i f d) dE(d)|, with E the pixels in the order of their distances d from
+    the edge. This is ISO 12233 without its quarter-pixel bins, which pixels fill unevenly (they
+    cost 0.4 %, measured on the bare edge).
     """
     from scipy.optimize import brentq
 
@@ -221,7 +225,10 @@ def mtf50(image) -> tuple[float, float]:
 
 
 def system_mtf50(q: float, aperture: float, fine: float) -> float:
-    """Where pupil x pixel x scene sample is 0.5 along the edge's normal, folded by `fine` scene samples per pixel."""
+    """Return the frequency at which pupil x pixel x sample is 0.5 along the edge's normal.
+
+    It is folded by `fine` scene samples per pixel.
+    """
     from scipy.optimize import brentq
 
     a, b = np.cos(ANGLE), np.sin(ANGLE)
@@ -249,7 +256,10 @@ def system_mtf50(q: float, aperture: float, fine: float) -> float:
 
 
 def picture(q: float, fill: float, fine: int, device) -> tuple[np.ndarray, float]:
-    """The edge at 550 nm by a monochrome camera, `fine` scene samples per pixel, in units of the scene; and its q."""
+    """Return an image of the edge at 550 nm in units of the scene, and its q.
+
+    The camera is monochrome, with `fine` scene samples per pixel.
+    """
     camera = open_camera("mono")
     sensor = replace(camera.sensor, fill_factor=fill)
     f_number = q * sensor.pixel_pitch / 550e-9
@@ -275,13 +285,13 @@ def picture(q: float, fill: float, fine: int, device) -> tuple[np.ndarray, float
 
 
 def overshoot(image) -> float:
-    """How far the picture goes beyond the edge's two sides, over its step."""
+    """Return the largest excess over the two sides of the edge, relative to its step."""
     return max(image.max() - BRIGHT, DARK - image.min()) / (BRIGHT - DARK)
 
 
 @case(11, "slanted edge", "5 degrees, Q = 1.1: MTF50 within 0.5 %, overshoot <= 1e-4 of the step")
 def edge(device):
-    """A scene of samples is a comb behind a box: the transfer function folded by the comb is what is asked."""
+    """Scene samples are a comb behind a box, so the comb folds the expected transfer."""
     image, q = picture(1.1, 1.0, 1, device)
     return worst(
         Found(abs(mtf50(image)[0] / system_mtf50(q, 1.0, 1) - 1), 5e-3, "MTF50"),
@@ -300,7 +310,7 @@ def _folded_input():
     "folded mosaic",
     "odd sizes, four Bayer phases: the folded frame equals the full one, sampled, to 1e-6",
 )
-def folded(device):
+def folded_mosaic(device):
     found = []
     light, q = _folded_input()
     for cfa in ([[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]]):
@@ -311,9 +321,10 @@ def folded(device):
 
 
 def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
-    """Largest difference of `optics.mosaic` from all channels in full, sampled, and whether its mosaic is folded.
+    """Return the largest error of `optics.mosaic`, and whether it folds the mosaic.
 
-    Twelve kernels of one q each, for 4 planes in 3 channels; the full channels are transformed here, in float64.
+    The reference computes all channels in full, in float64, and samples them. There are twelve
+    kernels of one q each, for 4 planes in 3 channels.
     """
     rows, cols = planes.shape[1:]
     period, is_folded = transform_lengths((rows + 32, cols + 32), np.shape(cfa))

@@ -1,4 +1,4 @@
-"""What changes over the field and with distance: cases 13 to 16 and 30."""
+"""Blur that varies over the field or with distance, and wide angles: cases 13 to 16 and 30."""
 
 from dataclasses import replace
 from functools import cache
@@ -15,7 +15,7 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.io.camera.cameras import open_camera
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case, worst
-from gpusim.judge.hard.lenses import MILD, Q, seidel_lens, spread, textured
+from gpusim.judge.hard.lenses import MILD, Q, make_texture, seidel_lens, spread
 from gpusim.judge.hard.scenes import mean_of
 from gpusim.kernels.optics.field import field
 from gpusim.optics.field import eigen_kernels, overlap_add
@@ -28,8 +28,8 @@ ONE = np.ones((1, 1), np.float32)
 BANDS = np.array([450.0, 550.0, 650.0])
 
 
-def blurred(plane, blur, device, border="reflect", **more):
-    """The stage `optics.field` on one plane."""
+def blur_plane(plane, blur, device, border="reflect", **more):
+    """Return one plane after the stage `optics.field`."""
     inputs = {
         "planes": plane[None].astype(np.float32),
         "mix": ONE,
@@ -47,7 +47,7 @@ def blurred(plane, blur, device, border="reflect", **more):
     "met; never silent",
 )
 def colour(device):
-    """Of a frame of 320 x 240, and of half its size, where a kernel is sheared by twice as much: at f/8 and f/4."""
+    """Frames of 320 x 240 and of half that size, for which a kernel shears twice as fast."""
     return worst(
         _colour_of((240, 320), 8.0, device),
         _colour_of((120, 160), 8.0, device),
@@ -56,7 +56,10 @@ def colour(device):
 
 
 def _colour_of(shape, f_number, device):
-    """Truth at some pixels: light at s lands at s (1 + e), spread by the defocused pattern of its wavelength."""
+    """Compare some pixels with the truth.
+
+    Light from s falls on s (1 + e), spread by the defocused pattern of its wavelength.
+    """
     camera = open_camera("mono")
     lateral = Spectrum(np.array([450.0, 650.0]), np.array([-3.0, 3.0]) / (np.hypot(*shape) / 2))
     axial = Spectrum(
@@ -73,7 +76,7 @@ def _colour_of(shape, f_number, device):
             relative_illumination="none",
         ),
     )
-    values = np.stack([textured(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
+    values = np.stack([make_texture(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
     simulator, words = (
         Simulator(camera, device=device, tolerance="1e-3"),
@@ -96,7 +99,7 @@ def _colour_of(shape, f_number, device):
         )
     ]
     exact = np.array(
-        [_coloured(values, camera, program.plan.weights[0], place) for place in places]
+        [_pixel_electrons(values, camera, program.plan.weights[0], place) for place in places]
     )
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not frame.report.verdict.met:
@@ -110,8 +113,8 @@ def _colour_of(shape, f_number, device):
     )
 
 
-def _coloured(values, camera, weights, place, reach=60):
-    """One pixel's electrons; the light that is spread beyond `reach` is taken as even around."""
+def _pixel_electrons(values, camera, weights, place, reach=60):
+    """Return the electrons of one pixel; beyond `reach` the light is assumed to be uniform."""
     optics, total = camera.optics, 0.0
     rows, cols = values.shape[1:]
     y, x = (np.arange(at - reach, at + reach + 1) for at in place)
@@ -134,12 +137,15 @@ def _coloured(values, camera, weights, place, reach=60):
     return total
 
 
-_defocused = cache(truth.defocused)
+_defocused = cache(truth.defocused_airy)
 
 
 @cache
 def measured_lens(shape, waves, count, size):
-    """The lens of `seidel_lens` from point spreads at `count` field heights, four samples to a pixel, 199 a side."""
+    """Return `seidel_lens` as point spreads at `count` field heights.
+
+    They have four samples per pixel and 199 along a side.
+    """
     heights, pitch = np.linspace(0, 1, count), 550e-9 * 2.8 / Q
     values = np.stack([spread(h, 0.0, waves, 199) for h in heights])[:, None]
     psf = PointSpread(
@@ -164,7 +170,7 @@ def measured_lens(shape, waves, count, size):
 
 @cache
 def coma_by_field_height(shape, size):
-    """Overlap-add of it, nodes 20 pixels apart."""
+    """Return its overlap-add blur, with nodes 20 pixels apart."""
     return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9))
 
 
@@ -174,14 +180,14 @@ def coma_by_field_height(shape, size):
     "corner points: centroids within 0.02 pixel, mirror images to 1e-5 (float32)",
 )
 def quadrants(device):
-    """Spreads by field height, turned; of the largest value of a point's image."""
+    """Point spreads by field height are turned; errors are relative to the peak of the image."""
     shape, size = (121, 161), 25
     blur, exact = coma_by_field_height(shape, size), seidel_lens(shape, MILD, size)
     images, off, offsets = [], 0.0, np.arange(-12, 13)
     for y, x in ((20, 20), (20, 140), (100, 20), (100, 140)):
         plane = np.zeros(shape, np.float32)
         plane[y, x] = 1
-        image = blurred(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
+        image = blur_plane(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
         wanted = exact(np.array([[y, x]]))[0, 0]
         for axis in (0, 1):
             centroid, true = (
@@ -194,11 +200,14 @@ def quadrants(device):
 
 
 def seam(shape, blur, device) -> float:
-    """Largest second difference over the local value, on a flat field and on a ramp of 1 % per pixel."""
+    """Return the largest second difference relative to the local value.
+
+    The scenes are a flat field and a ramp of 1 % per pixel.
+    """
     largest = 0.0
     for plane in (np.ones(shape), 1 + 0.01 * np.arange(shape[1]) * np.ones(shape)):
-        # the mirrored ramp has a kink of its own at the border
-        image = blurred(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
+        # the mirrored ramp has a kink at the border
+        image = blur_plane(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
         for axis in (0, 1):
             second = np.diff(image, 2, axis=axis)
             largest = max(
@@ -210,7 +219,11 @@ def seam(shape, blur, device) -> float:
 
 @cache
 def of_mild_lens(method, shape=(180, 320)):
-    """Its blur by eigen-kernels ("eigen") or by overlap-add in windows of a name; so small a frame varies fast."""
+    """Return the blur of the mild lens by eigen-kernels or by overlap-add.
+
+    method: "eigen", or the name of a window for overlap-add. Over such a small frame the lens
+    varies fast.
+    """
     lens = seidel_lens(shape, MILD, SIZE)
     return (
         eigen_kernels(lens, shape, terms=12)
@@ -241,7 +254,10 @@ DEPTH_LINES = np.array([540.0, 550.0, 560.0])
 
 
 def _distance(confusion):
-    """Distance [m] of a signed circle of confusion [pixel], > 0 beyond the plane in focus: the thin lens, by hand."""
+    """Return the distance [m] for a signed circle of confusion [pixel], by the thin-lens equation.
+
+    The circle is positive beyond the plane in focus.
+    """
     f, d0 = DEPTH_LENS.focal_length, DEPTH_LENS.object_distance
     sensor = 1 / (1 / f - 1 / d0)
     # c = (f / N) (sensor - image) / image, image = 1 / (1 / f - 1 / d)
@@ -256,9 +272,10 @@ def _distance(confusion):
     "1e-2",
 )
 def depth_edge(device):
-    """One line of light. One side is in focus, where the sum of blurred layers is exact.
+    """A scene with one spectral line. One side is in focus, so the sum of blurred layers is exact.
 
-    Patterns are those of a defocused pupil in space; beyond 60 pixels of 8 is 1e-4 of a point's light, taken as even.
+    The patterns are computed in space for a defocused pupil. Of a circle of 8 pixels, 1e-4 of the
+    light falls beyond 60 pixels; it is assumed to be uniform.
     """
     camera = open_camera("mono")
     camera = replace(
@@ -267,7 +284,7 @@ def depth_edge(device):
     size, found = 96, []
     y, x = np.indices((size, size))
     disc = (np.hypot(y - size / 2 + 0.3, x - size / 2) < 26).astype(float)
-    front, back = 0.5 * textured((size, size), 1), textured((size, size), 2)
+    front, back = 0.5 * make_texture((size, size), 1), make_texture((size, size), 2)
     for order, (near, far) in {"near sharp": (0.0, 8.0), "far sharp": (-8.0, 0.0)}.items():
         distances = _distance(near), _distance(far)
         behind = Scene(
@@ -290,16 +307,18 @@ def depth_edge(device):
             depth=np.where(disc > 0, *distances),
         )
         report = simulator(picture).report
-        told = report.beside | {name: bound.rms for name, bound in report.account.bounds.items()}
-        told = max(
-            told.get(name, 0.0)
+        reported = report.beside | {
+            name: bound.rms for name, bound in report.account.bounds.items()
+        }
+        reported = max(
+            reported.get(name, 0.0)
             for name in ("depth, if without layers", "depth, occlusion left out")
         )
         found.append(
             Found(
-                1e-2 / max(told, 1e-300),
+                1e-2 / max(reported, 1e-300),
                 1.0,
-                f"1e-2 over {told:.2g}, reported without layers, {order}",
+                f"1e-2 over {reported:.2g}, reported without layers, {order}",
             )
         )
     return worst(*found)
@@ -312,7 +331,10 @@ def _one_line(plane):
 
 
 def _out_of_focus(plane, confusion, reach=60):
-    """A plane by the pattern of a circle of confusion [pixel], the edge pixels going on; W020 = c / (8 q)."""
+    """Return a plane after the blur by a circle of confusion [pixel]; W020 = c / (8 q).
+
+    The edge pixels continue beyond the frame.
+    """
     from scipy.signal import fftconvolve
 
     q = 550e-9 * DEPTH_LENS.working_f_number / DEPTH_PITCH
@@ -325,7 +347,7 @@ def _out_of_focus(plane, confusion, reach=60):
 @cache
 def _pattern(q, waves, reach):
     at = np.arange(reach + 1)
-    light = truth.defocused(q, waves, 1.5 * reach + 2)
+    light = truth.defocused_airy(q, waves, 1.5 * reach + 2)
     return truth.whole(truth.in_pixels(light, at, at, int(np.ceil(6 + 3 / q))))
 
 
@@ -335,9 +357,10 @@ def _pattern(q, waves, reach):
     "100 degrees: energy per solid angle to 1e-3, no holes, more than 2 samples a pixel reported",
 )
 def wide_angle(device):
-    """An even sphere through a lens of equal areas: energy pi f^2 sin^2(theta) within theta, ring by ring.
+    """A uniform sphere through an equal-area lens: energy pi f^2 sin^2(theta) within theta.
 
-    A pinhole has the irradiance cos^4; the distortion brings it to the radius 2 f sin(theta / 2), and conserves energy.
+    A pinhole has the irradiance cos^4. The distortion moves it to the radius 2 f sin(theta / 2) and
+    conserves energy.
     """
     half, n, focal = np.radians(50), 240, open_camera("mono").optics.focal_length
     angles = np.linspace(0, np.radians(52), 53)
@@ -361,9 +384,9 @@ def wide_angle(device):
         ring, before = now - before, now
         wrong = max(wrong, abs(ring[0] / ring[1] - 1))
     squeezed = distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=0.4), (64, 64), 1.4e-6)
-    is_told = squeezed.ratio[1] > 2 and "more than 2 samples per pixel" in squeezed.report
+    is_reported = squeezed.ratio[1] > 2 and "more than 2 samples per pixel" in squeezed.report
     return worst(
         Found(wrong, 1e-3, "energy of a ring of angles"),
         Found(np.count_nonzero(mean <= 0), 0, "holes"),
-        Found(0.0 if is_told else 1.0, 0, "2.5 samples a pixel not reported"),
+        Found(0.0 if is_reported else 1.0, 0, "2.5 samples a pixel not reported"),
     )

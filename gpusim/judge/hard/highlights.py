@@ -1,4 +1,4 @@
-"""Lights far brighter than what is beside them: cases 1, 2, 3 and 24."""
+"""Lights that are far brighter than their surroundings: cases 1, 2, 3 and 24."""
 
 from dataclasses import replace
 
@@ -16,7 +16,10 @@ from gpusim.pipeline.simulator import Simulator
 
 
 def with_points(background, places, levels, lines) -> np.ndarray:
-    """A cube of a flat spectrum with pixels of one wavelength each, or of all where `lines` has None, float32."""
+    """Return a float32 cube of a flat spectrum, with pixels of one wavelength each.
+
+    An entry of None in `lines` stands for all wavelengths.
+    """
     values = np.full((31, *background.shape), 1.0, np.float32) * background.astype(np.float32)
     for (y, x), level, line in zip(places, levels, lines, strict=True):
         values[:, y, x] = 0
@@ -25,14 +28,15 @@ def with_points(background, places, levels, lines) -> np.ndarray:
 
 
 def q_of(wavelengths) -> np.ndarray:
-    """Wavelength times f-number over pitch of CAMERA."""
+    """Return wavelength times f-number over pitch of CAMERA."""
     return np.asarray(wavelengths) * 1e-9 * 2.8 / 1.4e-6
 
 
 def by_hand(values, scene) -> np.ndarray:
-    """Electrons of an even world with single pixels of other light, each one's pattern integrated over the pixels.
+    """Return the electrons of a uniform world with single pixels of other light.
 
-    The weights of wavelengths, here as in other cases, are judged by cases 5 to 7.
+    The pattern of each one is integrated over the pixels. Cases 5 to 7 judge the weights of the
+    wavelengths.
     """
     values = values.astype(float)
     base, weights = np.median(values, axis=(1, 2)), electrons_per_content(scene, CAMERA)
@@ -70,7 +74,7 @@ def in_the_dark(device):
     "coloured highlights",
     "20 narrow-band points of 1e4 .. 1e6, natural background: <= 0.1 sigma at 2000 e-",
 )
-def coloured(device):
+def coloured_highlights(device):
     scene = replace(natural((160, 112), surfaces="munsell"), border="zero")
     random = np.random.default_rng(3)
     places = np.stack([random.integers(0, 112, 20), random.integers(0, 160, 20)], axis=1)
@@ -97,7 +101,7 @@ def coloured(device):
 
 
 def far_sides(place, shape):
-    """Windows on the sides of a frame that are opposite to a place at its corner or edge."""
+    """Return the windows opposite to a place at the corner or edge of a frame."""
     rows = slice(-24, None) if place[0] < shape[0] / 2 else slice(0, 24)
     cols = slice(-24, None) if place[1] < shape[1] / 2 else slice(0, 24)
     return (rows, slice(None)), (slice(None), cols)
@@ -110,10 +114,12 @@ def far_sides(place, shape):
     "the declared border obeyed",
 )
 def at_the_corner(device):
-    """What a highlight adds, against its pattern in space; opposite is 1e5 times its pattern less than the dark.
+    """Compare the light that a highlight adds with its pattern in space.
 
-    The border is obeyed where a highlight adds what it and its mirror images do, and a dark world nothing: within 1e-3,
-    which the tables of far kernels keep. A mirrored world has light of its own on the opposite side: images.
+    On the opposite side, the pattern is 1e5 times fainter than the dark background. The border rule
+    is kept if a highlight adds its own light and the light of its mirror images, within 1e-3, which
+    the tables of far kernels keep. A dark world adds nothing. A mirrored world has images on the
+    opposite side.
     """
     lines, shape, found = np.array([420.0, 500.0, 550.0, 600.0, 680.0]), (200, 260), []
     q = q_of(lines)
@@ -171,7 +177,7 @@ def thirteen_decades(device):
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
     scene = Scene(Cube(WAVELENGTHS, values), unit_light(WAVELENGTHS))
     found = [_dark("float32, 1e-7 .. 1e6", values, scene, device)]
-    try:  # as numbers of float16, 1e6 is infinite
+    try:  # 1e6 is infinite in float16
         with np.errstate(over="ignore"):
             half = values.astype(np.float16)
         found.append(
@@ -185,7 +191,7 @@ def thirteen_decades(device):
         how = "taken"
     except GpusimError:
         how = "refused"
-    # what float16 can hold: the nine decades below its largest number, rounded by 2^-11 = 4.9e-4
+    # the nine decades of float16 below its largest number, rounded by 2^-11 = 4.9e-4
     held = with_points(np.full((40, 60), 1e-4), [(11, 13), (30, 44)], [6e4, 6e4], [None, 20])
     half = Scene(Cube(WAVELENGTHS, held.astype(np.float16)), unit_light(WAVELENGTHS))
     return worst(

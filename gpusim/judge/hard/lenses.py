@@ -1,4 +1,4 @@
-"""Seidel lenses with kernels by the transform of their pupil: the truth about a varying blur, float64."""
+"""Seidel lenses with kernels from their pupils: the truth for a varying blur, float64."""
 
 import functools
 
@@ -9,14 +9,21 @@ MILD, STRONG = (
     (0.7, 0.5, 0.4),
     (2.5, 2.0, 1.2),
 )  # coma, astigmatism, field curvature at the corner [wave]
-PIXELS = 64  # of the window that a point's light is computed in
+PIXELS = 64  # side of the window around a point
 
 
 def spectrum(height, angle, waves, oversampling):
-    """Transform of the optics-only point spread at relative field `height` in direction `angle` [rad], natural order.
+    """Return the transform of the point spread without pixels, in natural order.
 
-    Sampled `oversampling` (>= 2 > 2/Q) times per pixel; the pupil's edge is one sample wide. The coma is balanced by
-    tilt, as in Zernike's: where light goes is the distortion's part, how it spreads the blur's.
+    It is sampled `oversampling` (>= 2 > 2 / Q) times per pixel, and the edge of the pupil is one
+    sample wide. The coma is balanced by tilt, as in Zernike's: distortion displaces light, blur
+    spreads it.
+
+    Args:
+        height: Relative field height.
+        angle: Direction of the field point [rad].
+        waves: Coma, astigmatism and field curvature [wave].
+        oversampling: Samples per pixel.
     """
     samples = PIXELS * oversampling
     f = (
@@ -37,14 +44,20 @@ def spectrum(height, angle, waves, oversampling):
 
 
 def spread(height, angle, waves, size, oversampling=4):
-    """Optics-only point spread, `size` (odd) samples around the point, `oversampling` per pixel."""
+    """Return the point spread without pixels, shape (size, size).
+
+    size: odd number of samples. oversampling: samples per pixel.
+    """
     values = np.fft.fftshift(np.fft.ifft2(spectrum(height, angle, waves, oversampling)).real)
     middle, half = PIXELS * oversampling // 2, size // 2
     return values[middle - half : middle + half + 1, middle - half : middle + half + 1]
 
 
 def kernel(height, angle, waves, size):
-    """Pixel-integrated kernel (size, size), size odd, sum one: the pixel's transfer function before sampling."""
+    """Return the pixel-integrated kernel (size, size), with sum 1. size: odd.
+
+    The transfer function of the pixel is applied before sampling.
+    """
     f = np.fft.fftfreq(PIXELS * 2) * 2
     values = np.fft.ifft2(spectrum(height, angle, waves, 2) * np.sinc(f)[:, None] * np.sinc(f)).real
     values = np.fft.fftshift(values)[::2, ::2]
@@ -54,7 +67,13 @@ def kernel(height, angle, waves, size):
 
 
 def seidel_lens(shape, waves, size):
-    """A lens over a frame of `shape` whose corner has the given waves, as planner/field.py calls it."""
+    """Return a lens as the planner calls it: a function from places to kernels.
+
+    Args:
+        shape: Rows and columns of the frame.
+        waves: Coma, astigmatism and field curvature in the corner [wave].
+        size: Side of the kernels [pixel], odd.
+    """
     middle, corner = (np.array(shape) - 1) / 2, np.hypot(*shape) / 2
 
     @functools.cache
@@ -73,8 +92,8 @@ def seidel_lens(shape, waves, size):
     return lens
 
 
-def textured(shape, seed):
-    """A scene of amplitude spectrum 1/f, positive: mean one, contrast 0.3 RMS."""
+def make_texture(shape, seed):
+    """Return a positive scene of amplitude spectrum 1/f, with mean 1 and RMS contrast 0.3."""
     random = np.random.default_rng(seed)
     f = np.hypot(np.fft.fftfreq(2 * shape[0])[:, None], np.fft.fftfreq(2 * shape[1]))
     f[0, 0] = np.inf
@@ -84,8 +103,11 @@ def textured(shape, seed):
     return np.maximum(scene, 0.02)
 
 
-def scattered(plane, lens, border):
-    """Brute force: every source pixel, surroundings included, spreads the kernel of its own place."""
+def scatter(plane, lens, border):
+    """Return a plane after a brute-force blur.
+
+    Every source pixel, also of the surroundings, spreads the kernel of its own place.
+    """
     rows, cols = plane.shape
     size = lens(np.zeros((1, 2))).shape[-1]
     half = size // 2
@@ -104,11 +126,13 @@ def scattered(plane, lens, border):
     return out[2 * half : 2 * half + rows, 2 * half : 2 * half + cols]
 
 
-def scattered_at(plane, lens, points):
-    """The same at single pixels of a large frame, away from its border by half a kernel; shape (points,).
+def scatter_at(plane, lens, points):
+    """Return single pixels of a large frame after the same blur, shape (points,).
 
-    Kernels of the source pixels in reach are bilinear between nine places half a reach apart: over 16 of 1100 pixels to
-    the corner their curvature is (16 / 150)^2 of that of a 13 x 9 grid, which leaves 8e-4: 1e-5.
+    The points must be half a kernel or more away from the border. Kernels of the source pixels in
+    reach are bilinear between nine places half a reach apart. Over 16 of the 1100 pixels to the
+    corner, their curvature is (16 / 150)^2 times the curvature over a 13 x 9 grid. That grid leaves
+    8e-4, so the error is 1e-5.
     """
     half = lens(np.zeros((1, 2))).shape[-1] // 2
     offsets = np.arange(-half, half + 1)

@@ -1,7 +1,7 @@
-"""What the photon samplers make of every number that they can draw: P(k) by bisection over the numbers, not sampled.
+"""Exact distributions of the photon samplers: P(k) by bisection over their random numbers.
 
-The samplers are those of the reference device, whose bits all devices have. So distances to the Poisson distribution
-are known to far below what any sample shows.
+The samplers run on the reference device, and all devices have the same bits. The distance to the
+Poisson distribution is therefore known to far below the resolution of any sample.
 """
 
 import numpy as np
@@ -24,10 +24,11 @@ STEPS = 2**52  # uniform numbers of the exact sampler: (n + 1/2) / STEPS
 
 
 def crossing(predicate, low, high, shape):
-    """Where in [low, high] float32 numbers the monotone `predicate` becomes true, for each element of `shape`.
+    """Return the number at which the monotone `predicate` becomes true, per element of `shape`.
 
-    Bisection over the floats themselves; the result is halfway between the last false and the first true one, which is
-    where a real number is rounded to the latter.
+    Bisection over the float32 numbers in [low, high]. The result is halfway between the last number
+    for which it is false and the first for which it is true: real numbers above it are rounded to
+    the latter.
     """
 
     def floats(order):
@@ -46,24 +47,27 @@ def crossing(predicate, low, high, shape):
 
 
 def step(predicate, shape):
-    """How many of the exact sampler's uniform numbers are below the first for which `predicate` is true."""
+    """Return how many uniform numbers of the exact sampler are below the first that fits."""
     low, high = np.full(shape, -1, np.int64), np.full(shape, STEPS, np.int64)
     while (high - low).max() > 1:
         middle = np.clip((low + high + 1) // 2, 0, STEPS - 1)
         found = predicate((middle + 0.5) / STEPS)
         low, high = np.where(found, low, middle), np.where(found, middle, high)
-        low = np.where(low == STEPS - 1, STEPS, low)  # none at all
+        low = np.where(low == STEPS - 1, STEPS, low)  # for none
     return high
 
 
 def around(mean):
-    """Counts within 8 standard deviations, or a few more upwards (6e-16 and less are beyond)."""
+    """Return counts within 8 standard deviations, and a few more upwards.
+
+    The probability beyond is 6e-16 or less.
+    """
     root = np.sqrt(mean)
     return np.arange(max(np.floor(mean - 8 * root), 0), np.ceil(mean + 8 * root + 10) + 2)
 
 
 def search_probabilities(mean):
-    """P(k) of the search for a uniform number that is rounded to float32, k = 0 to its largest."""
+    """Return k and P(k) of the search for a uniform number that is rounded to float32."""
     k = np.arange(1, MOST_BY_SEARCH + 1)
     means = np.full(k.shape, mean, f32)
     tail = crossing(lambda u: poisson_by_search(means, u) < k, 0.0, 2.0, k.shape)  # k falls with u
@@ -73,7 +77,7 @@ def search_probabilities(mean):
 
 
 def expansion_probabilities(mean):
-    """P(k) of the expansion for a normal number that is rounded to float32."""
+    """Return k and P(k) of the expansion for a normal number that is rounded to float32."""
     k = around(mean)
     means = np.full(k.shape, mean, f32)
     below = ndtr(crossing(lambda z: poisson_by_expansion(means, z) >= k, -12.0, 12.0, k.shape))
@@ -82,7 +86,7 @@ def expansion_probabilities(mean):
 
 
 def exact_search_probabilities(mean):
-    """P(k) of the exact search, k = 0 to its largest."""
+    """Return k and P(k) of the exact search."""
     k = np.arange(1, EXACT_MOST_BY_SEARCH + 1)
     means = np.full(k.shape, mean)
     tail = step(lambda u: exact_by_search(means, u) < k, k.shape)
@@ -92,7 +96,7 @@ def exact_search_probabilities(mean):
 
 
 def exact_expansion_probabilities(mean):
-    """P(k) of the exact expansion."""
+    """Return k and P(k) of the exact expansion."""
     k = around(mean)
     means = np.full(k.shape, mean)
     below = step(lambda u: exact_by_expansion(means, u) >= k, k.shape)
@@ -100,14 +104,19 @@ def exact_expansion_probabilities(mean):
     return k[:-1], np.diff(below) / STEPS
 
 
-MAPS = {  # search, expansion, where one follows the other
+MAPS = {  # search, expansion, and the mean at which the expansion begins
     "fast": (search_probabilities, expansion_probabilities, FAST),
     "exact": (exact_search_probabilities, exact_expansion_probabilities, EXACT),
 }
 
 
 def probabilities(mean, photon="fast"):
-    """Counts and their probabilities by a sampler's own map at this float32 mean."""
+    """Return counts and their probabilities for a sampler at a mean.
+
+    Args:
+        mean: Mean of the counts, rounded to float32.
+        photon: The sampler, "fast" or "exact".
+    """
     search, expansion, switch = MAPS[photon]
     mean = float(f32(mean))
     return (search if mean < switch else expansion)(mean)

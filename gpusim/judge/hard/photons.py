@@ -52,12 +52,15 @@ CHIP = Noise(
 
 
 def electrons(mean, device, **changed) -> np.ndarray:
-    """The stage `sensor.noise` without a converter."""
+    """Return the result of the stage `sensor.noise` without a converter."""
     return noise(np.asarray(mean, f32), **{**IDEAL, **changed}, electrons=True, device=device)
 
 
 def everything(rows, cols, photon) -> dict:
-    """Inputs of the stage with all kinds of noise at once, means from rare photons to 1e8 e-, in no order."""
+    """Return inputs of the stage with all kinds of noise at once.
+
+    The means go from rare photons to 1e8 e-, in random order.
+    """
     random = np.random.default_rng(3)
     return {
         "expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
@@ -80,12 +83,12 @@ def everything(rows, cols, photon) -> dict:
 
 
 def kinds(device) -> list[str]:
-    """Photon samplers that the device has."""
+    """Return the photon samplers that the device supports."""
     return ["fast", "exact"] if device.has_fp64 else ["fast"]
 
 
-def differing(device, photon, mean) -> int:
-    """Pixels whose counts are not those of the reference."""
+def count_differing(device, photon, mean) -> int:
+    """Return the number of pixels whose counts differ from the reference."""
     found, wanted = (
         electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy"))
     )
@@ -93,7 +96,7 @@ def differing(device, photon, mean) -> int:
 
 
 def poisson(device, photon, mean, size, statistics=suite) -> Found:
-    """Least p-value of a sample of size x size counts, as alpha over it: a right sampler stays below 1."""
+    """Return ALPHA over the least p-value of size x size counts; correct is below 1."""
     plane = np.full((size, size), mean, f32)
 
     def draw(seed=1, frame=0):
@@ -114,9 +117,9 @@ def poisson(device, photon, mean, size, statistics=suite) -> Found:
     "means 0 .. 2^24 + 1, n = 2^22: all p-values >= 1e-6; one photon at 1e-8 within 1 %",
 )
 def poisson_numbers(device):
-    """The suite at 2^22 with the default sampler, at 2^18 with the exact one.
+    """The suite runs on 2^22 counts of the default sampler and on 2^18 of the exact one.
 
-    P at 1e-8 is that of the reference's map, whose bits the device has.
+    P at 1e-8 is from the map of the reference, as the device has the same bits.
     """
     found = []
     for photon in kinds(device):
@@ -135,7 +138,7 @@ def poisson_numbers(device):
                 abs(rare / -np.expm1(-float(f32(1e-8))) - 1), 1e-2, f"P(photon) at 1e-8, {photon}"
             ),
             Found(
-                differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)),
+                count_differing(device, photon, np.geomspace(1e-8, 1e-2, 2**16).reshape(256, 256)),
                 0,
                 "counts that are not the reference's",
             ),
@@ -147,7 +150,10 @@ IMPOSSIBLE = [np.nan, np.inf, -np.inf, -1.0, -1e-6]
 
 
 def with_impossible(mean):
-    """The means with an impossible one in every second place of the second row, and where the others are."""
+    """Return the means with impossible ones in every second place of the second row.
+
+    Also returns a mask of the other places.
+    """
     mean, good = np.array(mean, f32), np.ones(np.shape(mean), bool)
     mean[1, 1:11:2], good[1, 1:11:2] = IMPOSSIBLE, False
     return mean, good
@@ -179,7 +185,10 @@ def impossible_means(device):
 
 @cache
 def steps(photon):
-    """Largest step of mean [sigma] and dispersion on a ramp of 41 means across the sampler's switch point."""
+    """Return the largest step of mean [sigma] and dispersion across the sampler's switch point.
+
+    The ramp has 41 means.
+    """
     switch, errors = MAPS[photon][2], []
     for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(
         np.float64
@@ -192,13 +201,13 @@ def steps(photon):
 
 @case(21, "ramp across switch points", "no step > 3e-4 sigma in mean and dispersion")
 def ramp(device):
-    """By the samplers' own maps, whose bits the device has: what counts is exact and no sample."""
+    """The maps of the samplers are exact, not statistics, and the device has the same bits."""
     found = []
     for photon in kinds(device):
         plane = np.tile(MAPS[photon][2] + np.linspace(-0.5, 0.5, 256), (128, 1))
         found += [
             Found(steps(photon), 3e-4, f"largest step, {photon}"),
-            Found(differing(device, photon, plane), 0, "counts that are not the reference's"),
+            Found(count_differing(device, photon, plane), 0, "counts that are not the reference's"),
         ]
     return worst(*found)
 
@@ -239,7 +248,7 @@ def seeds(device):
 
 
 def _correlation(device):
-    """Largest correlation of two frames' and four channels' pixels, over its limit."""
+    """Return the largest correlation between the pixels of two frames and four channels."""
     readout = Readout(replace(WITHOUT_CONVERTER, noise=Noise(read=2.0)), device)
     x = device.numpy(
         readout.draw(device.array(np.full((1024, 1024), 30.0, f32)), 1.0, seed=3, frames=2)
@@ -255,10 +264,10 @@ RELAXED = "-cl-denorms-are-zero -cl-fast-relaxed-math"
 
 
 @contextmanager
-def relaxed(device):
-    """The device anew, whose programs are built without denormal numbers and with what a compiler thinks is fast.
+def open_relaxed(device):
+    """Yield a second device that builds programs without denormals and with fast mathematics.
 
-    None for NumPy, and for Warp, whose kernels of noise state the options that they are compiled with.
+    It is None for NumPy, and for Warp, whose noise kernels set their compiler options.
     """
     if device.kind == "opencl":
         before = os.environ.get("PYOPENCL_BUILD_OPTIONS")
@@ -276,7 +285,10 @@ def relaxed(device):
 
 @case(23, "fast mathematics", "flush to zero and fast math on and off: the suite passes on both")
 def fast_mathematics(device):
-    """exp(-m) is denormal from 88 on and 0 from 104; means of 1e-40 and 1e-37 are, or are near, denormal numbers."""
+    """exp(-m) is denormal from 88 on and 0 from 104.
+
+    Means of 1e-40 and 1e-37 are, or are close to, denormal numbers.
+    """
 
     def of(one, words):
         found = []
@@ -292,7 +304,7 @@ def fast_mathematics(device):
         return found
 
     found = of(device, "as built")
-    with relaxed(device) as other:
+    with open_relaxed(device) as other:
         words = "" if other else "; no other build, the kernels state their compiler's options"
         found += of(other, "fast math") if other else []
     most = max(

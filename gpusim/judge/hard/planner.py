@@ -1,4 +1,4 @@
-"""What the planner chooses and says: cases 12, 18 and 29."""
+"""Choices and statements of the planner: cases 12, 18 and 29."""
 
 from dataclasses import replace
 from functools import cache
@@ -23,7 +23,7 @@ from gpusim.planner.plan import plan
 
 
 def response_of(made) -> Response:
-    """The response of a plan's camera, its pixels' apertures square."""
+    """Return the response of a plan's camera, with square pixel apertures."""
     sensor = made.camera.sensor
     tables = airy(
         made.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD, device="numpy"
@@ -32,13 +32,13 @@ def response_of(made) -> Response:
 
 
 def library(wavelengths=WAVELENGTHS) -> np.ndarray:
-    """E[x^T x] of measured reflectances, shape (L, L)."""
+    """Return E[x^T x] of measured reflectances, shape (L, L)."""
     likely = np.vstack([reflectances(name).at(wavelengths, outside=None) for name in PRIOR])
     return likely.T @ likely / len(likely)
 
 
 def of_rank(operator, rank, values, made, device) -> np.ndarray:
-    """The mosaic by the first planes of an operator, its planes and tables float32."""
+    """Return the mosaic from the first planes of an operator; its planes and tables are float32."""
     tables = airy(made.q, 1.0, *made.period, device="numpy")
     planes = np.tensordot(operator.w_in[:, :rank].T, values, 1).astype(np.float32)
     kernels = np.tensordot(operator.transfers(rank), tables, 1).astype(np.float32)
@@ -47,7 +47,10 @@ def of_rank(operator, rank, values, made, device) -> np.ndarray:
 
 @cache
 def red_and_blue():
-    """A plan, spectra (L, rows, cols) and mosaic of red beside blue, 2000 e- in green on both sides."""
+    """Return a plan, spectra (L, rows, cols) and the true mosaic of red next to blue.
+
+    Both sides have 2000 e- in green.
+    """
     red, blue = (
         1 / (1 + np.exp(-sign * (WAVELENGTHS - at) / 12)) + 0.02
         for sign, at in ((1, 590), (-1, 490))
@@ -62,7 +65,9 @@ def red_and_blue():
     return (
         made,
         values,
-        truth.mosaic_of(truth.repeated(values.astype(float), made.q, weights, made.period), CFA),
+        truth.mosaic_of(
+            truth.blur_periodic(values.astype(float), made.q, weights, made.period), CFA
+        ),
     )
 
 
@@ -75,14 +80,14 @@ def red_beside_blue(device):
 
 @cache
 def grey_edge():
-    """A scene of one reflectance, its plan, spectra and mosaic."""
+    """Return a scene of one reflectance, its plan, spectra and true mosaic."""
     scene = as_cube(chart("slanted-edge", size=(72, 48)))
     made, values = plan(scene, CAMERA), scene.content.bands_at(slice(None))
     return (
         scene,
         made,
         values,
-        truth.mosaic_of(truth.repeated(values, made.q, made.weights, made.period), CFA),
+        truth.mosaic_of(truth.blur_periodic(values, made.q, made.weights, made.period), CFA),
     )
 
 
@@ -93,7 +98,7 @@ def grey_edge():
     "1e-6), planes of condition < 1e10",
 )
 def numerical_rank(device):
-    """Priors of rank 1, the scene's own, and of 31 with moments down to 1e-8."""
+    """The priors are of rank 1, from the scene, and of rank 31, with moments down to 1e-8."""
     scene, made, values, exact = grey_edge()
     found = []
     for name, prior in (("scene", Spectra.of(scene.content).values), ("library", library())):
@@ -113,11 +118,11 @@ def numerical_rank(device):
 @case(
     29,
     "error in one 8 x 8 tile",
-    "lines of other wavelengths in one tile of an even frame: the check sees >= 50 % "
+    "lines of other wavelengths in one tile of an even frame: the prediction is >= 50 % "
     "of the largest error",
 )
 def one_tile(device):
-    """The check is the largest error in sigma that is predicted, of planes that are fused to 1e-3 of the frame."""
+    """The check is the predicted largest error in sigma; planes are fused to 1e-3 of the frame."""
     random = np.random.default_rng(29)
     values = np.full((31, 96, 128), 0.5, np.float32)
     values[:, 40:48, 64:72] = 0
@@ -131,9 +136,9 @@ def one_tile(device):
         truth.spread(values.astype(float) - 0.5, q, weights), CFA
     )
     sigma = np.abs(frame.mean - exact) / np.sqrt(np.maximum(exact + camera.sensor.read_sigma**2, 1))
-    seen = frame.report.account.total.max_sigma
+    predicted = frame.report.account.total.max_sigma
     return Found(
-        sigma.max() / seen,
+        sigma.max() / predicted,
         2.0,
-        f"true maximum, {sigma.max():.2g} sigma, over the one seen, {seen:.2g}",
+        f"true maximum, {sigma.max():.2g} sigma, over the predicted {predicted:.2g}",
     )

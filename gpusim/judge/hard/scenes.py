@@ -1,4 +1,4 @@
-"""The camera and the scenes that hard cases share."""
+"""Camera and scenes that several hard cases use."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ LIGHT = white_radiance(illuminant("D65"), 100.0)
 
 
 def at_f_number(name: str, f_number: float) -> Camera:
-    """A built-in camera at another f-number, without fall-off."""
+    """Return a built-in camera at another f-number, without fall-off."""
     camera = open_camera(name)
     return replace(
         camera, optics=replace(camera.optics, f_number=f_number, relative_illumination="none")
@@ -29,14 +29,14 @@ CFA = CAMERA.sensor.cfa_indices
 
 
 def as_cube(scene: Scene) -> Scene:
-    """The same scene with a spectrum at every sample."""
+    """Return the same scene with a spectrum at every sample."""
     content = scene.content
     values = np.ascontiguousarray(content.bands_at(slice(None)), np.float32)
     return replace(scene, content=Cube(content.wavelengths, values))
 
 
 def natural(size, seed=1, surfaces="objects", light="D65"):
-    """Dead leaves of (cols, rows) samples under a slow shading, as a cube."""
+    """Return dead leaves of (cols, rows) samples under a slow shading, as a cube."""
     scene = chart("deadleaves", size=size, seed=seed, surfaces=surfaces, light=light)
     y, x = np.mgrid[: size[1], : size[0]] / max(size)
     shading = (0.6 + 0.4 * np.sin(5 * x + 3 * y)).astype(np.float32)
@@ -44,10 +44,10 @@ def natural(size, seed=1, surfaces="objects", light="D65"):
 
 
 def mean_of(simulator: Simulator, scene: Scene, exposure_time: float = 1.0) -> np.ndarray:
-    """Mean electrons, float64 on the host."""
+    """Return the mean electrons, float64, on the host."""
     return simulator.device.numpy(simulator.expose(scene, exposure_time).mean).astype(float)
 
 
 def electrons(scene: Scene, device, camera: Camera = CAMERA, **options) -> np.ndarray:
-    """Mean electrons of one second, float64. options: of the Simulator."""
+    """Return the mean electrons of one second, float64. options: of the Simulator."""
     return mean_of(Simulator(camera, device=device, **options), scene)

@@ -9,16 +9,24 @@ from gpusim.domain.noise import Noise
 from gpusim.judge.hard.acceptance import ALPHA
 from gpusim.judge.hard.case import Found, case, worst
 from gpusim.judge.hard.maps import probabilities
-from gpusim.judge.hard.photons import IDEAL, WITHOUT_CONVERTER, differing, electrons, f32, kinds
+from gpusim.judge.hard.photons import (
+    IDEAL,
+    WITHOUT_CONVERTER,
+    count_differing,
+    electrons,
+    f32,
+    kinds,
+)
 from gpusim.kernels.sensor.noise import noise
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.report import Error
 
 
 def clipped_error(mean: float, photon: str) -> float:
-    """Error of the mean of counts in a well as deep as their mean [e-], by the sampler's own map.
+    """Return the error of the mean of counts in a well as deep as their mean [e-].
 
-    E max(k - m, 0) = m P(k = floor(m)): the mean deviation by de Moivre, over 2.
+    The distribution is from the map of the sampler. E max(k - m, 0) = m P(k = floor(m)): half the
+    mean deviation of de Moivre.
     """
     from scipy import stats
 
@@ -54,7 +62,7 @@ def saturation(device):
                 f"mean of clipped counts [e-], {photon}",
             ),
             Found(
-                differing(device, photon, np.full((256, 256), 20.0)),
+                count_differing(device, photon, np.full((256, 256), 20.0)),
                 0,
                 "counts that are not the reference's",
             ),
@@ -79,7 +87,10 @@ def saturation(device):
 
 
 def _converter(end, device, gain=100.0, sigma=0.5, size=2048):
-    """Error of the mean of numbers clipped in the middle of their noise [e-]; it has a sigma of 1.4e-4."""
+    """Return the error of the mean of numbers that are clipped in the middle of their noise [e-].
+
+    Its standard deviation is 1.4e-4.
+    """
     black = 300.0 if end == "black" else 65535 - 300.0
     level = (0 if end == "black" else 65535) - black  # [DN] above black
     mean = np.full((size, size), max(level, 0) / gain, f32)
@@ -96,7 +107,7 @@ def _converter(end, device, gain=100.0, sigma=0.5, size=2048):
         seed=2,
         device=device,
     )
-    half = sigma / np.sqrt(2 * np.pi)  # mean of the half of a normal distribution that is left
+    half = sigma / np.sqrt(2 * np.pi)  # mean of the remaining half of a normal distribution
     return abs(
         (dn.mean(dtype=np.float64) - black) / gain
         - (level / gain + (half if end == "black" else -half))
@@ -120,7 +131,7 @@ def darkness(device):
         n, rate = k.size, float(f32(1e-4))
         found += [
             Found(abs(k.sum() - n * rate) / np.sqrt(n * rate), 5, f"mean [sigma], {photon}"),
-            # of the squares n (m + 2 m^2) is the variance
+            # the squares have the variance n (m + 2 m^2)
             Found(
                 abs(((k - rate) ** 2).sum() - n * rate) / np.sqrt(n * (rate + 2 * rate**2)),
                 5,
@@ -136,7 +147,7 @@ def darkness(device):
         and some.rms > 0
         and np.isfinite([some.rms, some.max_local, some.p999_sigma, some.max_sigma]).all()
     )
-    return worst(*found, Found(0 if sane else 1, 0, "the error of nothing"))
+    return worst(*found, Found(0 if sane else 1, 0, "the error without light"))
 
 
 @case(27, "rounding", "0.1 and 10 e-/DN: bias <= 1e-3 DN")
@@ -161,7 +172,10 @@ def rounding(device):
 
 @case(28, "many frames", "10 000 frames averaged: mean <= 1e-6 relative, nothing lost in the sum")
 def many_frames(device):
-    """4e7 numbers of a relative 1e-3 leave 1.6e-7, 1e7 of them 3e-7. The sum of 700 frames, beyond 2^24, is exact."""
+    """4e7 numbers with a relative noise of 1e-3 leave 1.6e-7, and 1e7 of them leave 3e-7.
+
+    The sum of 700 frames exceeds 2^24 and is exact.
+    """
     from scipy import stats
 
     level, count, found = 1e6, 10_000, []

@@ -40,7 +40,13 @@ SODIUM = ((589.0, 2.0), (589.6, 1.0))
 
 
 def lines(powers, width: float, pedestal: float = 0.0) -> Spectrum:
-    """Light [photon s-1 m-2 sr-1 nm-1] of triangular lines, `width` [nm] at half their height, on a pedestal."""
+    """Return light of triangular spectral lines on a pedestal [photon s-1 m-2 sr-1 nm-1].
+
+    Args:
+        powers: (wavelength [nm], power) of each line.
+        width: Full width at half maximum [nm].
+        pedestal: Level between the lines.
+    """
     places = np.array([[at - width, at, at + width] for at, _ in powers]).ravel()
     grid = np.unique(np.concatenate([[380.0, 780.0], places]))
     tents = [power / width * np.maximum(1 - np.abs(grid - at) / width, 0) for at, power in powers]
@@ -48,21 +54,22 @@ def lines(powers, width: float, pedestal: float = 0.0) -> Spectrum:
 
 
 def open_to_all(camera=CAMERA):
-    """The camera without blur, every pixel with all channels: electrons are the spectral integrals alone."""
+    """Return the camera without blur and with stacked pixels: only spectral integrals."""
     sensor: Sensor = replace(camera.sensor, stacked=True)
     return replace(
         camera,
         sensor=sensor,
         optics=replace(camera.optics, model="none"),
         processor=replace(camera.processor, color="none"),
-    )  # one line alone has no colours
+    )  # a single line has no colours
 
 
 def integrals(light: Spectrum) -> np.ndarray:
-    """Electrons a second of the patches in a light, (C, patches): Gauss-Legendre between all tables' entries.
+    """Return the electrons per second of the patches in a light, (C, patches).
 
-    There the light and the quantum efficiency are linear and the reflectance, a spline of degree 5 through the
-    measurements at every 5 nm, a polynomial: 6 points are exact to rounding.
+    Gauss-Legendre quadrature between the entries of all tables. There the light and the quantum
+    efficiency are linear, and the reflectance, a spline of degree 5 through measurements every 5
+    nm, is a polynomial: 6 points are exact to rounding.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -82,8 +89,8 @@ def integrals(light: Spectrum) -> np.ndarray:
     return rates * sensor.pixel_pitch**2 * sensor.fill_factor * np.pi / (1 + 4 * optics.f_number**2)
 
 
-def counted(light: Spectrum, count: int, device) -> np.ndarray:
-    """The same by the simulator, of a scene with `count` samples of the spectrum."""
+def simulate_patches(light: Spectrum, count: int, device) -> np.ndarray:
+    """Return the same from the simulator, for a scene with `count` samples of the spectrum."""
     nodes = np.linspace(400, 700, count)
     values = PATCHES.at(nodes).T.reshape(count, 4, 6).astype(np.float32)
     return mean_of(
@@ -92,7 +99,7 @@ def counted(light: Spectrum, count: int, device) -> np.ndarray:
 
 
 def _largest(light, count, device):
-    return np.abs(counted(light, count, device) / integrals(light) - 1).max()
+    return np.abs(simulate_patches(light, count, device) / integrals(light) - 1).max()
 
 
 @case(
@@ -114,18 +121,18 @@ def fluorescent(device):
     "light of 2 nm lines at 447.3, 523.7, 638.1 nm: <= 0.5 %, 24 patches, all channels",
 )
 def lasers(device):
-    alone = ", ".join(
+    single = ", ".join(
         f"{one[0]} nm {_largest(lines([one], 2.0), 31, device):.1e}" for one in LASERS
     )
     return Found(
-        _largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser alone: {alone})"
+        _largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser only: {single})"
     )
 
 
 @case(7, "low-pressure sodium", "589.0 and 589.6 nm: R/G within 1 % of the truth, 24 patches")
 def sodium(device):
     light = lines(SODIUM, 0.02)
-    found, exact = counted(light, 31, device), integrals(light)
+    found, exact = simulate_patches(light, 31, device), integrals(light)
     return Found(
         np.abs((found[0] / found[1]) / (exact[0] / exact[1]) - 1).max(), 1e-2, "R/G, 31 samples"
     )
@@ -135,7 +142,7 @@ CELL, HALF, ACROSS = (
     16,
     7,
     35,
-)  # [pixel] from point to point of the sweep, around each that count; points in a row
+)  # [pixel] between points, and around each; points in a row
 SWEEP = np.arange(400.0, 701.0)
 
 
@@ -143,13 +150,14 @@ SWEEP = np.arange(400.0, 701.0)
     8,
     "monochromatic sweep",
     "points of 400 .. 700 nm by 1 nm: guaranteed mode <= 1e-3; without it the report says "
-    "where spectra are outside of what is likely",
+    "that the spectra are unlikely",
 )
 def sweep(device):
-    """Four points of each line, one in each phase of the mosaic; what the camera sees less than 1e-3 of is below noise.
+    """Four points of each line, one in each phase of the mosaic, on uniform ground of 550 nm.
 
-    They stay below the threshold of highlights, on an even ground of 550 nm. The error is that of a line's four cells,
-    root mean square over that of the points' own light there.
+    Lines that the camera sees with less than 1e-3 are below noise and left out. The points stay
+    below the threshold of highlights. The error of a line is the RMS error in the four cells around
+    its points, over the RMS of the light of the points there.
     """
     scene, seen, places, exact, own = _sweep()
     simulator = Simulator(CAMERA, device=device, tolerance=Tolerance(rms=1e-3), guaranteed=True)
@@ -169,7 +177,10 @@ def sweep(device):
 
 @lru_cache(maxsize=1)
 def _sweep():
-    """The scene, which lines are seen, where their points are, the mosaic, and what each line's points give alone."""
+    """Return the scene, the mask of visible lines, the places of their points, and the true mosaic.
+
+    The last value is the light of the points of each line, without other light.
+    """
     ids, places = _points()
     content = Materials(SWEEP, ids, np.ones(ids.shape, np.float32), np.eye(302, 301))
     weights = electrons_per_content(Scene(content, LIGHT), CAMERA)
@@ -186,7 +197,10 @@ def _sweep():
 
 
 def _points():
-    """Number of the line at each pixel, 301 for the ground, and the four places of each line."""
+    """Return the number of the line at each pixel, and the four places of each line.
+
+    Number 301 stands for the ground.
+    """
     cells = np.random.default_rng(8).permutation(ACROSS**2)[: 4 * 301].reshape(301, 4)
     phase = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     places = np.stack(np.divmod(cells, ACROSS), axis=-1) * CELL + HALF + phase
@@ -196,9 +210,10 @@ def _points():
 
 
 def _truth_of_points(places, weights, levels, near=40, far=160):
-    """The mosaic, and the light of each line's points in their own cells (301, 4, n, n).
+    """Return the mosaic, and the light of each line's points in their own cells (301, 4, n, n).
 
-    Patterns are integrated over the pixels within `near`, and the mean of their rings q / (pi^3 r^3) beyond.
+    Patterns are integrated over the pixels within `near`. Beyond, they are the mean of their rings,
+    q / (pi^3 r^3).
     """
     size, ground = ACROSS * CELL, 150
     at = np.arange(-far, far + 1)
@@ -230,9 +245,11 @@ def _truth_of_points(places, weights, levels, near=40, far=160):
 
 
 def _outside_of_the_likely(device):
-    """A line of its own at every pixel, planned for and after a natural scene: error over what the report tells.
+    """Yield the error for one random line per pixel, over the error that the report shows.
 
-    It tells by a larger predicted error (true over predicted is 2.5 at most), by "NOT met", or by keeping 1e-3.
+    The plan is made for this scene, or for a natural scene before it. The report must show it: with
+    a larger predicted error (true over predicted is 2.5 at most), with "NOT met", or by an error of
+    1e-3 or less.
     """
     random, values = np.random.default_rng(5), np.zeros((31, 64, 96), np.float32)
     np.put_along_axis(values, random.integers(0, 31, (1, 64, 96)), 1.0, axis=0)
@@ -250,11 +267,11 @@ def _outside_of_the_likely(device):
     ):
         report = frame.report
         error = truth.relative(frame.mean.astype(float), exact)
-        told = report.account.total.rms
-        shown = max(1e-3, 2.5 * told) if report.verdict.met else np.inf
+        reported = report.account.total.rms
+        shown = max(1e-3, 2.5 * reported) if report.verdict.met else np.inf
         yield Found(
             error / shown,
             1.0,
-            f"lines {words}: error {error:.1e} over what the report tells, {told:.1e}"
+            f"lines {words}: error {error:.1e} over the reported {reported:.1e}"
             + ("" if report.verdict.met else ", NOT met"),
         )

@@ -1,4 +1,8 @@
-"""Pictures of a round lens by sums in real space alone, float64: no transfer function, no period, no planes."""
+"""Images of a round lens as sums in real space, float64.
+
+There is no transfer function, no period and no plane, except in the two functions on periodic
+worlds.
+"""
 
 from functools import lru_cache
 
@@ -8,20 +12,36 @@ from scipy.special import j0, j1
 
 
 def relative(result, truth) -> float:
-    """Root mean square error over the root mean square."""
+    """Return the RMS error over the RMS of the truth."""
     return float(np.sqrt(np.mean((result - truth) ** 2) / np.mean(truth**2)))
 
 
 def airy(radius, q: float) -> np.ndarray:
-    """Energy per square pixel at `radius` [pixel] of a point: (pi / 4 q^2) (2 J1(v) / v)^2, v = pi r / q (Airy)."""
+    """Return the energy per square pixel at a distance from a point in focus.
+
+    (pi / 4 q^2) (2 J1(v) / v)^2, v = pi r / q.
+
+    Args:
+        radius: Distance [pixel].
+        q: Wavelength times f-number over pitch.
+
+    Source: Airy.
+    """
     v = np.maximum(np.pi * radius / q, 1e-9)
     return np.pi / (4 * q * q) * (2 * j1(v) / v) ** 2
 
 
-def defocused(q: float, waves: float, reach: float):
-    """The same out of focus by `waves` of W020 at the pupil's rim, up to `reach`: a function of the radius [pixel].
+def defocused_airy(q: float, waves: float, reach: float):
+    """Return the same out of focus, as a function of the distance [pixel].
 
-    The integral of J0 over the pupil (Born and Wolf, 8.8), tabled 24 times a ring.
+    The integral of J0 over the pupil, in a table of 24 entries per ring.
+
+    Args:
+        q: Wavelength times f-number over pitch.
+        waves: Defocus W020 at the edge of the pupil [wave].
+        reach: Largest distance [pixel].
+
+    Source: Born and Wolf, 8.8.
     """
     from scipy.interpolate import CubicSpline
 
@@ -36,9 +56,13 @@ def defocused(q: float, waves: float, reach: float):
 
 
 def in_pixels(light, dy, dx, order: int) -> np.ndarray:
-    """Integral of `light(radius)` over the pixels whose middles are (dy, dx) from a point, shape (len dy, len dx).
+    """Return the integral of `light(radius)` over pixels, shape (len dy, len dx).
 
-    order: of the Gauss-Legendre rule along a side; 6 points and more to a ring give 1e-9.
+    Args:
+        light: Energy per square pixel as a function of the distance [pixel].
+        dy: Rows of the pixel centres, from the point.
+        dx: Columns of the pixel centres, from the point.
+        order: Points of the Gauss-Legendre rule along a side; 6 or more per ring give 1e-9.
     """
     nodes, mass = (array / 2 for array in np.polynomial.legendre.leggauss(order))
     y, x = (np.asarray(d)[:, None] + nodes for d in (dy, dx))
@@ -49,27 +73,32 @@ def in_pixels(light, dy, dx, order: int) -> np.ndarray:
 
 
 def point(q: float, dy, dx) -> np.ndarray:
-    """Light of a point in focus in the pixels whose middles are (dy, dx) from it."""
+    """Return the light of a point in focus in the pixels whose centres are (dy, dx) from it."""
     return in_pixels(lambda radius: airy(radius, q), dy, dx, int(np.ceil(6 + 3 / q)))
 
 
 @lru_cache(maxsize=64)
 def kernel(q: float, reach: int) -> np.ndarray:
-    """Light of a point in the pixels around it, shape (2 reach + 1, 2 reach + 1)."""
+    """Return the light of a point in the pixels around it, shape (2 reach + 1, 2 reach + 1)."""
     at = np.arange(reach + 1)
     return whole(point(q, at, at))
 
 
 def whole(quarter) -> np.ndarray:
-    """A kernel that is even along both axes from its quarter."""
+    """Return a kernel that is even along both axes, from its quarter."""
     at = np.abs(np.arange(-len(quarter) + 1, len(quarter)))
     return quarter[np.ix_(at, at)]
 
 
 def spread(values, q, weights) -> np.ndarray:
-    """Channels of a scene in a dark world: every wavelength's light spread by its own kernel, (C, rows, cols).
+    """Return the channels of a scene in a dark world, (C, rows, cols).
 
-    values: shape (L, rows, cols). q: of each wavelength. weights: shape (C, L).
+    The light of every wavelength is spread by its own kernel.
+
+    Args:
+        values: Shape (L, rows, cols).
+        q: Wavelength times f-number over pitch, per wavelength.
+        weights: Shape (C, L).
     """
     reach = max(values.shape[1:]) - 1
     out = np.zeros((len(weights), *values.shape[1:]))
@@ -80,15 +109,20 @@ def spread(values, q, weights) -> np.ndarray:
 
 
 def mosaic_of(channels, cfa) -> np.ndarray:
-    """Every pixel's own channel, (rows, cols)."""
+    """Return the own channel of every pixel, (rows, cols)."""
     y, x = np.indices(channels.shape[1:])
     return np.take_along_axis(channels, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0)[0]
 
 
 def of_points(values, base, q, weights, cfa) -> np.ndarray:
-    """The mosaic of what single pixels have more than an even base, the world outside dark.
+    """Return the mosaic of the excess of single pixels over a uniform base, in a dark world.
 
-    values: shape (L, rows, cols). base: the spectrum of all other pixels, shape (L,).
+    Args:
+        values: Shape (L, rows, cols).
+        base: Spectrum of all other pixels, shape (L,).
+        q: Wavelength times f-number over pitch, per wavelength.
+        weights: Shape (C, L).
+        cfa: Channel of every pixel of the mosaic.
     """
     rows, cols = values.shape[1:]
     total = np.zeros((len(weights), rows, cols))
@@ -102,14 +136,17 @@ def of_points(values, base, q, weights, cfa) -> np.ndarray:
 
 
 def even(base, weights, shape, cfa) -> np.ndarray:
-    """The mosaic of an even world of the spectrum `base` (L,)."""
+    """Return the mosaic of a uniform world of the spectrum `base` (L,)."""
     return mosaic_of(np.broadcast_to((weights @ base)[:, None, None], (len(weights), *shape)), cfa)
 
 
 def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
-    """Transfer function of a round lens and square pixels, real (period rows, cols): O(|f|) sinc, all replicas added.
+    """Return the transfer function of a round lens and square pixels, real (period rows, cols).
 
-    The autocorrelation of a circle (Goodman, Introduction to Fourier Optics, 6.3) ends at 1 / q cycles per pixel.
+    It is O(|f|) sinc, the sum of all replicas. The autocorrelation of a circle ends at 1 / q cycles
+    per pixel.
+
+    Source: Goodman, Introduction to Fourier Optics, 6.3.
     """
     fy, fx = (np.fft.fftfreq(n) for n in period)
     reach = int(np.ceil(1 / q + 0.5))
@@ -122,10 +159,10 @@ def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def repeated(values, q, weights, period) -> np.ndarray:
-    """Channels in a world that goes on as the outermost pixels do and repeats with `period`, band by band.
+def blur_periodic(values, q, weights, period) -> np.ndarray:
+    """Return channels in a world that continues its outermost pixels and repeats with `period`.
 
-    For what is said of such a world: stages that transform take the period as it is.
+    It is computed band by band, and judges stages that transform a period.
     """
     shape = values.shape[1:]
     pad = [
