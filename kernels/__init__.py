@@ -1,4 +1,4 @@
-"""The stages of the simulation, in the order the light goes; each is written three times (see `kernels.stage`)."""
+"""The stages of the simulation, in the order of the light, in three versions: see KERNELS.md."""
 
 if __name__ != "gpusim.kernels":
     raise ImportError("import this package as gpusim.kernels, not as kernels")

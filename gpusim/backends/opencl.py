@@ -22,15 +22,16 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 
 PAGE = 4096
-# Refused memory, in the drivers' words; a buffer's size is called invalid if it exceeds the limit of one buffer
+# Refused memory, in the drivers' words; a buffer's size above the limit of one buffer is "invalid"
 REFUSALS = (
     "MEM_OBJECT_ALLOCATION_FAILURE",
     "OUT_OF_RESOURCES",
     "OUT_OF_HOST_MEMORY",
     "INVALID_BUFFER_SIZE",
 )
-# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then the
-# rest. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
+# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead
+# per group, then the rest. PoCL compiles a kernel for every size of a group, 50 ms each: there are
+# few.
 CPU_GROUPS = (128, 8, 1)
 
 
@@ -68,9 +69,10 @@ class OpenCLDevice(Taped):
         self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._sent: deque = deque()  # small copies to the device that may not have ended
-        self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
+        self._in_flight: list = []  # host memory of queued kernels, which must outlive them
         self.build_ms: dict[str, float] = {}  # time to build the programs of each stage
-        # When Python ends, it frees arrays and the device in any order: the driver must not write to them then
+        # When Python ends, it frees arrays and the device in any order: the driver must not write
+        # to them then
         self._waits: list = []  # one entry for each thread that waits in the driver
         weakref.finalize(
             self, finish, self._lock, (*self._queues, self._copies), self._waits, os.getpid()
@@ -317,7 +319,7 @@ class OpenCLDevice(Taped):
         key = (stage, *sorted(defines.items()))
         if key not in self._programs:
             source, include = stage_source(stage)
-            # constants go into the text: PoCL's build cache has confused programs that differ only in -D
+            # constants go into the text: PoCL's cache has confused programs that differ only in -D
             guard = "if (outside) return;" if self.is_gpu else ""
             head = f"#define GUARD(outside) {guard}\n"
             if self.processor:  # PoCL's cache does not know that it builds for another processor

@@ -15,8 +15,8 @@ import struct
 from pathlib import Path
 
 SEARCHED = 2048  # bytes of PoCL's device structure: the name's address was seen at 640
-# Processors to build for and the features that their code uses, best first. The widths of vectors equal those of the
-# built-in functions that PoCL chooses by features, so both pass them in the same way.
+# Processors to build for and the features that their code uses, best first. Vectors are as wide as
+# in the built-in functions that PoCL chooses by features: both pass them in the same way.
 HASWELL = {"avx2", "bmi1", "bmi2", "abm", "cx16", "f16c", "fma", "movbe", "popcnt"}
 PROCESSORS = {
     "skylake-avx512": HASWELL | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},

@@ -38,7 +38,7 @@ EMPTY = {
     "error": "",
 }
 KINDS = {key: type(value) for key, value in EMPTY.items()}
-PATIENCE = 600  # [s] until a failed device is tried again: the driver may be repaired, the machine less busy
+PATIENCE = 600  # [s] until a failed device is tried again: the machine may be less busy then
 HELPER = """
 import runpy, sys
 _, folder, argument = sys.argv
@@ -316,7 +316,7 @@ def copy_gbps(device) -> float:
 
 
 def vector_width(device) -> int:
-    """Return the width of the vectors that OpenCL kernels of this processor compile for: 8 or 16 floats.
+    """Return the width of vectors in OpenCL kernels of this processor: 8 or 16 floats.
 
     PoCL before 3.1 aborts on vectors of 16.
     """

@@ -272,7 +272,7 @@ class WarpDevice(Taped):
     def _launch(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)
         if self._clock.times is not None and self.is_gpu:
-            # arguments are packed before the clock starts: the device would wait for Python in between
+            # arguments are packed before the clock starts: the device would wait for Python
             self._command(stage, kernel, grid, args, defines, group).start()
         else:
             self._timed(

@@ -6,7 +6,7 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 
 @wp.func
 def mirror(i: int, n: int):
-    """Return index `i` of an axis of `n` pixels, mirrored at its ends without repeating the end pixel."""
+    """Return index `i` of an axis of `n` pixels, mirrored without repeating the end pixel."""
     if i >= 0 and i < n:
         return i
     if n == 1:

@@ -14,8 +14,8 @@ SQRT_HALF_BITS = np.int64(0x3FE6A09E667F3BCD)
 LOG_TERMS = 10  # the first omitted term is s^20 2 / 21 < 2^-54, s <= 3 - sqrt(8)
 EXP_TERMS = 14  # (ln(2)/2)^14 / 14! < 2^-54
 
-# Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied Statistics 37 (1988), 477-484:
-# numerator and denominator of q P(0.425^2 - q^2), and of P(r - 1.6) and P(r - 5), r = sqrt(-log u)
+# Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied Statistics
+# 37 (1988), 477-484: numerator and denominator of q P(0.425^2 - q^2), and of P(r - 1.6) and P(r - 5), r = sqrt(-log u)
 CENTRE = (
     (
         3.3871328727963666080e0,

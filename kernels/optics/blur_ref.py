@@ -1,4 +1,4 @@
-"""e_c = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, one complex transform per plane."""
+"""e_c = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, complex transforms."""
 
 import numpy as np
 

@@ -143,7 +143,7 @@ def _span(grids, shape):
         / n
         for axis, n in enumerate(shape)
     ]
-    # a quadrilateral is at most 1 + |d/dy| + |d/dx| long; a quarter more than the mean slope between nodes
+    # a quadrilateral is at most 1 + |d/dy| + |d/dx| long; slopes are a quarter above the mean
     return int(np.ceil(1 + 1.25 * float(max(slopes[0] + slopes[1])))) + 1
 
 

@@ -106,7 +106,7 @@ def cubic(
 
 @wp.func
 def mean_clamped(t0: float, t1: float):  # mean of clamp(t, 0, 1) over t between t0 and t1
-    # (difference of the antiderivatives) / (t1 - t0), arranged without cancellation for t1 close to t0
+    # (difference of the antiderivatives) / (t1 - t0), without cancellation for t1 close to t0
     low = wp.min(t0, t1)
     high = wp.max(t0, t1)
     a = wp.clamp(low, 0.0, 1.0)
@@ -199,7 +199,7 @@ def rooms(
     rows: int,
     cols: int,
 ):
-    # how much of the samples next to a cell, outside of it, its interpolants take before they fall below 0
+    # part of the samples next to a cell, outside of it, that its interpolants can take above 0
     y, x = wp.tid()
     least = float(1.0)
     for c in range(channels):
@@ -275,7 +275,7 @@ def limited(
     rows: int,
     cols: int,
 ):
-    # as `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes
+    # as `cubic`, of each sample's share; the rest by area, over the cubic's 4 x 4 samples
     m, y, x = wp.tid()
     at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
     from_y = wp.floor(at[0]) - 1.0

@@ -1,4 +1,4 @@
-"""u_c = sum_k sum_g weights[c, k, g] (G_g * plane_k), one dense Gaussian matrix for each axis, float64."""
+"""u_c = sum_k sum_g weights[c, k, g] (G_g * plane_k), a dense matrix for each axis, float64."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""e(y, x) = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k)))(y, x), c = cfa(y, x): all channels in full, float64."""
+"""e(y, x) = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k)))(y, x), c = cfa(y, x), float64."""
 
 import numpy as np
 

@@ -42,7 +42,8 @@ def sample(
     (rows, taps_y), (cols, taps_x) = weights_y.shape, weights_x.shape
     planes = device.array(planes)
     middle, out = device.empty((count, rows, fine_cols)), device.empty((count, rows, cols))
-    # Columns first: neighbours in a row are neighbours in memory, and the gather then has only 1/ratio of the samples.
+    # Columns first: neighbours in a row are neighbours in memory, and the gather then has only
+    # 1/ratio of the samples.
     # The weights of neighbouring pixels are neighbours in memory for the same reason.
     for name, source, target, start, weights, taps in (
         ("columns", planes, middle, start_y, weights_y, taps_y),

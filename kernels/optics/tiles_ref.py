@@ -1,4 +1,4 @@
-"""e(y, x) = sum_k mix[c, k] (tile_k * kernel_ck)(y, x), tile by tile, each a dense circular convolution in float64."""
+"""e(y, x) = sum_k mix[c, k] (tile_k * kernel_ck)(y, x), circular, tile by tile, float64."""
 
 import numpy as np
 

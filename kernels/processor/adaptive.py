@@ -133,7 +133,7 @@ def cases():
 
 
 def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
-    """A case whose tolerance is 16 roundings times the condition number of the reference on these data."""
+    """Return a case; its tolerance is 16 roundings times the reference's condition number."""
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.adaptive_ref import adaptive as reference
 

@@ -1,4 +1,4 @@
-"""Pyramid search of tiles by sums of absolute differences, and a paraboloid through 3 x 3 sums of squares: float64."""
+"""Pyramid search of tiles by sums of absolute differences, and a fitted paraboloid: float64."""
 
 from math import isqrt
 

@@ -9,7 +9,7 @@ from gpusim.kernels.processor.align import SAVED as HOST_SAVED
 from gpusim.kernels.processor.align import SURE as HOST_SURE
 from gpusim.kernels.processor.align import TILE as HOST_TILE
 
-# GPUs need the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
+# GPUs need the loops over a tile unrolled; a CPU's compiler takes minutes for that, without gain
 wp.set_module_options(
     {"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1}
 )
@@ -94,7 +94,7 @@ def square_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int,
 
 @wp.func
 def overlap(tile: int, d: int, n: int):
-    """Return how many of a tile's rows or columns are inside a picture of n blocks, there and displaced by d."""
+    """Return how many of a tile's rows or columns are inside n blocks, there and displaced by d."""
     return wp.max(wp.min(wp.min((tile + 1) * TILE, n), n - d) - wp.max(tile * TILE, -d), 0)
 
 

@@ -18,8 +18,8 @@ MARGIN = 14  # mirrored pixels around the picture, see best.cl
 STRIPS = 4  # per core of a CPU: even loads
 LOWEST = 64  # rows of a strip: the 28 around it are computed twice
 PLANES = 9  # of a strip's scratch
-# A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of columns, work-items
-# of its group, rows per work-item.
+# A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of
+# columns, work-items of its group, rows per work-item.
 TILE = {"HIGH": 16, "PAIRS": 64, "GROUP": 256, "RUN": 4, "RUN_DIAGONALS": 3}
 ROOM = 128  # of planes around the picture, for whole tiles
 MOST_READ = 20.0  # [e-] of read noise that the root makes even; more counts as shot noise
@@ -270,7 +270,7 @@ def cases():
 
 
 def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledge):
-    """A case whose tolerance is 48 roundings times the condition number of the reference on these data."""
+    """Return a case; its tolerance is 48 roundings times the reference's condition number."""
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.best_ref import best as reference
 

@@ -1,4 +1,4 @@
-"""The steps of best.cl as kernels: codes and differences by pixel, the others by pair of columns (2 q, 2 q + 1)."""
+"""The steps of best.cl: codes and differences by pixel, others by columns 2 q and 2 q + 1."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -150,7 +150,7 @@ def step(d: PLANE, c: int, width: int, i: int, vertical: int):
 
 @wp.func
 def taps(d: PLANE, c: int, width: int, vertical: int):
-    """Return one axis's estimates of green - own by short and long taps, their weight, and its denominator."""
+    """Return an axis's estimates of green - own by short and long taps, weight, and denominator."""
     middle = step(d, c, width, 0, vertical)
     before = EDGE + (
         (middle + step(d, c, width, -1, vertical))

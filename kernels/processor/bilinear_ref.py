@@ -1,7 +1,8 @@
 """Bilinear demosaicking, float64: every colour is the mean of its nearest samples.
 
-Normalised convolution of each colour's samples with the tent (1 2 1)' (1 2 1) / 4 (red, blue) and the cross
-(0 1 0; 1 4 1; 0 1 0) / 4 (green): Losson, Macaire & Yang 2010, Advances in Imaging and Electron Physics 162, section 3.
+It is the normalised convolution of each colour's samples with the tent (1 2 1)' (1 2 1) / 4 (red,
+blue) and the cross (0 1 0; 1 4 1; 0 1 0) / 4 (green): Losson, Macaire and Yang 2010, Advances in
+Imaging and Electron Physics 162, section 3.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """Colour transform: camera channels to linear display RGB by one matrix.
 
-Ports: camera (C, rows, cols) float32, matrix (3, C) -> rgb (3, rows, cols) float32, linear, display white = 1.
+Ports: camera (C, rows, cols) float32, matrix (3, C) -> rgb (3, rows, cols) float32, linear, display
+white = 1.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Joint bilateral means with the detail and the mask of a flash picture: float64, one tap of the window at a time."""
+"""Joint bilateral means with detail and mask of a flash picture: float64, one tap at a time."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""Linear interpolation of any mosaic, float64: at every pixel the value of the plane that fits a channel's samples.
+"""Linear interpolation of any mosaic, float64: values of planes that fit a channel's samples.
 
-First-order normalised convolution with a tent: Knutsson & Westin 1993, CVPR, 515-523.
+First-order normalised convolution with a tent: Knutsson and Westin 1993, CVPR, 515-523.
 """
 
 from functools import cache

@@ -466,7 +466,7 @@ def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
 
 
 def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
-    """A case whose tolerance is all roundings on the way to the largest sum that a filter of the table can make."""
+    """Return a case; its tolerance is all roundings of the largest sum of a filter of the table."""
     from gpusim.kernels.processor.learned_ref import learned as reference
 
     code = Code(

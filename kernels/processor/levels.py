@@ -7,7 +7,7 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 
-# A mosaic that was shaded or denoised: black at CORRECTED_BLACK, to keep noise below black, white at the top.
+# A mosaic that was shaded or denoised: black at CORRECTED_BLACK, to keep noise below black
 CORRECTED_BLACK, CORRECTED_WHITE = 4096, 65535
 MOST_BALANCE = 64  # between channels: a channel with less response to white shows only noise
 

@@ -1,7 +1,8 @@
 """Gradient-corrected linear demosaicking, float64.
 
-Four 5 x 5 filters (and the transpose of one): Malvar, He & Cutler 2004, ICASSP III-485, figure 2. Each is a mean of the
-wanted colour's neighbours plus a gain (1/2, 5/8 or 3/4) times the Laplacian of the pixel's own colour.
+Four 5 x 5 filters (and the transpose of one): Malvar, He and Cutler 2004, ICASSP III-485, figure 2.
+Each is a mean of the wanted colour's neighbours plus a gain (1/2, 5/8 or 3/4) times the Laplacian
+of the pixel's own colour.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Whole numbers from raw values; float32 operation by operation, because the bits are part of the contract."""
+"""Whole numbers from raw values; float32 in a fixed order: the bits are part of the contract."""
 
 import numpy as np
 

@@ -133,7 +133,7 @@ def _case(name, inputs):
     below = (camera < np.reshape(inputs["ceiling"], (-1, 1, 1))).all(0)
     values = np.where(below, camera, 0).astype(np.float64)
     additions = -(-camera.shape[1] // rows) + -(-camera.shape[2] // cols)
-    # A block's mean of magnitudes is at most the largest one; some block's mean is at least the mean of them all.
+    # A block's mean of magnitudes is at most the largest; some block's mean is at least their mean.
     peak = max(np.abs(values.sum((1, 2)) / max(np.count_nonzero(below), 1)).max(), 1e-30)
     return Case(
         name,

@@ -1,4 +1,4 @@
-"""As meter.cl, one strip or chunk per thread: for Warp's CPU device, which has one; GPUs run meter_groups.cl."""
+"""As meter.cl, a strip or chunk per thread, for Warp's CPU device; GPUs run meter_groups.cl."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it

@@ -42,7 +42,7 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     planes = weights.shape[0]
     out = device.empty((planes, rows, cols))
     name, given = "integrate_half" if is_half else "integrate", (content, weights, out, rows * cols)
-    # Bands and planes are compile-time constants: an inner loop that is not unrolled stops PoCL from vectorising.
+    # Bands and planes are compile-time constants: PoCL vectorises only if the inner loop is unrolled.
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64

@@ -28,7 +28,7 @@ from gpusim.kernels.stage import Array, Case, stage
 
 GROUPS = "spectral.survey_groups"
 MOST = 16  # projections: three sums of each are a GPU's registers
-THREADS = 128  # of a GPU's work-group, a column each: three sums of 17 numbers and the table fill 34 KB of local memory
+THREADS = 128  # of a GPU's work-group, a column each: sums and table fill 34 KB of local memory
 BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, are its registers
 
 

@@ -1,4 +1,4 @@
-"""Means of (T c)_p^2 and of |c|^2 over rows, and of the same for differences between neighbours, float64."""
+"""Means of (T c)_p^2 and of |c|^2 over rows, for samples and differences of neighbours, float64."""
 
 import numpy as np
 

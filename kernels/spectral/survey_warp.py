@@ -1,4 +1,4 @@
-"""CPUs: a pair of rows per work-item, vectors along the projections. CUDA devices: survey_groups_warp.py."""
+"""For CPUs: a pair of rows per thread, vectors of projections. GPUs: survey_groups_warp.py."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
