@@ -73,7 +73,7 @@ class Cache:
     def by_key(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
         """Return `make()`, computed only if the key has changed. For `gpusim.planner`, which names its keys itself."""
         found = self._entries.get(name)
-        if found is not None and compared(found[0], key) == SAME:
+        if found is not None and same(found[0], key):
             return found[1]
         with noted(None):
             value = make()
@@ -204,14 +204,15 @@ def _require_pure(name, function):
 
 
 def same(a, b) -> bool:
-    """Return whether two keys are equal: numbers, texts and arrays by value, dataclasses by field, else by identity."""
-    return compared(a, b) == SAME
+    """Return whether two values are equal, dataclasses field by field. Other objects are equal to themselves only."""
+    return compared(a, b, ()) == SAME
 
 
-def compared(a, b) -> int:
+def compared(a, b, by_identity: tuple = BY_IDENTITY) -> int:
     """Return SAME for equal keys, REFILLED if only contents of device arrays differ, else OTHER.
 
-    REPLACED if other device arrays of the same shapes and types are in the places of some.
+    REPLACED if other device arrays of the same shapes and types are in the places of some. by_identity: types whose
+    values are equal only as the same object.
     """
     if a is b:
         return SAME
@@ -224,14 +225,17 @@ def compared(a, b) -> int:
     if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
-        return _all(a, b) if len(a) == len(b) else OTHER
+        return _all(a, b, by_identity) if len(a) == len(b) else OTHER
     if isinstance(a, dict):
-        return _all(list(a.values()), list(b.values())) if list(a) == list(b) else OTHER
+        if list(a) != list(b):
+            return OTHER
+        return _all(list(a.values()), list(b.values()), by_identity)
     if isinstance(a, np.ndarray):
         return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
-    if is_dataclass(a) and not isinstance(a, BY_IDENTITY):
+    if is_dataclass(a) and not isinstance(a, by_identity):
         names = [part.name for part in fields(a)]
-        return _all([getattr(a, name) for name in names], [getattr(b, name) for name in names])
+        own, its = ([getattr(one, name) for name in names] for one in (a, b))
+        return _all(own, its, by_identity)
     return OTHER
 
 
@@ -253,13 +257,13 @@ def ones(key) -> list[One]:
     return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
 
 
-def _all(a, b):
+def _all(a, b, by_identity):
     """Return the least relation between pairs of parts."""
     least = SAME
     for own, its in zip(a, b, strict=True):
         if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):
             continue
-        found = compared(own, its)
+        found = compared(own, its, by_identity)
         if found == OTHER:
             return OTHER
         least = min(least, found)

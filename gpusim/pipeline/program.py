@@ -319,10 +319,10 @@ class Program:
         """Have the device look once at a scene that the plan was not made for; it is judged before the next."""
         device, values, found = self.simulator.device, self.values, None
         entries = self.before.cache.versioned(values["entries"])
-        looked = entries, plan, self.before.cache.versioned(mean) if self.meters_late else None
-        if same(self.before.looked, looked):
+        looked = entries, self.before.cache.versioned(mean) if self.meters_late else None
+        if self.before.looked[:1] == (plan,) and same(self.before.looked[1], looked):
             return
-        self.before.looked = looked
+        self.before.looked = plan, looked
         light = device.fetch(values["light"])
         if plan.watch is not None and plan.scene is not self.scene and self._given is None:
             found = device.fetch(values["survey"])
