@@ -7,12 +7,16 @@ import re
 import numpy as np
 
 from gpusim.domain.calibration import FISHEYE, PINHOLE, Calibration
+from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadData, BadFile, UnknownName, near, shown
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.mosaics import mosaic
+from gpusim.domain.noise import Noise
+from gpusim.domain.optics import Optics
+from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Pupil
-from gpusim.domain.sensor import Microlens
+from gpusim.domain.sensor import Microlens, Sensor
 
 
 class _Wanted(Exception):
@@ -248,9 +252,7 @@ def _micrometres_or_curve(value):
 
 # [section] key: (field of the domain's class, reader)
 _OPTICS = {
-    "f_number": ("f_number", _number()),
     "focal_length_mm": ("focal_length", _number(_MILLI)),
-    "model": ("model", _text),
     "transmission": ("transmission", _number_or_curve),
     "relative_illumination": ("relative_illumination", _illumination),
     "object_distance_m": ("object_distance", _number()),
@@ -270,10 +272,8 @@ _OPTICS = {
 }
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
-    "fill_factor": ("fill_factor", _number()),
     "microlens": ("microlens", _microlens),
     "cfa": ("cfa", _mosaic),
-    "stacked": ("stacked", _yes_no),
     "photodetector_size": ("photodetector", _numbers(2)),
     "photodetector_centre": ("centre", _numbers(2)),
     "offset": ("offset", _numbers(2)),
@@ -286,7 +286,6 @@ _SENSOR = {
     "auto_exposure": ("auto_exposure", _auto_exposure),
     "row_time_us": ("row_time", _number(MICRO)),
     "binning": ("binning", _wholes),
-    "binning_mode": ("binning_mode", _text),
     "noise_profile": ("profile", _text),
     "full_well_e": ("full_well", _number()),
     "bits": ("bits", _whole),
@@ -294,11 +293,9 @@ _SENSOR = {
     "gain_dn_per_e": ("gain", _number_or_auto()),
     "conversion_gain_uv_per_e": ("conversion_gain", _number(MICRO)),
     "adc_range_v": ("adc_range", _number()),
-    "analog_gain": ("analog_gain", _number()),
     "analog_offset_e": ("analog_offset", _number()),
 }
 _NOISE = {
-    "photon": ("photon", _text),
     "dark_current_e_per_s": ("dark_current", _number()),
     "temperature_c": ("temperature", _number()),
     "reference_temperature_c": ("reference_temperature", _number()),
@@ -309,42 +306,14 @@ _NOISE = {
     },
     "reset_e": ("reset", _number_or_ktc),
     "adc_dn": ("adc", _number()),
-    **{
-        key: (key, _number())
-        for key in (
-            "prnu",
-            "row_prnu",
-            "column_prnu",
-            "hot_pixels",
-            "dead_pixels",
-            "telegraph_pixels",
-            "telegraph_switching",
-        )
-    },
     "hot_current_e_per_s": ("hot_current", _number()),
-    "seed": ("seed", _whole),
 }
 _PROCESSOR = {
-    **{
-        key: (key, _text)
-        for key in (
-            "defects",
-            "demosaic",
-            "table",
-            "white_balance",
-            "color",
-            "training",
-            "target",
-            "scaling",
-        )
-    },
-    "shading": ("shading", _yes_no),
-    "denoise": ("denoise", _number()),
+    "table": ("table", _text),
     "white": ("white", _numbers(None)),
     "tone": ("tone", _pairs(None)),
 }
 _DISPLAY = {
-    "name": ("name", _text),
     "primaries": ("primaries", _pairs(3)),
     "white": ("white", _numbers(2)),
     "curve": ("curve", _number_or_srgb),
@@ -353,12 +322,27 @@ _DISPLAY = {
 # required fields, and the field that may replace each
 INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
 SPOKEN = {"diopters": "defocus"}  # fields that messages of the domain call by another name
+_PLAIN = {float: _number(), int: _whole, bool: _yes_no, str: _text}
+
+
+def _with_plain(keys, cls):
+    """Return keys with those of all other fields that are plain numbers, texts or switches, by their own names."""
+    named = {field for field, _ in keys.values()}
+    plain = {
+        field.name: (field.name, _PLAIN[field.type])
+        for field in dataclasses.fields(cls)
+        if field.type in _PLAIN and field.name not in named
+    }
+    return plain | keys
+
+
+# a field with a unit or a form of its own is named in a table above; other plain fields need no entry
 SECTIONS = {
-    "optics": _OPTICS,
-    "sensor": _SENSOR,
-    "noise": _NOISE,
-    "processor": _PROCESSOR,
-    "display": _DISPLAY,
+    "optics": _with_plain(_OPTICS, Optics),
+    "sensor": _with_plain(_SENSOR, Sensor),
+    "noise": _with_plain(_NOISE, Noise),
+    "processor": _with_plain(_PROCESSOR, Processor),
+    "display": _with_plain(_DISPLAY, Display),
 }
 
 
