@@ -413,29 +413,12 @@ class _Steps:
 
     def exposure(self, cfa: np.ndarray) -> list[Step]:
         """Return the steps from "rates" to mean electrons: "mean", and "per second" for automatic exposure."""
-        plan, stacked = self.plan, self.sensor.stacked
-        layers = self.channels if stacked else 1
-        chain = Chain("rates", "dimmed", Rate.SCENE, self.device)
-        self._dim(chain)
-        dimmed, steps = chain.value, chain.steps
-        found = list(steps)
-        for name, seconds in (("per second", {"exposure_time": 1.0}), ("mean", {})):
-            chain = Chain(dimmed, name, Rate.EXPOSURE, self.device)
-            is_mean = name == "mean"
-            chain.add(
-                "sensor.collect",
-                {"slope": plan.slope, **({} if stacked else {"cfa": cfa}), **seconds},
-                run=collect_layers if stacked else None,
-                numbers=() if seconds else ("exposure_time",),
-                words=self.words("sensor.collect"),
-                # mean electrons, and the mosaic of rates
-                nbytes=is_mean
-                * 4
-                * self.pixels
-                * layers
-                * (1 if plan.folded and plan.mix is not None else 2),
-                work=float(self.pixels * layers),
-            )
+        dimming = Chain("rates", "dimmed", Rate.SCENE, self.device)
+        self._dim(dimming)
+        found = list(dimming.steps)
+        for name, seconds in (("per second", 1.0), ("mean", None)):
+            chain = Chain(dimming.value, name, Rate.EXPOSURE, self.device)
+            self._collect(chain, None if self.sensor.stacked else cfa, seconds)
             found += chain.end()
         return found
 
@@ -444,14 +427,32 @@ class _Steps:
         channels = f"channels of {name}" if self.prefix else "channels"
         chain = Chain(channels, name, Rate.EXPOSURE, self.device)
         self._dim(chain)
-        constants = {} if exposure_time is None else {"exposure_time": exposure_time}
+        self._collect(chain, None, exposure_time)
+        return [*self.channels_to(channels), *chain.end()]
+
+    def _collect(self, chain, cfa, exposure_time):
+        """Add the collection of electrons: of every pixel's own channel, or of all channels.
+
+        cfa: None for all channels. exposure_time: None for the exposure's.
+        """
+        plan = self.plan
+        layers = self.channels if cfa is None else 1
+        is_folded = plan.folded and plan.mix is not None
+        constants = {"slope": plan.slope}
+        if cfa is not None:
+            constants["cfa"] = cfa
+        if exposure_time is not None:
+            constants["exposure_time"] = exposure_time
         chain.add(
             "sensor.collect",
-            {"slope": self.plan.slope, **constants},
-            run=collect_layers,
+            constants,
+            run=collect_layers if cfa is None else None,
             numbers=("exposure_time",) if exposure_time is None else (),
+            words=self.words("sensor.collect"),
+            # mean electrons, and the mosaic of rates
+            nbytes=4 * self.pixels * layers * (1 if is_folded else 2),
+            work=float(self.pixels * layers),
         )
-        return [*self.channels_to(channels), *chain.end()]
 
     def _dim(self, chain):
         """Add the loss of light beyond the cos^4 law."""
