@@ -15,7 +15,6 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
-import triple_brute
 import triple_mixed
 import triple_outside
 import triple_scenes
@@ -133,18 +132,7 @@ def _outside(question, seconds, mean, tolerance):
     """Return whether a frame is within its tolerance by the sums, None if they do not cover it."""
     began = time.process_time()
     try:
-        if question.kind == "mixed":
-            found = triple_outside.answers(question.scene, question.camera, seconds)
-        elif question.lens == "field":
-            raise OutOfRange("lens", "field", "old kinds of lens are the same all over the field")
-        else:
-            found = triple_outside.Answers(
-                [
-                    np.maximum(
-                        triple_brute.mean_electrons(question.scene, question.camera, seconds), 0
-                    )
-                ]
-            )
+        found = triple_outside.answers(question.scene, question.camera, seconds)
     except (OutOfRange, MemoryError) as reason:
         return {"within": None, "why": str(reason)[:160]}
     off, true = found.distance(mean)

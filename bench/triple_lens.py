@@ -16,12 +16,13 @@ from triple_pupils import chords, spreads, zernike
 class Lens:
     """Spreads of light by a camera's lens, in samples.
 
-    known: cache of kernels.
+    known: kernels that were made. wide: factor on the reach within which all light is summed.
     """
 
     scene: object
     camera: object
     known: dict = field(default_factory=dict)
+    wide: float = 1.0
 
     @property
     def varies(self):

@@ -35,7 +35,6 @@ HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
 LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight
 MONOTONE = 20  # scenes of a half for every step of the ladder
 REPEAT = 5  # frames that are timed
-PROBES = 2  # number of judged pixels if the blur varies over the field
 
 
 def main():
@@ -310,27 +309,16 @@ def over(predicted: float | None, true: float) -> float | None:
 
 
 def compared(question, seconds: float, mean, truth) -> dict:
-    """Return relative RMS errors of the reference and of a frame against independent sums.
-
-    If the blur varies over the field: at PROBES pixels.
-    """
-    import triple_brute
-    import triple_field
+    """Relative RMS errors of the truth and of a frame against sums that share nothing with either."""
+    import triple_outside
 
     try:
-        if question.lens == "field":
-            pixels = np.random.default_rng(question.seed).integers(
-                0, question.scene.shape, (PROBES, 2)
-            )
-            mean, truth = mean[tuple(pixels.T)], truth[tuple(pixels.T)]
-            own = triple_field.electrons_at(question.scene, question.camera, seconds, pixels)
-        else:
-            own = triple_brute.mean_electrons(question.scene, question.camera, seconds)
+        (own,) = triple_outside.answers(question.scene, question.camera, seconds, wide=3).means
     except OutOfRange as refusal:
         return {"brute": {"refused": str(refusal)}}
     return {
         "brute": {
-            "truth": rms(truth, own),
+            "truth": rms(np.maximum(truth, 0), own),  # sums are not negative
             "frame": rms(mean, own),
             "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma,
         }

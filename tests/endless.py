@@ -12,59 +12,31 @@ whose integral over v is (sqrt(a^2 + v^2) - a) / (a v).
 from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
-from scipy.special import j0, j1
+
+from gpusim.judge.hard import truth
 
 REACH = 320  # pixels summed one by one: what rings beyond leave is 4e-8 at q = 4
 IMAGES = 6  # mirror images along each axis that are summed one by one
 
 
-def intensity(q, waves=0.0, hole=0.0):
-    """Energy per square pixel of a point as a function of the distance, energy 1 in all.
-
-    waves: of defocus at the pupil's rim. hole: radius of its obstruction over its own. Airy's formula, or the integral
-    of J0 over the pupil (Born and Wolf, 8.5 and 8.8), tabled.
-    """
-    if not waves and not hole:
-        return lambda r: (
-            np.pi
-            / (4 * q * q)
-            * (2 * j1(np.maximum(np.pi * r / q, 1e-9)) / np.maximum(np.pi * r / q, 1e-9)) ** 2
-        )
-    r = np.arange(0, np.sqrt(2) * (REACH + 2), q / 24)
-    nodes, mass = np.polynomial.legendre.leggauss(int(np.pi * r[-1] / q / 2 + 8 * waves + 40))
-    rho = (1 + hole) / 2 + (1 - hole) / 2 * nodes
-    pupil = (1 - hole) / 2 * mass * rho * np.exp(2j * np.pi * waves * rho**2)
-    field = np.concatenate(
-        [j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)]
-    )
-    return CubicSpline(r, np.pi / (q * q) * np.abs(field) ** 2 / (1 - hole**2))
-
-
 @lru_cache(maxsize=4)
 def kernel(q, waves=0.0, hole=0.0, reach=REACH):
-    """Energy of pixels at whole distances (dy, dx) up to `reach` from a point, shape (reach + 1, reach + 1)."""
-    order = int(np.ceil(6 + 3 / q))  # q pixels a ring: so many nodes integrate it to 1e-9
-    nodes, mass = (array / 2 for array in np.polynomial.legendre.leggauss(order))
-    table, light = np.zeros((reach + 1, reach + 1)), intensity(q, waves, hole)
-    for y in range(reach + 1):  # the half below the diagonal
-        at = np.arange(y + 1)
-        radius = np.hypot((y + nodes)[:, None, None], at[:, None] + nodes)
-        table[y, : y + 1] = np.einsum("axb,a,b->x", light(radius), mass, mass)
-    return np.maximum(table, table.T)
+    """Energy of pixels at whole distances (dy, dx) up to `reach` from a point, shape (reach + 1, reach + 1).
 
-
-def centred(quarter):
-    """The whole kernel of a quadrant."""
-    at = np.abs(np.arange(-len(quarter) + 1, len(quarter)))
-    return quarter[np.ix_(at, at)]
+    waves: defocus at the edge of the pupil. hole: radius of its obstruction over its own radius.
+    """
+    at = np.arange(reach + 1)
+    if not waves and not hole:
+        return truth.point(q, at, at)
+    light = truth.defocused_airy(q, waves, np.sqrt(2) * (reach + 2), hole)
+    return truth.in_pixels(light, at, at, int(np.ceil(6 + 3 / q)))
 
 
 def picture(image, q, border, waves=0.0, hole=0.0):
     """What the lens makes of an image that goes on as "zero", "edge" or "reflect" says; pixels at full fill.
 
-    q: wavelength times f-number over the pixels' pitch. waves, hole: see `intensity`.
+    q: wavelength times f-number over the pixels' pitch. waves, hole: see `kernel`.
     """
     image, own, tail = (
         np.asarray(image, np.float64),
@@ -72,10 +44,10 @@ def picture(image, q, border, waves=0.0, hole=0.0):
         q / np.pi**3 / (1 - hole),
     )
     if border == "zero":
-        return fftconvolve(image, centred(own), "same")
+        return fftconvolve(image, truth.whole(own), "same")
     if border == "reflect":
         return _mirrored(image, own, tail)
-    near = fftconvolve(np.pad(image, REACH, mode="edge"), centred(own), "valid")
+    near = fftconvolve(np.pad(image, REACH, mode="edge"), truth.whole(own), "valid")
     down, across = (
         _beside(image[[0, -1]]),
         _beside(image.T[[0, -1]]),

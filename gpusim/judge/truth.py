@@ -126,7 +126,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
 
 
 def _electrons(simulator, camera, scene, exposure_time, parts):
-    """Return the mean electrons of parts of a frame: see `true_mean`."""
+    """Mean electrons of parts of a frame: see `true_mean`."""
     optics, cfa = camera.optics, camera.sensor.cfa_indices
     light = placed_light(camera, scene)
     if optics.model == "none":

@@ -83,16 +83,7 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
 
 
 def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
-    """Return the light from beyond the transforms, (C, rows, cols), or 0.
-
-    Args:
-        weights: Electrons per content times q, shape (C, L).
-        light: As for `blurred_rates`.
-        optics: The lens.
-        scene: The scene.
-        period: Rows and columns of the transforms.
-        places: Rows and columns of the pixels among the samples.
-    """
+    """What light from beyond the transforms adds at places (rows, cols) among the samples; weights: times q, (C, L)."""
     border, tail = rule_of(scene.border), tail_of(optics)
     if border == "reflect" or not tail:
         return 0.0

@@ -31,7 +31,7 @@ def airy(radius, q: float) -> np.ndarray:
     return np.pi / (4 * q * q) * (2 * j1(v) / v) ** 2
 
 
-def defocused_airy(q: float, waves: float, reach: float):
+def defocused_airy(q: float, waves: float, reach: float, hole: float = 0.0):
     """Return the same out of focus, as a function of the distance [pixel].
 
     The integral of J0 over the pupil, in a table of 24 entries per ring.
@@ -40,19 +40,20 @@ def defocused_airy(q: float, waves: float, reach: float):
         q: Wavelength times f-number over pitch.
         waves: Defocus W020 at the edge of the pupil [wave].
         reach: Largest distance [pixel].
+        hole: Radius of a central obstruction over the radius of the pupil.
 
-    Source: Born and Wolf, 8.8.
+    Source: Born and Wolf, 8.5 and 8.8.
     """
     from scipy.interpolate import CubicSpline
 
     radius = np.arange(0, reach + q, q / 24)
     nodes, mass = np.polynomial.legendre.leggauss(int(np.pi * reach / q / 2 + 8 * abs(waves) + 40))
-    rho = (1 + nodes) / 2
-    pupil = mass / 2 * rho * np.exp(2j * np.pi * waves * rho**2)
+    rho = (1 + hole) / 2 + (1 - hole) / 2 * nodes
+    pupil = (1 - hole) / 2 * mass * rho * np.exp(2j * np.pi * waves * rho**2)
     field = np.concatenate(
         [j0(np.pi / q * np.outer(part, rho)) @ pupil for part in np.array_split(radius, 64)]
     )
-    return CubicSpline(radius, np.pi / (q * q) * np.abs(field) ** 2)
+    return CubicSpline(radius, np.pi / (q * q) * np.abs(field) ** 2 / (1 - hole**2))
 
 
 def in_pixels(light, dy, dx, order: int) -> np.ndarray:
