@@ -327,13 +327,14 @@ _PLAIN = {float: _number(), int: _whole, bool: _yes_no, str: _text}
 
 def _with_plain(keys, cls):
     """Return keys with those of all other fields that are plain numbers, texts or switches, by their own names."""
-    named = {field for field, _ in keys.values()}
-    plain = {
-        field.name: (field.name, _PLAIN[field.type])
-        for field in dataclasses.fields(cls)
-        if field.type in _PLAIN and field.name not in named
-    }
-    return plain | keys
+    by_field = {field: key for key, (field, _) in keys.items()}
+    found = {}
+    for field in dataclasses.fields(cls):
+        if key := by_field.get(field.name):
+            found[key] = keys[key]
+        elif field.type in _PLAIN:
+            found[field.name] = field.name, _PLAIN[field.type]
+    return found | keys
 
 
 # a field with a unit or a form of its own is named in a table above; other plain fields need no entry

@@ -30,7 +30,7 @@ def read_grey(path):
 '''
 ENTRY = """def _grey(path, white):
     values = read_grey(path)
-    return of_planes(path, white, np.array([400.0, 700.0]), np.stack([values, values]), KINDS[0])
+    return scene_of_planes(path, white, np.array([400.0, 700.0]), np.stack([values, values]), KINDS[0])
 
 
 CHARTS_TAKE ="""
