@@ -1,8 +1,8 @@
-"""Print constraints for pip: each dependency in pyproject.toml at the lowest version that it allows.
+"""Print constraints for pip: each dependency in pyproject.toml at its lowest allowed version.
 
-`python .ci/lowest.py test > lowest.txt && pip install -e '.[test]' -c lowest.txt` installs them. Arguments are names
-of optional dependencies (extras), followed through extras that name other extras. Each floor must be a version that
-exists; pip fails for one that does not.
+`python .ci/lowest.py plot > lowest.txt && pip install -e '.[plot]' -c lowest.txt` installs them.
+Arguments are names of optional dependencies (extras), followed through extras that name other
+extras. Each floor must be a version that exists; pip fails for one that does not.
 """
 
 import re

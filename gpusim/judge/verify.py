@@ -1,7 +1,8 @@
-"""Compare every stage on a device with its float64 reference: `gpusim verify`, and the tests of the stages.
+"""Compare every stage on a device with its float64 reference: `gpusim verify`, and the tests.
 
-`verify` works in this process. `verify_apart` and `verify_devices` work in child processes, because a kernel or a
-driver may crash or hang: the stage that did so gets a failed row, and a new child judges the remaining stages.
+`verify` works in this process. `verify_apart` and `verify_devices` work in child processes, because
+a kernel or a driver may crash or hang: that stage gets a failed row, and a new child judges the
+remaining stages.
 """
 
 import json
@@ -20,12 +21,12 @@ from gpusim.backends.probe import best, devices
 from gpusim.domain.errors import DeviceError, one_line
 from gpusim.kernels.stage import compare, stage_names
 
-PATIENCE = 600.0  # [s] without a message until a child counts as hanging; no kernel takes as long to compile
+PATIENCE = 600.0  # [s] without a message; longer than any kernel takes to compile
 LAST_WORDS = 4096  # [byte] of a child's messages that are read after it died
 CHILD = """
 import runpy, sys
 folder = sys.argv.pop(1)
-if folder not in sys.path:  # a checkout that is not installed, or another one than the installed one
+if folder not in sys.path:  # a checkout that is not installed
     sys.path.insert(0, folder)
 runpy.run_module("gpusim.judge.verify_child", run_name="__main__", alter_sys=True)
 """
@@ -38,11 +39,11 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
 
     Args:
         device: The open device.
-        stages: Names such as "sensor.noise"; None for all.
+        stages: Names, for example "sensor.noise"; None for all.
 
     Yields:
-        Rows with stage, device, case, max_error, tolerance, ok, and why (the derivation of the tolerance, or the
-        reason of the failure).
+        Rows with stage, device, case, max_error, tolerance, ok, and why (the derivation of the
+        tolerance, or the reason of the failure).
     """
     for name in stages or stage_names():
         try:
@@ -63,12 +64,12 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
 
 
 def failed_row(stage: str, device: str, case: str, why: str) -> dict:
-    """Return the row of a stage that gave no result: its error is infinite.
+    """Return the row of a stage without a result: its error is infinite.
 
     Args:
-        stage: Name of the stage, or a step outside the stages such as "(open)".
+        stage: Name of the stage, or a step outside the stages, for example "(open)".
         device: Name of the device.
-        case: What failed, in brackets.
+        case: The failure, in brackets.
         why: The reason; its first line is used.
 
     Returns:
@@ -96,7 +97,8 @@ def verify_devices(
         patience: Time without progress after which a child counts as hanging [s].
 
     Yields:
-        Rows as those of `verify`. With "all", a device that cannot be opened gives one failed row.
+        Rows as `verify` yields them. With "all", a device that cannot be opened gives one failed
+        row.
 
     Raises:
         DeviceError: The one device that is named cannot be opened.
@@ -122,10 +124,10 @@ def verify_devices(
 def verify_apart(
     name: str, stages: list[str] | None = None, patience: float = PATIENCE
 ) -> Iterator[dict]:
-    """Yield one row per case of each stage, judged in a child process, which a crash or a hang ends.
+    """Yield one row per case of each stage, judged in a child process.
 
-    One child judges all stages. If it dies, or sends nothing for `patience` seconds, the stage it was judging gets a
-    failed row with the signal, and a new child judges the stages after it.
+    One child judges all stages. If it dies, or sends nothing for `patience` seconds, the stage that
+    it was judging gets a failed row with the signal, and a new child judges the stages after it.
 
     Args:
         name: Name of the device.
@@ -133,7 +135,7 @@ def verify_apart(
         patience: Time without progress after which the child counts as hanging [s].
 
     Yields:
-        Rows as those of `verify`.
+        Rows as `verify` yields them.
 
     Raises:
         DeviceError: The device cannot be opened.
@@ -204,7 +206,7 @@ class _Child:
             yield json.loads(line)
 
     def death(self, finished):
-        """Return why the child died, in one line; "" if it ended by itself when all stages were judged."""
+        """Return why the child died, in one line; "" if it ended after all stages were judged."""
         if self._silent:
             return f"hangs: nothing came from its process for {self._silent:g} s"
         try:

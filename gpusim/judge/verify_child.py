@@ -1,7 +1,8 @@
-"""Judge stages in a process of their own, which `gpusim.judge.verify` starts.
+"""Judge stages in a separate process, which `gpusim.judge.verify` starts.
 
-`python -m gpusim.judge.verify_child DEVICE STAGE ...` writes one JSON object a line: `device` when it is open or
-`refused` if it cannot be opened, then for each stage `begins`, a `row` per case, and `ends`.
+`python -m gpusim.judge.verify_child DEVICE STAGE ...` writes one JSON object a line: `device` when
+it is open, or `refused` if it cannot be opened; then for each stage `begins`, a `row` per case, and
+`ends`.
 """
 
 import json
@@ -14,7 +15,10 @@ from gpusim.judge.verify import verify
 
 
 def _open_channel():
-    """Return a function that sends messages by the standard output, which other code then does not write to."""
+    """Return a function that sends messages to the standard output.
+
+    Other code no longer writes there.
+    """
     channel = os.dup(1)
     os.dup2(2, 1)  # drivers and kernels now print to the standard error
 

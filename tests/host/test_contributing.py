@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -109,3 +110,17 @@ def test_a_reader_is_one_file_and_one_entry(tmp_path):
     assert damaged.startswith("bad.grey: ")
     assert refused.startswith("scale = 2.0: allowed is for ") and "a.grey" in refused
     assert ".grey" in unknown
+
+
+def test_every_dependency_has_a_lowest_version():
+    """`.ci/run_lowest` installs these; tools for tests, documentation and benchmarks may float."""
+    extras = (ROOT / ".ci/run_lowest").read_text().partition("lowest.py ")[2].partition(" >")[0]
+    command = [sys.executable, str(ROOT / ".ci/lowest.py"), *extras.split()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    lowest = {line.partition("==")[0].lower() for line in done.stdout.splitlines()}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    optional = project["optional-dependencies"]
+    wanted = project["dependencies"] + [one for name in extras.split() for one in optional[name]]
+    assert {re.match(r"[\w.-]+", one)[0].lower() for one in wanted} == lowest
+    assert set(optional) - set(extras.split()) <= {"test", "docs", "bench", "ray", "optiland"}
