@@ -86,7 +86,7 @@ def test_the_error_of_a_producer_is_that_of_verify():
     scene = gs.chart("deadleaves", size=(64, 48))
     state = replace(STATE, tolerance="1e-2")
     codes, error = Producer(Still(scene, 1), open_device("opencl")).error(state, 0)()
-    report = gs.Simulator(state.built(), device="opencl", tolerance=1e-2)(scene, verify=True).report
+    report = gs.Simulator(state.build(), device="opencl", tolerance=1e-2)(scene, verify=True).report
     assert codes.shape == (48, 64, 3) and error == report.error
 
 
@@ -158,7 +158,7 @@ def test_scenes_that_move_are_those_of_a_video():
         scene = next(scenes.between(number, number + 1))
         assert np.array_equal(
             producer.picture(STATE, number).codes,
-            gs.Simulator(STATE.built(), device="opencl")(scene, frame=number).rgb,
+            gs.Simulator(STATE.build(), device="opencl")(scene, frame=number).rgb,
         )
         assert np.array_equal(
             producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes

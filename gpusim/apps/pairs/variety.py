@@ -1,4 +1,4 @@
-"""What differs from one pair to the next: exposure time, speed, light and luminance, drawn for each pair by itself."""
+"""Settings that are drawn for each pair: exposure time, ISO speed, light and luminance."""
 
 import argparse
 from dataclasses import dataclass
@@ -14,13 +14,17 @@ NAMES = (*NUMBERS, "light")
 
 @dataclass(frozen=True)
 class Variety:
-    """Ranges and choices: name of NAMES -> (low, high), drawn evenly in the logarithm, or a tuple of names."""
+    """Ranges and choices.
+
+    Attributes:
+        ranges: Name of NAMES, and (low, high), drawn evenly in the logarithm, or a tuple of names.
+    """
 
     ranges: tuple[tuple[str, tuple], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> "Variety":
-        """Of a command line: `exposure=1/200..1/20,iso=100..1600,luminance=10..1000,light=D65|A`."""
+        """Return the variety of `exposure=1/200..1/20,iso=100..1600,light=D65|A`. Raises ArgumentTypeError."""
         found = {}
         for part in text.split(","):
             name, equals, value = part.partition("=")
@@ -31,11 +35,11 @@ class Variety:
                 )
             found[name] = _numbers(name, value) if name in NUMBERS else tuple(value.split("|"))
             if not all(found[name]):
-                raise argparse.ArgumentTypeError(f"{part!r}: wanted names such as light=D65|A")
+                raise argparse.ArgumentTypeError(f"{part!r}: wanted names, for example light=D65|A")
         return cls(tuple(found.items()))
 
-    def drawn(self, seed: int, number: int) -> dict:
-        """Values of a pair, by its number alone."""
+    def draw(self, seed: int, number: int) -> dict:
+        """Return the values of a pair. They depend only on the seed and its number."""
         random = np.random.Generator(np.random.Philox(key=[seed, number]))
         values = {}
         for name, given in self.ranges:
@@ -48,8 +52,13 @@ class Variety:
         return values
 
 
+def scene_options(values: dict) -> dict:
+    """Return the drawn values that are arguments of `open_scene`."""
+    return {name: values[name] for name in ("light", "luminance") if name in values}
+
+
 def _numbers(name, text):
-    """The ends of a range, equal ones of a single number."""
+    """Return the ends of a range; a single number is both."""
     low, dots, high = text.partition("..")
     try:
         read = parse_seconds if name == "exposure" else float

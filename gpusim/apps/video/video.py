@@ -1,4 +1,4 @@
-"""Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
+"""Frames of a video, computed by segments while the next scenes are read and the last frames are written."""
 
 import glob
 import os
@@ -19,6 +19,7 @@ from gpusim.apps.video.manifest import PARTS
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Moving, Scenes
+from gpusim.apps.video.segments import numbered_path
 from gpusim.captures.moving import expose_motion
 from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
@@ -27,14 +28,20 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS = Ramps()
-READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
+READ, COMPUTED = 2, 3  # scenes and frames that are computed ahead
 
 
 @dataclass(frozen=True)
 class Made:
-    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors.
+    """A frame of a video.
 
-    exposure_time: [s]. gain: analog, beside the sensor's. plan: name of the plan that made it.
+    Attributes:
+        number: Number of the frame.
+        values: A Frame, or an array for a codec.
+        account: Predicted errors.
+        exposure_time: Exposure time [s].
+        gain: Analog gain in addition to the sensor's.
+        plan: Name of the plan.
     """
 
     number: int
@@ -46,9 +53,14 @@ class Made:
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
-    """The camera whose automatic exposure ends with the frame's period. Raises OutOfRange for a longer one that is set.
+    """Return the camera with automatic exposure limited to the period of a frame.
 
-    rate: frames per second.
+    Args:
+        camera: Camera of the video.
+        rate: Frames per second.
+
+    Raises:
+        OutOfRange: If the camera has a longer fixed exposure time.
     """
     sensor, longest = camera.sensor, float(1 / rate)
     if sensor.exposure_time is None:
@@ -74,11 +86,18 @@ def frames(
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
 ) -> Iterator[Made]:
-    """The frames that are wanted of each segment, in order.
+    """Yield the wanted frames of each segment, in order.
 
-    segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
-    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps, loops: of
-    all frames that `scenes` has.
+    A camera that meters exposes each frame for the light of the previous one, and the first for its own.
+
+    Args:
+        simulator: Camera and device.
+        scenes: Scenes of all frames.
+        segments: For each segment its first frame, then the wanted ones.
+        seed: Seed of the noise.
+        output: Output of `Simulator.stream`. None: a Frame.
+        ramps: Settings that change over all frames.
+        loops: Settings of the camera's control loops for all frames.
     """
     program, last = None, max(scenes.count - 1, 1)
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
@@ -104,7 +123,7 @@ def frames(
                     program.update(scene=scene, **other, **operation)
                 made = _made(
                     program, number, seed, output
-                )  # unwanted, too, for what the next one takes of it
+                )  # even an unwanted one: the next frame meters it
                 if number in wanted:
                     yield made
         if program is not None:
@@ -121,7 +140,7 @@ def blurred_frames(
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
 ) -> Iterator[Made]:
-    """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
+    """Yield frames with motion blur, rolling shutter and flicker; see `frames`. Each frame meters its first view."""
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
@@ -171,36 +190,37 @@ def _made(program, number, seed, output):
 
 
 def _on_host(simulator, values, output):
-    """A copy of an output; linear light (rows, cols, 3), as codes are."""
+    """Return a host copy of an output, with the channels of linear light last."""
     copied = np.array(simulator.device.numpy(values))
     return np.moveaxis(copied, 0, -1) if output == "linear" else copied
 
 
 class NumberedFiles:
-    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on.
+    """A file for every frame: `a.png` gives a_0000.png, ...
 
-    made: `frames` or `blurred_frames`.
+    Args:
+        path: Path of the output; its suffix sets the format.
+        count: Number of frames.
+        made: `frames` or `blurred_frames`.
     """
 
     def __init__(self, path: Path, count: int, made: Callable = frames):
-        self._path, self._digits, self._made = path, max(4, len(str(count - 1))), made
+        self._path, self._count, self._made = path, count, made
 
     @property
     def words(self) -> str:
-        """What is written, for messages."""
+        """The output in words, for messages."""
         return f"the files {self.name(0).name} ..."
 
     def is_empty(self) -> bool:
-        """Whether nothing was written yet."""
+        """Return whether nothing was written yet."""
         return not any(
             self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}")
         )
 
     def name(self, number: int) -> Path:
-        """Of a frame."""
-        return self._path.with_name(
-            f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}"
-        )
+        """Return the path of a frame."""
+        return numbered_path(self._path, number, self._count)
 
     def write(
         self,
@@ -210,7 +230,7 @@ class NumberedFiles:
         seed: int = 0,
         loops: Loops = NO_LOOPS,
     ) -> Iterator[Made]:
-        """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
+        """Write the missing frames of the segments; yield each written one. Raises as `Frame.save` does."""
         missing = [
             [segment.start, *(number for number in segment if not self.name(number).exists())]
             for segment in segments
@@ -233,16 +253,22 @@ class NumberedFiles:
 
 
 def _written(writing, done):
+    """Yield the frames of finished tasks, in order."""
     for task in sorted(done, key=lambda task: writing[task].number):
         one = writing.pop(task)
-        task.result()  # raises what was wrong
+        task.result()  # raises the error of the task
         yield one
 
 
 class EncodedFile:
-    """A file of all frames, made of a file for each segment, in a folder beside it until all are there.
+    """A video file. Until it is complete, a folder next to it holds a file for each segment.
 
-    made: `frames` or `blurred_frames`.
+    Args:
+        path: Path of the video.
+        codec: Codec.
+        encoder: Encoder of the segments.
+        segments: All segments.
+        made: `frames` or `blurred_frames`.
     """
 
     def __init__(
@@ -264,20 +290,20 @@ class EncodedFile:
 
     @property
     def words(self) -> str:
-        """What is written, for messages."""
+        """The output in words, for messages."""
         return f"the folder {self.folder}"
 
     @property
-    def told(self) -> str:
-        """What there is when all is done, for messages."""
+    def result(self) -> str:
+        """The finished output, for messages."""
         return str(self.path)
 
     def is_empty(self) -> bool:
-        """Whether nothing was written yet."""
+        """Return whether nothing was written yet."""
         return not any(self.folder.glob(f"*{PART}"))
 
     def part(self, segment: range) -> Path:
-        """The file of a segment."""
+        """Return the file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
     def write(
@@ -288,7 +314,7 @@ class EncodedFile:
         seed: int = 0,
         loops: Loops = NO_LOOPS,
     ) -> Iterator[Made]:
-        """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
+        """Encode the missing segments; yield each encoded frame. Raises BadFile."""
         missing = [segment for segment in segments if not self.part(segment).exists()]
         made = self._made(
             simulator,
@@ -303,7 +329,7 @@ class EncodedFile:
                 yield from self._encoded(segment, computed)
 
     def _encoded(self, segment, computed):
-        """Encode a segment; gives each of its frames when it was taken."""
+        """Encode a segment; yield each of its frames."""
         taken: list[Made] = []
 
         def values():
@@ -315,16 +341,16 @@ class EncodedFile:
             yield taken[number]
 
     def finish(self) -> bool:
-        """Join the segments where all are there, and remove them. Returns whether they were."""
+        """Join the segments and remove them, if all exist. Return whether they did."""
         parts = [(segment.start, self.part(segment)) for segment in self._segments]
         if not all(part.exists() for _, part in parts):
             return False
         self._encoder.join(self.path, parts)
-        self._emptied()
+        self._remove_segments()
         return True
 
-    def _emptied(self):
-        """Remove the segments."""
+    def _remove_segments(self):
+        """Remove the files of the segments and their folder."""
         for path in self.folder.iterdir():
             path.unlink()
         self.folder.rmdir()
