@@ -1,8 +1,8 @@
 """Least squares for learned filters: normal equations gathered frame by frame, solved with a ridge.
 
 For every noise level, level, position and class the wanted codes t (outputs, n) are predicted from the sums s (G, n) of
-the groups of taps: W = argmin |W s - t|^2 + lambda |W - W_0|^2, where W_0 are the filters of all classes of that
-position together (Lansel & Wandell 2011; the ridge towards W_0 is Hoerl & Kennard 1970 about a prior). Between levels
+the groups of taps: W = argmin |W s - t|^2 + lambda |W - W_0|^2. W_0 are the filters of all classes of that position
+together (Lansel & Wandell 2011; the ridge towards W_0 is Hoerl & Kennard 1970 about a prior). Between levels
 filters are interpolated linearly, so a sample counts for the two nearest, by the weights it is interpolated with.
 """
 
@@ -132,7 +132,7 @@ class NormalEquations:
             filters[number] = self._solved(a, b, c, ridge, preserve, constraints, number)
         filters = (
             np.rint(filters * 2.0**40) / 2.0**40
-        )  # so that sums over mirror images are exact, and equal
+        )  # makes sums over mirror images exact, and equal
         filters = np.stack([shared(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
         return FilterTable(
@@ -176,14 +176,14 @@ class NormalEquations:
         return out
 
     def _own(self):
-        """The group that is the pixel's own sample alone, None if there is no such."""
+        """Return the group that has only the pixel's own sample, or None."""
         layout = self.layout
         at = layout.groups[(layout.taps == 0).all(axis=1)]
         return at[0] if len(at) == 1 and (layout.groups == at[0]).sum() == 1 else None
 
 
 def solved(a, b, ridge, prior, limit):
-    """W (terms, outputs) with (A + ridge I) W = B + ridge prior, and, if there is a limit (C, d), C W = d."""
+    """Return W (terms, outputs) with (A + ridge I) W = B + ridge prior, and C W = d for a limit (C, d)."""
     a = a + ridge * np.eye(len(a))
     b = b if prior is None else b + ridge * prior
     if limit is None:
@@ -195,7 +195,7 @@ def solved(a, b, ridge, prior, limit):
 
 
 def flat_sums(layout: Layout, constant=False):
-    """What a flat field of 1 in one channel gives in each term, shape (P, channels, terms)."""
+    """Return the terms of a flat field of 1 in one channel, shape (P, channels, terms)."""
     rows, cols = layout.period
     letters = np.array([list(text) for text in layout.mosaic])
     out = np.zeros((layout.positions, len(layout.channels), layout.shape[-1] + constant))
@@ -207,9 +207,9 @@ def flat_sums(layout: Layout, constant=False):
 
 
 def symmetries(layout: Layout, exchanges=()):
-    """Mirror images, transposes and shifts of the mosaic that are the mosaic again, perhaps with channels exchanged.
+    """Return the mirror images, transposes and shifts that map the mosaic to itself, perhaps with channels exchanged.
 
-    Returns a list of (positions (P,), classes (K,), groups (G,), outputs): where each of them comes to lie.
+    Returns a list of (positions (P,), classes (K,), groups (G,), outputs): the new index of each of them.
     """
     rows, cols = layout.period
     letters = np.array([list(text) for text in layout.mosaic])
@@ -256,7 +256,7 @@ def symmetries(layout: Layout, exchanges=()):
 
 
 def shared(values, maps, axes, constant=False):
-    """The mean of values and of all their mirror images turned back.
+    """Return the mean of values and of all their mirror images, turned back.
 
     values: shape (.., P, K, *axes) with one axis before; axes: "g" for groups (and the constant), "o" for outputs.
     """

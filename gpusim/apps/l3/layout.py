@@ -1,4 +1,4 @@
-"""Which samples a filter sees and how pixels are classed, for any mosaic: choices that measured well."""
+"""Samples of a filter and classes of pixels for any mosaic, chosen by measurements."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def layout(
     with |dy| + |dx| <= radius [pixel], 4 by default and 5 for periods above 4. box: as in `Layout`, at least half a
     period by default.
     Periods of 1 and 2: taps that are mirror images of each other share their weight, since the mosaic is its own mirror
-    image. Period 2 x 2: contrast is that of Hamilton & Adams' colour differences, between -1 and +1 pixel, and detail
+    image. Period 2 x 2: contrast is Hamilton & Adams' colour difference, between -1 and +1 pixel, and detail
     the second difference of samples of one colour. Others: contrast is the difference of samples a period apart, the
     nearest of the same colour everywhere. Raises BadData.
     """

@@ -2,7 +2,7 @@
 
 At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and blurred copies of
 it; at the others it is its linear light, counted in electrons with shot and read noise, on variance-stabilised codes.
-Both are nearly the same code, so that filters may be interpolated between all levels. Filters keep flat fields exactly,
+Both are nearly the same code, so filters can be interpolated between all levels. Filters keep flat fields exactly,
 red and blue play the same part, and mirror images count as further photographs.
 """
 
@@ -33,7 +33,7 @@ SIGMAS = (
 READ = 2.0  # [e-]
 BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
 NOISY_BLURS = (0.0, 0.8, 2.0)
-BLURRED = 0.25  # what a blurred frame counts, against 1 of a sharp one
+BLURRED = 0.25  # weight of a blurred frame, against 1 of a sharp one
 BORDER = 4  # pixels that do not count, next to mirrored ones
 
 
@@ -85,7 +85,7 @@ def _rgb(file):
 
 
 def provenance(names) -> str:
-    """What a table of these photographs is made from, as JSON."""
+    """Return the provenance of a table of these photographs, as JSON."""
     return json.dumps(
         {
             "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",

@@ -17,7 +17,7 @@ SIZE = 96  # [pixel]
 
 
 def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE) -> list[Scene]:
-    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`; they depend on `seed` alone.
+    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`; they depend only on `seed`.
 
     Each has three parts, one over the other. Leaves: overlapping discs of the measured reflectances (dead leaves, the
     statistics of natural scenes at every scale). Strokes: thin straight lines of other surfaces, a third of the scene
@@ -109,14 +109,14 @@ def _patches(ids, shading, random, grey):
 
 
 def _shade(shape, random):
-    """Light that falls unevenly, times a texture; both depend on places alone."""
+    """Return uneven light times a texture; both depend only on the place."""
     from scipy.ndimage import gaussian_filter
 
     def field(sigma):
         values = gaussian_filter(random.standard_normal(shape), sigma, mode="wrap")
         return values / values.std()
 
-    # in patches, most of it faint: filters take what all scenes have for detail, and leave such noise as it is
+    # in patches, most of it faint: filters treat a feature of all scenes as detail, and would keep such noise
     texture = (
         0.15
         * random.random() ** 3

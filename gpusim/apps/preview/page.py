@@ -1,4 +1,4 @@
-"""The preview's page: controls, the picture, and what is known of it."""
+"""The preview's page: controls, the picture and its data."""
 
 import secrets
 import tempfile
@@ -45,12 +45,12 @@ STYLE = """
 
 
 def mark(name: str) -> str:
-    """Properties of an element by which tests find it."""
+    """Return the properties of an element by which tests find it."""
     return f'data-mark="{name}"'
 
 
-class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # where there is no NiceGUI
-    """The canvas. url: of its websocket. width, height: of the frames [pixel]."""
+class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # without NiceGUI
+    """The canvas. url: address of its websocket. width, height: size of the frames [pixel]."""
 
     def __init__(self, url: str, width: int, height: int):
         super().__init__()
@@ -58,14 +58,14 @@ class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # 
 
 
 class Sessions:
-    """Those of all clients by their tokens; what nobody has used for long goes. made: a Producer. first: State."""
+    """Sessions of all clients by their tokens; idle ones are removed. made: makes a Producer. first: first State."""
 
     def __init__(self, made, first: State):
         self._made, self._first = made, first
         self._known: dict[str, Session] = {}
 
     def of(self, token: str, link: str = "") -> tuple[str, Session]:
-        """A client's, by its token, or a new one, with the settings of a link. Raises BadData."""
+        """Return the session of a token, or a new one, with the settings of a link. Raises BadData."""
         now = time.monotonic()
         for name, session in list(self._known.items()):
             if now - session.used > LEFT:
@@ -81,12 +81,12 @@ class Sessions:
         return token, self._known[token]
 
     def known(self, token: str) -> Session | None:
-        """A client's, or None."""
+        """Return the session of a token, or None."""
         return self._known.get(token)
 
 
 class Page:
-    """One client's page. title: of the scene; shape: rows and columns of its frames."""
+    """One client's page. title: title of the scene; shape: rows and columns of its frames."""
 
     def __init__(
         self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
@@ -103,11 +103,11 @@ class Page:
         self._at: tuple[int, int] | None = None
         self._is_step = False  # whether the next change is one, whatever was before
         self._turned = ""  # the control that was moved last
-        self._refused = ""  # one beside which a reason stands
+        self._refused = ""  # the control with an error message
         self._table: dict = {}
         self._width = shape[1]  # of the picture on the screen [pixel]
         self._held: tuple | None = (
-            None  # where the button went down: row and column of the canvas, and the crop then
+            None  # start of a drag: row and column of the canvas, and the crop
         )
         self._edge: tuple[slice, slice] | None = (
             None  # the part of the picture whose edge is measured
@@ -148,7 +148,7 @@ class Page:
             )
             with ui.element("div").classes(
                 "absolute inset-0"
-            ):  # of its own: the image is placed relative to itself
+            ):  # separate, because the image is positioned relative to itself
                 self._fields["overlay"] = (
                     ui.interactive_image(
                         size=(cols, rows),
@@ -373,14 +373,14 @@ class Page:
             )
         self._fields[name] = (slider, number, is_on, to_place, control)
 
-    # what a control does
+    # actions of the controls
 
     def _slid(self, turned, value):
         if not self._setting:
             turned(value)
 
     def _typed(self, turned, value):
-        """A number was entered: a step of its own, also beside those of the slider."""
+        """Take a typed number, as a separate step of the history."""
         self._is_step = True
         if value is not None and isfinite(value):
             turned(float(value))
@@ -476,7 +476,7 @@ class Page:
             self._held = None
 
     def _seen(self, y, x):
-        """Row and column of the frame at a place of the canvas, whose size is said to be the frame's."""
+        """Return row and column of the frame at a place of the canvas, which is declared as large as the frame."""
         crop = self.session.crop
         top, left, rows, cols = (
             (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
@@ -510,7 +510,7 @@ class Page:
             self._draw_edge()
 
     def _draw_edge(self):
-        """The rectangle of the measured edge on the canvas, whose size is said to be the frame's."""
+        """Draw the rectangle of the measured edge on the canvas, which is declared as large as the frame."""
         crop, shown = self.session.crop, ""
         if self._edge is not None:
             top, left, rows, cols = (
@@ -546,10 +546,10 @@ class Page:
             )
             ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
 
-    # what the page shows
+    # output of the page
 
     def _follow(self, only=""):
-        """Put the settings into the controls. only: the one that was moved, where no other can have changed."""
+        """Put the settings into the controls. only: the control that moved, if no other can have changed."""
         state = self.session.state
         if only in ("split", "frame"):
             return
@@ -652,11 +652,11 @@ class Page:
         )
         self._fields["response"].content = response(edge) if "mtf50" in edge else ""
 
-    # what is saved
+    # saved files
 
     def _save_camera(self):
         try:
-            self.session.state.built()
+            self.session.state.build()
             ui.download.content(self.session.state.toml(), "camera.toml")
         except GpusimError as error:
             ui.notify(str(error), type="negative")
@@ -676,7 +676,7 @@ class Page:
         with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
             ui.label("The page with these settings:")
             ui.code(f"/?state={_quoted(state.link())}").props(mark("link"))
-            ui.label("The same on the command line, with the camera saved beside it:")
+            ui.label("The same on the command line, with the camera saved next to it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
 
@@ -695,7 +695,7 @@ def _quoted(text):
 
 
 def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:
-    """Put the page and its websocket into NiceGUI's application. made: gives a client's Producer."""
+    """Add the page and its websocket to NiceGUI's application. made: makes a client's Producer."""
     from fastapi import WebSocket, WebSocketDisconnect
 
     sessions = Sessions(made, first)

@@ -1,4 +1,4 @@
-"""Pictures that move before the scene of a video, as a command line names them."""
+"""Pictures that move in front of the scene of a video, as given on a command line."""
 
 import argparse
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ KEYS = {"at": 2, "pan": 2, "roll": 1, "zoom": 1, "zooming": 1}  # name -> number
 
 @dataclass(frozen=True)
 class Cast:
-    """A picture with alpha and its path: place at the first frame, then pan, roll, zoom and zooming as of a Motion."""
+    """A picture with alpha and its movement: place at the first frame, and fields of a Motion."""
 
     path: Path
     numbers: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> "Cast":
-        """Of a command line: `car.png,at=40:-200,pan=0:120,roll=5`."""
+        """Return the cast of `car.png,at=40:-200,pan=0:120,roll=5`. Raises ArgumentTypeError."""
         name, *parts = text.split(",")
         found: dict[str, tuple[float, ...]] = {}
         for part in parts:
@@ -39,7 +39,7 @@ class Cast:
         return cls(Path(name), tuple(found.items()))
 
     def actor(self) -> "Actor":
-        """The picture, and its path. Raises BadFile, OutOfRange."""
+        """Return the picture and its movement. Raises BadFile, OutOfRange."""
         from gpusim.domain.animation import Actor
         from gpusim.domain.motion import Motion
         from gpusim.io.scene.photo import read_cutout

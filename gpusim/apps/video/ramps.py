@@ -1,4 +1,4 @@
-"""What changes evenly over a video: exposure, speed, lens and light."""
+"""Settings that change evenly over a video: exposure, ISO speed, lens and light."""
 
 import argparse
 from dataclasses import dataclass
@@ -17,17 +17,18 @@ NAMES = (*CAMERA, "light")
 
 @dataclass(frozen=True)
 class Ramps:
-    """Values at the first frame and at the last one, evenly in the logarithm between.
+    """Values at the first and at the last frame, and between them evenly in the logarithm.
 
-    ranges: name of NAMES -> (first, last): exposure time [s], ISO speed, f-number, distance of what is in focus [m],
-    and a factor of all light.
+    Attributes:
+        ranges: Name of NAMES and (first, last): exposure time [s], ISO speed, f-number, distance of
+            the plane in focus [m], and a factor of all light.
     """
 
     ranges: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> "Ramps":
-        """Of a command line: `exposure=1/500..1/30,focus=0.3..5`."""
+        """Return the ramps of `exposure=1/500..1/30,focus=0.3..5`. Raises ArgumentTypeError."""
         found: dict[str, tuple[float, float]] = {}
         for part in text.split(","):
             name, _, value = part.partition("=")
@@ -53,7 +54,7 @@ class Ramps:
         return cls(tuple(found.items()))
 
     def at(self, part: float) -> dict[str, float]:
-        """Values at a part of the video, 0 .. 1."""
+        """Return the values at a part of the video, 0 .. 1."""
         return {
             name: float(
                 min(max(first * (last / first) ** part, min(first, last)), max(first, last))
@@ -62,7 +63,7 @@ class Ramps:
         }  # a power rounds, and must not leave the range
 
     def camera(self, camera: "Camera", part: float) -> "Camera":
-        """The camera there. Raises what it does for settings that it cannot have."""
+        """Return the camera at a part of the video. Raises as `operate_camera` does."""
         values = self.at(part)
         if not any(name in CAMERA for name in values):
             return camera
@@ -77,6 +78,6 @@ class Ramps:
         )
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
-        """The scene in the light that there is then."""
+        """Return the scene in the light at a part of the video."""
         factor = self.at(part).get("light")
         return scene if factor is None else scene.brightened(factor)
