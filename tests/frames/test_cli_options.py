@@ -284,7 +284,7 @@ def record(monkeypatch):
         def mounted(producer, state, name, shape, title):
             made = producer()
             shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
-            print(made._device.name, made._period, vars(state), name, shape, title, made.frames)
+            print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
             print(*(digest(scene) for scene in shown))
 
         monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
@@ -436,8 +436,12 @@ def looked(panel, name):
     base, option = (SCENE | OWN)[name]
     if not USED[panel] & {"size"}:
         base = re.sub(r"^[\w.-]+ | --size \S+| --device \S+", "", base)
-    if panel in ("scene", "spectra", "psf", "mtf", "camera", "snr"):
+    if "device" not in USED[panel]:
         base = base.replace(" --device numpy", "")
+    if "exposure" not in USED[panel]:
+        base = re.sub(r" --exposure \S+", "", base)
+    if panel in ("scene", "spectra"):
+        base = base.replace(" --camera phone", "")
     if panel == "sfr":
         base = base.replace("colorchecker", "slanted-edge").replace("24x16", "64x48")
     return f"{base} --what {panel} -o look.png", option

@@ -1,6 +1,5 @@
 """The preview's page: controls, the picture and its data."""
 
-import secrets
 import tempfile
 import time
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any
 
 from nicegui import app, run, ui
 
+from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.controls import (
     CONTROLS,
     GROUPS,
@@ -21,17 +21,15 @@ from gpusim.apps.preview.controls import (
     VIEWS,
     Control,
 )
-from gpusim.apps.preview.crop import enlarged
 from gpusim.apps.preview.curves import histogram, response
 from gpusim.apps.preview.labels import of_exposure, of_plan
 from gpusim.apps.preview.measures import SPAN
 from gpusim.apps.preview.session import Session
+from gpusim.apps.preview.sessions import Sessions
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
-LEFT = 600.0  # [s] that a session without a page is kept
-MOST_SESSIONS = 16  # each holds its scene on the device
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
 QUIET = "text-sm text-neutral-300 font-mono"
@@ -44,74 +42,20 @@ STYLE = """
 """
 
 
-def mark(name: str) -> str:
-    """Return the properties of an element by which tests find it."""
-    return f'data-mark="{name}"'
-
-
-class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # without NiceGUI
-    """The canvas. url: address of its websocket. width, height: size of the frames [pixel]."""
-
-    def __init__(self, url: str, width: int, height: int):
-        super().__init__()
-        self._props.update(url=url, width=width, height=height)
-
-
-class Sessions:
-    """Sessions of all clients by their tokens; idle ones are removed. made: makes a Producer. first: first State."""
-
-    def __init__(self, made, first: State):
-        self._made, self._first = made, first
-        self._known: dict[str, Session] = {}
-
-    def of(self, token: str, link: str = "") -> tuple[str, Session]:
-        """Return the session of a token, or a new one, with the settings of a link. Raises BadData."""
-        now = time.monotonic()
-        for name, session in list(self._known.items()):
-            if now - session.used > LEFT:
-                del self._known[name]
-        if token in self._known:
-            self._known[token].used = now
-            return token, self._known[token]
-        while len(self._known) >= MOST_SESSIONS:
-            del self._known[min(self._known, key=lambda name: self._known[name].used)]
-        state = State.of_link(link, self._first.camera) if link else self._first
-        token = secrets.token_urlsafe(16)
-        self._known[token] = Session(self._made(), state)
-        return token, self._known[token]
-
-    def known(self, token: str) -> Session | None:
-        """Return the session of a token, or None."""
-        return self._known.get(token)
-
-
 class Page:
     """One client's page. title: title of the scene; shape: rows and columns of its frames."""
 
     def __init__(
         self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
     ):
-        self.session, self._token, self._title, self._shape, self._scene = (
-            session,
-            token,
-            title,
-            shape,
-            scene,
-        )
+        self.session, self._title, self._scene = session, title, scene
+        self._canvas = Canvas(session, token, shape)
         self._fields: dict[str, Any] = {}
         self._setting = False  # while the page follows the settings, and not they it
-        self._at: tuple[int, int] | None = None
         self._is_step = False  # whether the next change is one, whatever was before
         self._turned = ""  # the control that was moved last
         self._refused = ""  # the control with an error message
         self._table: dict = {}
-        self._width = shape[1]  # of the picture on the screen [pixel]
-        self._held: tuple | None = (
-            None  # start of a drag: row and column of the canvas, and the crop
-        )
-        self._edge: tuple[slice, slice] | None = (
-            None  # the part of the picture whose edge is measured
-        )
 
     def build(self):
         """Make the page's elements."""
@@ -141,28 +85,7 @@ class Page:
         self._follow()
 
     def _build_picture(self):
-        rows, cols = self._shape
-        with ui.element("div").classes("relative w-full"):
-            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on(
-                "size", self._on_size
-            )
-            with ui.element("div").classes(
-                "absolute inset-0"
-            ):  # separate, because the image is positioned relative to itself
-                self._fields["overlay"] = (
-                    ui.interactive_image(
-                        size=(cols, rows),
-                        events=["mousedown", "mousemove", "mouseup"],
-                        on_mouse=self._on_mouse,
-                    )
-                    .on(
-                        "wheel.prevent",
-                        lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1),
-                        ["deltaY"],
-                        throttle=0.1,
-                    )
-                    .props(mark("overlay"))
-                )
+        self._canvas.build()
         with ui.row().classes("w-full items-center gap-2"):
             self._fields["view"] = (
                 ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
@@ -175,10 +98,12 @@ class Page:
             ).props(mark("live"))
             self._button("undo", "undo (Ctrl+Z)", self._undo)
             self._button("redo", "redo (Ctrl+Y)", self._redo)
-            self._button("zoom_out", "smaller (-)", lambda: self._zoom(-1))
-            self._button("zoom_in", "larger, without loss (+); drag to move", lambda: self._zoom(1))
+            self._button("zoom_out", "smaller (-)", lambda: self._canvas.zoom(-1))
+            self._button(
+                "zoom_in", "larger, without loss (+); drag to move", lambda: self._canvas.zoom(1)
+            )
             self._fields["measure"] = (
-                ui.switch("edge")
+                ui.switch("edge", on_change=lambda event: self._measure(event.value))
                 .props(mark("measure"))
                 .tooltip("drag over a slanted edge: its frequency response (ISO 12233)")
             )
@@ -409,6 +334,9 @@ class Page:
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
 
+    def _measure(self, is_on):
+        self._canvas.measures = is_on
+
     def _step(self, step):
         self._set(is_live=False, frame=(self.session.number + step) % self.session.producer.frames)
 
@@ -445,88 +373,9 @@ class Page:
         elif event.key.name in "1234" and not event.modifiers.ctrl:
             self._set(view=VIEWS[int(event.key.name) - 1])
         elif event.key.name in ("+", "-"):
-            self._zoom(1 if event.key.name == "+" else -1)
+            self._canvas.zoom(1 if event.key.name == "+" else -1)
         elif event.key.name in (",", ".") and self._is_moving:
             self._step(1 if event.key.name == "." else -1)
-
-    def _on_mouse(self, event):
-        place = event.image_y, event.image_x
-        row, col = self._at = self._seen(*place)
-        if event.type == "mousedown":
-            self._held = *place, self.session.crop
-        if self._held is None or not (event.buttons or event.type == "mouseup"):
-            self._held = None
-            return
-        y, x, crop = self._held
-        if self._fields["measure"].value:
-            top, left = self._seen(y, x)
-            self._edge = tuple(
-                slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col))
-            )
-            self._draw_edge()
-        elif crop is not None:
-            down, right = (
-                (then - now) * own / n
-                for then, now, own, n in zip(
-                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
-                )
-            )
-            self._cut(crop.moved(round(down), round(right), self._shape))
-        if event.type == "mouseup":
-            self._held = None
-
-    def _seen(self, y, x):
-        """Return row and column of the frame at a place of the canvas, which is declared as large as the frame."""
-        crop = self.session.crop
-        top, left, rows, cols = (
-            (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-        )
-        return tuple(
-            min(max(start + int(place * own / n), 0), n - 1)
-            for start, place, own, n in zip(
-                (top, left), (y, x), (rows, cols), self._shape, strict=True
-            )
-        )
-
-    def _on_size(self, event):
-        self._width = int(event.args["width"])
-
-    def _zoom(self, step):
-        self._cut(
-            enlarged(
-                self.session.crop,
-                step,
-                self._at or tuple(n // 2 for n in self._shape),
-                self._shape,
-                self._width,
-            )
-        )
-
-    def _cut(self, crop):
-        if crop != self.session.crop:
-            self.session.crop = crop
-            self._fields["picture"].style(f"image-rendering: {'pixelated' if crop else 'auto'}")
-            self.session.touch()
-            self._draw_edge()
-
-    def _draw_edge(self):
-        """Draw the rectangle of the measured edge on the canvas, which is declared as large as the frame."""
-        crop, shown = self.session.crop, ""
-        if self._edge is not None:
-            top, left, rows, cols = (
-                (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-            )
-            (y, high), (x, wide) = (
-                ((part.start - start) * n / own, (part.stop - part.start) * n / own)
-                for part, start, own, n in zip(
-                    self._edge, (top, left), (rows, cols), self._shape, strict=True
-                )
-            )
-            shown = (
-                f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
-                f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>'
-            )
-        self._fields["overlay"].content = shown
 
     async def _error_map(self):
         session = self.session
@@ -626,10 +475,14 @@ class Page:
         session = self.session
         if session.shown is None or session.error:
             return
-        part = self._edge if self._fields["measure"].value else None
+        part = self._canvas.edge if self._canvas.measures else None
         try:
             found = await session.computed(
-                session.producer.statistics, session.state, session.shown.number, self._at, part
+                session.producer.statistics,
+                session.state,
+                session.shown.number,
+                self._canvas.at,
+                part,
             )
         except Exception:
             return  # the picture says it, also of a device that fails
