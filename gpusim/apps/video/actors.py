@@ -1,10 +1,11 @@
 """Pictures that move in front of the scene of a video, as given on a command line."""
 
-import argparse
 from dataclasses import dataclass
 from math import isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from gpusim.apps.video.named import read_named
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.animation import Actor
@@ -22,21 +23,16 @@ class Cast:
     @classmethod
     def parse(cls, text: str) -> "Cast":
         """Return the cast of `car.png,at=40:-200,pan=0:120,roll=5`. Raises ArgumentTypeError."""
-        name, *parts = text.split(",")
-        found: dict[str, tuple[float, ...]] = {}
-        for part in parts:
-            key, _, value = part.partition("=")
-            try:
-                numbers = tuple(float(one) for one in value.split(":"))
-            except ValueError:
-                numbers = ()
-            if len(numbers) != KEYS.get(key) or key in found or not all(map(isfinite, numbers)):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or "
-                    "zooming=FACTOR, each once"
-                )
-            found[key] = numbers
-        return cls(Path(name), tuple(found.items()))
+
+        def read(name, text):
+            numbers = tuple(float(one) for one in text.split(":"))
+            if len(numbers) != KEYS[name] or not all(map(isfinite, numbers)):
+                raise ValueError
+            return numbers
+
+        path, _, rest = text.partition(",")
+        wanted = "at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or zooming=FACTOR, each once"
+        return cls(Path(path), tuple(read_named(rest, read, wanted).items()) if rest else ())
 
     def actor(self) -> "Actor":
         """Return the picture and its movement. Raises BadFile, OutOfRange."""

@@ -9,13 +9,14 @@ taken while it still counted as busy, and their taker waits for ever). Without a
 Colours are tagged: the display's primaries and curve, and for luma and chroma the matrix of BT.709 in limited range.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -98,6 +99,37 @@ def pyav():
     # them to close the file: a deadlock
     av.logging.set_level(None)
     return av
+
+
+def converter(
+    scale: str, stored: str, width: int, height: int, given: Any, time_base: Fraction
+) -> Callable:
+    """Return a function that converts frames to another pixel format.
+
+    Args:
+        scale: Options of FFmpeg's scaler.
+        stored: Pixel format of the results.
+        width: Columns of the frames.
+        height: Rows of the frames.
+        given: VideoFormat of the frames.
+        time_base: Time base of the frames [s].
+    """
+    graph = pyav().filter.Graph()
+    parts = [
+        graph.add_buffer(width=width, height=height, format=given, time_base=time_base),
+        graph.add("scale", scale),
+        graph.add("format", stored),
+        graph.add("buffersink"),
+    ]
+    for part, following in pairwise(parts):
+        part.link_to(following)
+    graph.configure()
+
+    def convert(frame):
+        graph.push(frame)
+        return graph.pull()
+
+    return convert
 
 
 @contextmanager
@@ -268,27 +300,8 @@ class Encoder:
         """Return a function from a frame in the given format to one in the stored format."""
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
-        (rows, cols), graph = self._shape, av.filter.Graph()
-        parts = [
-            graph.add_buffer(
-                width=cols,
-                height=rows,
-                format=av.VideoFormat(self.codec.given),
-                time_base=1 / self.rate,
-            ),
-            graph.add("scale", TO_LUMA),
-            graph.add("format", self.codec.stored),
-            graph.add("buffersink"),
-        ]
-        for part, following in pairwise(parts):
-            part.link_to(following)
-        graph.configure()
-
-        def change(frame):
-            graph.push(frame)
-            return graph.pull()
-
-        return change
+        (rows, cols), given = self._shape, av.VideoFormat(self.codec.given)
+        return converter(TO_LUMA, self.codec.stored, cols, rows, given, 1 / self.rate)
 
     def _values(self, values):
         """Return a frame as an array in the given format."""

@@ -4,7 +4,6 @@ Their settings are computed before the frames, in a pass over all scenes that ta
 are stored in the video's manifest, where shards and resumed runs read them.
 """
 
-import argparse
 import json
 from collections.abc import Callable
 from contextlib import closing
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.apps.video.manifest import LARGEST
+from gpusim.apps.video.named import read_named
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Scenes
@@ -50,20 +50,16 @@ class Lags:
     @classmethod
     def parse(cls, text: str) -> "Lags":
         """Return the lags of `exposure=0.3,white=1,focus=0.4`. Raises ArgumentTypeError."""
-        names, found = [part.name for part in fields(cls)], {}
-        for part in text.split(","):
-            name, _, value = part.partition("=")
-            try:
-                lag = float(value)
-            except ValueError:
-                lag = -1.0
-            if name not in names or name in found or not (isfinite(lag) and 0 <= lag <= SLOWEST):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: "
-                    f"{', '.join(names)}"
-                )
-            found[name] = lag
-        return cls(**found)
+        names = [part.name for part in fields(cls)]
+
+        def read(name, text):
+            lag = float(text)
+            if name not in names or not (isfinite(lag) and 0 <= lag <= SLOWEST):
+                raise ValueError
+            return lag
+
+        wanted = f"NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: {', '.join(names)}"
+        return cls(**read_named(text, read, wanted))
 
     def check(self, camera: Camera, ramps: Ramps):
         """Raise OutOfRange if a loop has no effect, because its setting is given."""

@@ -1,11 +1,9 @@
 """Settings that change evenly over a video: exposure, ISO speed, lens and light."""
 
-import argparse
 from dataclasses import dataclass
-from math import isfinite
 from typing import TYPE_CHECKING
 
-from gpusim.domain.quantities import parse_seconds
+from gpusim.apps.video.named import read_named, read_positive
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.camera import Camera
@@ -29,29 +27,15 @@ class Ramps:
     @classmethod
     def parse(cls, text: str) -> "Ramps":
         """Return the ramps of `exposure=1/500..1/30,focus=0.3..5`. Raises ArgumentTypeError."""
-        found: dict[str, tuple[float, float]] = {}
-        for part in text.split(","):
-            name, _, value = part.partition("=")
-            ends = value.split("..")
-            try:
-                numbers = [parse_seconds(end) if name == "exposure" else float(end) for end in ends]
-            except (ValueError, argparse.ArgumentTypeError):
-                numbers = []
-            if (
-                name not in NAMES
-                or name in found
-                or len(numbers) != 2
-                or not all(
-                    isinstance(number, float) and isfinite(number) and number > 0
-                    for number in numbers
-                )
-            ):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted NAME=FIRST..LAST, numbers above 0, each NAME once: "
-                    f"{', '.join(NAMES)}"
-                )
-            found[name] = numbers[0], numbers[1]
-        return cls(tuple(found.items()))
+
+        def read(name, text):
+            if name not in NAMES:
+                raise ValueError
+            first, last = (read_positive(name, end) for end in text.split(".."))
+            return first, last
+
+        wanted = f"NAME=FIRST..LAST, numbers above 0, each NAME once: {', '.join(NAMES)}"
+        return cls(tuple(read_named(text, read, wanted).items()))
 
     def at(self, part: float) -> dict[str, float]:
         """Return the values at a part of the video, 0 .. 1."""

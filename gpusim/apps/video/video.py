@@ -25,6 +25,7 @@ from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
+from gpusim.pipeline.frame import Exposure
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS = Ramps()
@@ -50,6 +51,13 @@ class Made:
     exposure_time: float
     gain: float
     plan: str = ""
+
+    @classmethod
+    def of(cls, number: int, values: Any, account: Account, exposure: Exposure) -> "Made":
+        """Return the frame of an exposure."""
+        return cls(
+            number, values, account, exposure.exposure_time, exposure.gain, exposure.plan.name
+        )
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
@@ -157,36 +165,29 @@ def blurred_frames(
                 flicker=scenes.flicker,
                 **loops.operation(camera, number),
             )
-            told = (
-                exposure.plan.account.at(exposure.exposure_time),
-                exposure.exposure_time,
-                exposure.gain,
-                exposure.plan.name,
-            )
+            values: Any
             if output is None:
-                yield Made(
-                    number,
-                    next(simulator.shoot(exposure, seed=seed, first=number)).complete(),
-                    *told,
-                )
-                continue
-            values = simulator.draw(exposure, seed=seed, frame=number)
-            if output != "raw":
-                values = (
-                    simulator.codes(values, exposure)
-                    if output == "codes"
-                    else simulator.develop(values, exposure)[0]
-                )
-            yield Made(number, _on_host(simulator, values, output), *told)
+                values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
+            else:
+                values = simulator.draw(exposure, seed=seed, frame=number)
+                if output == "codes":
+                    values = simulator.codes(values, exposure)
+                elif output != "raw":
+                    values = simulator.develop(values, exposure)[0]
+                values = _on_host(simulator, values, output)
+            account = exposure.plan.account.at(exposure.exposure_time)
+            yield Made.of(number, values, account, exposure)
 
 
 def _made(program, number, seed, output):
+    """Return a frame of a program."""
     account, exposure = program.account, program.shots.exposure
-    told = account, exposure.exposure_time, exposure.gain, exposure.plan.name
     if output is None:
-        return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
-    values = program.output(output, seed=seed, frame=number)
-    return Made(number, _on_host(program.simulator, values, output), *told)
+        values = program.frame(seed=seed, frame=number).complete()
+    else:
+        values = program.output(output, seed=seed, frame=number)
+        values = _on_host(program.simulator, values, output)
+    return Made.of(number, values, account, exposure)
 
 
 def _on_host(simulator, values, output):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.apps.video.codecs import EXACT, pyav
+from gpusim.apps.video.codecs import EXACT, converter, pyav
 from gpusim.apps.video.scenes import checked_size
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES, Display
 from gpusim.domain.errors import BadFile, UnknownName
@@ -205,23 +205,15 @@ class Film:
     def _codes(self, frame):
         """Return RGB codes of a decoded frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
-        graph = self._av.filter.Graph()
-        parts = [
-            graph.add_buffer(
-                width=frame.width,
-                height=frame.height,
-                format=frame.format,
-                time_base=frame.time_base,
-            ),
-            graph.add("scale", f"{EXACT}:{self._scale}"),
-            graph.add("format", "rgb48le" if deep else "rgb24"),
-            graph.add("buffersink"),
-        ]
-        for part, following in pairwise(parts):
-            part.link_to(following)
-        graph.configure()
-        graph.push(frame)
-        return graph.pull().to_ndarray()
+        convert = converter(
+            f"{EXACT}:{self._scale}",
+            "rgb48le" if deep else "rgb24",
+            frame.width,
+            frame.height,
+            frame.format,
+            frame.time_base,
+        )
+        return convert(frame).to_ndarray()
 
     def _lift(self, codes):
         """Return the scene of RGB codes."""
