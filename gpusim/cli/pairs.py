@@ -170,7 +170,7 @@ def pairs(request: PairsRequest) -> int:
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
         for shard in missing:
-            write_shard(names[shard.start], _counted(made.files(shard), bar, states))
+            write_shard(names[shard.start], _count_states(made.files(shard), bar, states))
     seconds = time.perf_counter() - begun
     if count:
         print(
@@ -181,7 +181,7 @@ def pairs(request: PairsRequest) -> int:
     return STATUS[worst_state(states)]
 
 
-def _counted(samples, bar, states):
+def _count_states(samples, bar, states):
     """Yield the samples, and count the states of their verdicts in `states`."""
     for key, parts in samples:
         yield key, parts

@@ -28,26 +28,26 @@ TEXTS = {
 }
 
 
-def _lags(text):
+def _read_lags(text):
     """Return the lags of a camera's control loops."""
     from gpusim.apps.video.loops import Lags
 
     return Lags.parse(text)
 
 
-def _flicker(text):
+def _read_flicker(text):
     """Return the flicker of HZ or HZ,DEPTH."""
     frequency, _, depth = text.partition(",")
-    return _of_light(text, frequency=frequency, depth=depth or 1)
+    return _make_flicker(text, frequency=frequency, depth=depth or 1)
 
 
-def _switched(text):
+def _read_pwm(text):
     """Return the flicker of HZ,DUTY."""
     frequency, _, duty = text.partition(",")
-    return _of_light(text, frequency=frequency, duty=duty)
+    return _make_flicker(text, frequency=frequency, duty=duty)
 
 
-def _of_light(text, **numbers):
+def _make_flicker(text, **numbers):
     """Return a Flicker. numbers: its fields, as text."""
     from gpusim.domain.flicker import Flicker
 
@@ -62,7 +62,7 @@ def _of_light(text, **numbers):
         raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
 
 
-def _quality(text):
+def _read_quality(text):
     """Return a constant rate factor."""
     try:
         value = float(text)
@@ -110,20 +110,20 @@ class VideoRequest(MovingRequest):
         "exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, and light (a factor)",
     )
     lag: "Lags | None" = option(
-        type=_lags,
+        type=_read_lags,
         metavar="LIST",
         help="time constants [s] of the camera's control loops, such as exposure=0.3,white=1,focus=0.5; "
-        "all scenes are metered first (default: exposure follows in the next frame, the white balance "
+        "all scenes are meter_scenes first (default: exposure follows in the next frame, the white balance "
         "is each frame's own)",
     )
     flicker: "Flicker | None" = option(
-        type=_flicker,
+        type=_read_flicker,
         metavar="HZ[,DEPTH]",
         help="all light flickers as lamps on mains power do: at 100 or 120 Hz, with the modulation depth "
         "(max - min) / (max + min) (default: 1); rows see it in turn",
     )
     pwm: "Flicker | None" = option(
-        type=_switched,
+        type=_read_pwm,
         metavar="HZ,DUTY",
         help="all light is switched at this frequency and is on for this part of the time",
     )
@@ -135,7 +135,7 @@ class VideoRequest(MovingRequest):
     )
     quality: float | None = option(
         in_key=False,
-        type=_quality,
+        type=_read_quality,
         metavar="CRF",
         help="constant rate factor of h264 and h265, 0 .. 51, lower is better (default: the encoder's)",
     )
@@ -218,22 +218,22 @@ def video(request: VideoRequest) -> int:
     request.refuse_unread("video")
     loops = NO_LOOPS
     if request.lag:
-        loops = Loops.kept_in(manifest, request.lag, scenes.count) or _metered(
+        loops = Loops.kept_in(manifest, request.lag, scenes.count) or _meter(
             request, simulator, scenes
         )
         made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
-        return _written(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
+        return _write(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
 
 
-def _metered(request, simulator, scenes):
+def _meter(request, simulator, scenes):
     """Return the loops of a pass over all scenes."""
     from tqdm import tqdm
 
-    from gpusim.apps.video.loops import metered
+    from gpusim.apps.video.loops import meter_scenes
 
     with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
-        return metered(
+        return meter_scenes(
             simulator,
             scenes,
             request.lag,
@@ -244,7 +244,7 @@ def _metered(request, simulator, scenes):
         )
 
 
-def _written(target, simulator, scenes, own, seed, loops, plans):
+def _write(target, simulator, scenes, own, seed, loops, plans):
     """Write what is missing, and say what was done; plans: of the manifest. Returns the exit status."""
     from tqdm import tqdm
 
@@ -299,14 +299,14 @@ def _target(request, simulator, scenes, segments):
     )
     path = Path(request.out)
     if request.lerobot is not None or request.suffix in ENCODED:
-        target, more = _encoded(request, path, simulator, scenes, segments, frames_of)
+        target, more = _open_encoded(request, path, simulator, scenes, segments, frames_of)
         return target, target.folder / "video.json", made | more
     if request.suffix not in FORMATS:
         raise UnknownName("output format", request.suffix or request.out, [*ENCODED, *FORMATS])
-    return *_numbered(path, simulator, scenes, frames_of), made
+    return *_open_numbered(path, simulator, scenes, frames_of), made
 
 
-def _numbered(path, simulator, scenes, frames_of):
+def _open_numbered(path, simulator, scenes, frames_of):
     """Return numbered files as the output, and the path of their manifest. Raises BadFile, OutOfRange."""
     from gpusim.apps.video.video import NumberedFiles
     from gpusim.io.atomic import check_output
@@ -324,7 +324,7 @@ def _numbered(path, simulator, scenes, frames_of):
     return numbered, manifest
 
 
-def _encoded(request, path, simulator, scenes, segments, frames_of):
+def _open_encoded(request, path, simulator, scenes, segments, frames_of):
     """Return an encoded video or an episode as the output, and its part of the manifest."""
     from gpusim.apps.video.codecs import CODECS, Encoder, codec_of
     from gpusim.apps.video.lerobot import Episode

@@ -36,7 +36,7 @@ def test_a_zoomed_picture_is_dragged():
     mouse(made, "mousedown", 30.0, 45.0)
     mouse(made, "mousemove", 20.0, 45.0)
     second = made.session.crop
-    assert second == first.moved(round(10 * first.rows / SHAPE[0]), 0, SHAPE) != first
+    assert second == first.move(round(10 * first.rows / SHAPE[0]), 0, SHAPE) != first
     mouse(made, "mouseup", 20.0, 45.0)
     made.zoom(-1)
     assert made.session.crop is None

@@ -129,7 +129,7 @@ class NormalEquations:
                 shared(part, maps, axes, self.constant)
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
             )
-            filters[number] = self._solved(a, b, c, ridge, preserve, constraints, number)
+            filters[number] = self._solve_position(a, b, c, ridge, preserve, constraints, number)
         filters = (
             np.rint(filters * 2.0**40) / 2.0**40
         )  # makes sums over mirror images exact, and equal
@@ -142,7 +142,7 @@ class NormalEquations:
             provenance,
         )
 
-    def _solved(self, a, b, c, ridge, preserve, constraints, number):
+    def _solve_position(self, a, b, c, ridge, preserve, constraints, number):
         layout = self.layout
         terms = a.shape[-1]
         letters = "".join(layout.mosaic)
@@ -161,11 +161,13 @@ class NormalEquations:
                 )
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
-            everywhere = solved(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
+            everywhere = solve_ridge(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
             for at in range(len(layout.levels)):
-                level = solved(a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit)
+                level = solve_ridge(
+                    a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit
+                )
                 for k in range(layout.classes):
-                    out[at, p, k] = solved(a[at, p, k], b[at, p, k], unit, level, limit).T
+                    out[at, p, k] = solve_ridge(a[at, p, k], b[at, p, k], unit, level, limit).T
             for o in [
                 o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None
             ]:
@@ -182,7 +184,7 @@ class NormalEquations:
         return at[0] if len(at) == 1 and (layout.groups == at[0]).sum() == 1 else None
 
 
-def solved(a, b, ridge, prior, limit):
+def solve_ridge(a, b, ridge, prior, limit):
     """Return W (terms, outputs) with (A + ridge I) W = B + ridge prior, and C W = d for a limit (C, d)."""
     a = a + ridge * np.eye(len(a))
     b = b if prior is None else b + ridge * prior

@@ -53,7 +53,7 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
                     code, wanted = Code("linear", 0.0, 1 / 255), encoded(soft)
                     raw = sampled(255 * wanted)
                 elif blur in NOISY_BLURS:
-                    code, wanted = counted(sigma), soft
+                    code, wanted = electron_code(sigma), soft
                     raw = random.poisson(sampled(wanted) / code.scale) + random.normal(
                         0, READ, wanted.shape[1:]
                     )
@@ -107,7 +107,7 @@ def table(found: NormalEquations, text: str) -> FilterTable:
     return found.solve(preserve=True, exchanges=(("R", "B"),), provenance=text)
 
 
-def counted(sigma):
+def electron_code(sigma):
     """The code of electrons, as many at white as make the noise `sigma` of it."""
     offset = Code("root", 0.0, 1.0, (1.0, READ)).offset
     white = (0.5 / sigma + np.sqrt(offset)) ** 2 - offset

@@ -35,9 +35,9 @@ class _Function(ModuleType):
             raise Missing(
                 f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'"
             ) from None
-        from gpusim.apps.preview.notebook import opened
+        from gpusim.apps.preview.notebook import open_widget
 
-        return opened(scene, camera, device, tolerance)
+        return open_widget(scene, camera, device, tolerance)
 
 
 sys.modules[__name__].__class__ = _Function

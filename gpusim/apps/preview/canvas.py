@@ -4,7 +4,7 @@ from typing import Any
 
 from nicegui import ui
 
-from gpusim.apps.preview.crop import enlarged
+from gpusim.apps.preview.crop import enlarge
 from gpusim.apps.preview.session import Session
 
 
@@ -69,7 +69,7 @@ class Canvas:
 
     def _on_mouse(self, event):
         place = event.image_y, event.image_x
-        row, col = self.at = self._seen(*place)
+        row, col = self.at = self._find_pixel(*place)
         if event.type == "mousedown":
             self._held = *place, self.session.crop
         if self._held is None or not (event.buttons or event.type == "mouseup"):
@@ -77,7 +77,7 @@ class Canvas:
             return
         y, x, crop = self._held
         if self.measures:
-            top, left = self._seen(y, x)
+            top, left = self._find_pixel(y, x)
             self.edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
             self._draw_edge()
         elif crop is not None:
@@ -87,11 +87,11 @@ class Canvas:
                     (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
                 )
             )
-            self._cut(crop.moved(round(down), round(right), self._shape))
+            self._set_crop(crop.move(round(down), round(right), self._shape))
         if event.type == "mouseup":
             self._held = None
 
-    def _seen(self, y, x):
+    def _find_pixel(self, y, x):
         """Return row and column of the frame at a place of the canvas, which is declared as large as the frame."""
         corner, size = self._window()
         return tuple(
@@ -109,8 +109,8 @@ class Canvas:
 
     def zoom(self, step: int) -> None:
         """Enlarge (step 1) or shrink (-1) the picture around the pointer."""
-        self._cut(
-            enlarged(
+        self._set_crop(
+            enlarge(
                 self.session.crop,
                 step,
                 self.at or (self._shape[0] // 2, self._shape[1] // 2),
@@ -119,7 +119,7 @@ class Canvas:
             )
         )
 
-    def _cut(self, crop):
+    def _set_crop(self, crop):
         if crop != self.session.crop:
             self.session.crop = crop
             self._picture.style(f"image-rendering: {'pixelated' if crop else 'auto'}")

@@ -20,7 +20,7 @@ class Crop:
         """Slices of its rows and columns."""
         return slice(self.top, self.top + self.rows), slice(self.left, self.left + self.cols)
 
-    def moved(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
+    def move(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
         """Return the crop moved by some pixels, inside a frame of this shape."""
         top, left = (
             min(max(place, 0), n - own)
@@ -31,7 +31,7 @@ class Crop:
         return replace(self, top=top, left=left)
 
 
-def enlarged(
+def enlarge(
     crop: Crop | None, step: int, at: tuple[int, int], shape: tuple[int, int], width: int
 ) -> Crop | None:
     """Return the next larger (step 1) or smaller (-1) crop around a pixel; None: the whole frame.
@@ -49,4 +49,4 @@ def enlarged(
     own = crop or Crop(0, 0, rows, cols, 0)
     share = ((at[0] - own.top) / own.rows, (at[1] - own.left) / own.cols)
     corner = Crop(0, 0, high, wide, times)
-    return corner.moved(round(at[0] - share[0] * high), round(at[1] - share[1] * wide), shape)
+    return corner.move(round(at[0] - share[0] * high), round(at[1] - share[1] * wide), shape)

@@ -53,7 +53,7 @@ COUNTED_EACH = 0.5  # [s] between histograms, while a slider is moved
 LUMINANCE = Control("scene", "luminance", "white", 0.1, 1e5, "cd/m2", is_log=True)
 
 
-def opened(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
+def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
     """Return the widget of `gs.preview`."""
     tolerance = "exact" if tolerance is None else str(tolerance)
     if tolerance not in TOLERANCES:
@@ -250,7 +250,7 @@ class Preview(HBox):
 
     async def _count(self):
         try:
-            found = await self._session.computed(
+            found = await self._session.compute(
                 self._producer.statistics, self._session.state, self._session.shown.number
             )
         except Exception:

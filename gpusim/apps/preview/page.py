@@ -283,7 +283,7 @@ class Page:
                 ui.slider(
                     min=0,
                     max=PLACES,
-                    on_change=lambda event: self._slid(turned, to_value(event.value)),
+                    on_change=lambda event: self._slide(turned, to_value(event.value)),
                 )
                 .classes("grow")
                 .props(f'aria-label="{label}"')
@@ -294,17 +294,17 @@ class Page:
                 .props("dense borderless")
                 .classes("w-28 shrink-0")
                 .props(mark(f"{name} number"))
-                .on("change", lambda: self._typed(turned, number.value))
+                .on("change", lambda: self._take_number(turned, number.value))
             )
         self._fields[name] = (slider, number, is_on, to_place, control)
 
     # actions of the controls
 
-    def _slid(self, turned, value):
+    def _slide(self, turned, value):
         if not self._setting:
             turned(value)
 
-    def _typed(self, turned, value):
+    def _take_number(self, turned, value):
         """Take a typed number, as a separate step of the history."""
         self._is_step = True
         if value is not None and isfinite(value):
@@ -381,8 +381,8 @@ class Page:
         session = self.session
         ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
         try:
-            compared = await session.computed(session.producer.error, session.state, session.number)
-            codes, error = await run.io_bound(compared)
+            compare = await session.compute(session.producer.error, session.state, session.number)
+            codes, error = await run.io_bound(compare)
         except GpusimError as error:
             ui.notify(str(error), type="negative")
             return
@@ -477,7 +477,7 @@ class Page:
             return
         part = self._canvas.edge if self._canvas.measures else None
         try:
-            found = await session.computed(
+            found = await session.compute(
                 session.producer.statistics,
                 session.state,
                 session.shown.number,
@@ -518,7 +518,9 @@ class Page:
         session = self.session
         number = session.shown.number if session.shown else session.state.frame
         try:
-            data = await session.computed(_saved, session.producer, session.state, number, suffix)
+            data = await session.compute(
+                _read_saved, session.producer, session.state, number, suffix
+            )
         except GpusimError as error:
             ui.notify(str(error), type="negative")
             return
@@ -528,20 +530,20 @@ class Page:
         state = self.session.state
         with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
             ui.label("The page with these settings:")
-            ui.code(f"/?state={_quoted(state.link())}").props(mark("link"))
+            ui.code(f"/?state={_quote(state.link())}").props(mark("link"))
             ui.label("The same on the command line, with the camera saved next to it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
 
 
-def _saved(producer, state, number, suffix):
+def _read_saved(producer, state, number, suffix):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"frame{suffix}"
         producer.frame(state, number).save(path)
         return path.read_bytes()
 
 
-def _quoted(text):
+def _quote(text):
     from urllib.parse import quote
 
     return quote(text, safe="")
@@ -565,13 +567,13 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
 
     @app.websocket("/picture/{token}")
     async def picture(socket: WebSocket, token: str):
-        session = sessions.known(token)
+        session = sessions.find(token)
         if session is None:
             await socket.close(1008)
             return
         await socket.accept()
 
-        async def acknowledged():
+        async def wait_for_paint():
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect
@@ -580,7 +582,7 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
                 raise WebSocketDisconnect
 
         try:
-            await session.serve(socket.send_bytes, acknowledged)
+            await session.serve(socket.send_bytes, wait_for_paint)
         except (WebSocketDisconnect, RuntimeError):
             pass  # it has gone
 

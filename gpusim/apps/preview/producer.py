@@ -56,9 +56,9 @@ class Producer:
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
         """Return a picture of a state. drafts: see `Program.update`. Raises as camera, light and simulation do."""
         begun = time.perf_counter()
-        program = self._updated(state, number, drafts)
+        program = self._update(state, number, drafts)
         show = {
-            "rendered": self._rendered,
+            "rendered": self._render,
             "raw": self._raw,
             "electrons": self._electrons,
             "noise": self._noise,
@@ -106,7 +106,7 @@ class Producer:
         exposure = simulator.expose(scene)
         exposure = replace(exposure, mean=self._on_host(exposure.mean))
 
-        def compared():
+        def compare():
             mean, truth = seen(simulator, scene, exposure)
             if mean.ndim == 1:
                 raise BadData(
@@ -116,7 +116,7 @@ class Producer:
                 mean, truth, simulator.camera.sensor.read_sigma
             )
 
-        return compared
+        return compare
 
     def statistics(
         self,
@@ -129,7 +129,7 @@ class Producer:
 
         at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as `picture`.
         """
-        program = self._updated(state, number, drafts=True)
+        program = self._update(state, number, drafts=True)
         exposure = program.exposure
         found = light(program, exposure.layered(self._on_host(exposure.mean)), at)
         scene = program.scene
@@ -148,7 +148,7 @@ class Producer:
             found["difference"] = float(differences.mean())
         return found
 
-    def _updated(self, state, number, drafts):
+    def _update(self, state, number, drafts):
         last, camera = self._built
         if (
             last is None
@@ -202,7 +202,7 @@ class Producer:
     def _on_host(self, array):
         return on_host(self._device, array)
 
-    def _rendered(self, program, seed, number):
+    def _render(self, program, seed, number):
         return self._on_host(program.codes(seed=seed, frame=number))
 
     def _raw(self, program, seed, number):

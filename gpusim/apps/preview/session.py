@@ -76,7 +76,7 @@ class Session:
         """Median time from a frame's start to its paint [ms]."""
         return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
 
-    async def computed(self, work, *arguments):
+    async def compute(self, work, *arguments):
         """Return the result of a function of the producer, called in the device's thread."""
         return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
 
@@ -153,9 +153,7 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.computed(
-                self._pictured, state, self.number, crop, settles
-            )
+            shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -167,7 +165,7 @@ class Session:
         self.shown, self.error = shown, ""
         return HEAD.pack(shown.number, version % 2**32, kind) + data
 
-    def _pictured(self, state, number, crop, settles):
+    def _encode(self, state, number, crop, settles):
         import simplejpeg
 
         shown = self.shown

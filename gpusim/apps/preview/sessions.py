@@ -35,6 +35,6 @@ class Sessions:
         self._known[token] = Session(self._made(), state)
         return token, self._known[token]
 
-    def known(self, token: str) -> Session | None:
+    def find(self, token: str) -> Session | None:
         """Return the session of a token, or None."""
         return self._known.get(token)

@@ -156,16 +156,16 @@ class Episode(EncodedFile):
         """The finished output, for messages."""
         return f"{self._root}: episode {self.number}"
 
-    def _joined(self, path):
+    def _join(self, path):
         self._encoder.join(
             path, [(segment.start, self.part(segment)) for segment in self._segments]
         )
 
-    def _encoded(self, segment, computed):
+    def _encode(self, segment, computed):
         """Encode a segment, store data on its frames next to it, and yield each frame."""
         known, counts = [], np.zeros((3, CODES), np.int64)
 
-        def noted():
+        def note_data():
             for one in computed:
                 known.append((one.exposure_time, one.gain, one.account.total.rms))
                 counts[:] += [
@@ -173,7 +173,7 @@ class Episode(EncodedFile):
                 ]
                 yield one
 
-        for one in super()._encoded(segment, noted()):
+        for one in super()._encode(segment, note_data()):
             if one.number == segment[-1]:  # before the segment's file, which marks it as complete
                 with atomic_path(self._notes(segment)) as temporary:
                     np.savez(temporary, known=known, counts=counts)
@@ -243,7 +243,7 @@ class Episode(EncodedFile):
         }
         arrow = pyarrow()
         written = [
-            (_path(info["video_path"], video, video_key=self._key), self._joined),
+            (_path(info["video_path"], video, video_key=self._key), self._join),
             (_path(info["data_path"], data), table),
             (TASKS, _task_table(tasks)),
             (_path(EPISODES, episodes), arrow.Table.from_pylist([row])),

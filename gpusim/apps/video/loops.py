@@ -179,7 +179,7 @@ def follow(targets, lag: float, period: float) -> np.ndarray:
     return found
 
 
-def metered(
+def meter_scenes(
     simulator: Simulator,
     scenes: Scenes,
     lags: Lags,

@@ -128,7 +128,7 @@ class Plans:
 
     def add(self, name: str, number: int, is_last: bool = False):
         """Add the plan of a frame, and update the manifest after SECONDS or the last frame of a segment."""
-        self.runs[name] = _joined([*self.runs.get(name, ()), [number, number]])
+        self.runs[name] = _join_runs([*self.runs.get(name, ()), [number, number]])
         if is_last or time.monotonic() > self._written + SECONDS:
             self.write()
 
@@ -139,7 +139,7 @@ class Plans:
             made = json.loads(self._path.read_text(encoding="utf-8"))
             others = _plans_in(made)
             plans = others | {
-                name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()
+                name: _join_runs([*others.get(name, ()), *runs]) for name, runs in self.runs.items()
             }
             if plans != others:
                 with atomic_path(self._path) as temporary:
@@ -165,7 +165,7 @@ def _plans_in(made):
     return plans
 
 
-def _joined(runs):
+def _join_runs(runs):
     """Return runs of numbers in order, with adjacent ones merged."""
     found: list[list[int]] = []
     for first, last in sorted(runs):

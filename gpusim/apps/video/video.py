@@ -112,7 +112,7 @@ def frames(
     for first, *wanted in segments:
         if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
             program = program or simulator.program(next(scenes.between(0, 1)))
-            yield from (_made(program, number, seed, output) for number in wanted)
+            yield from (_make_frame(program, number, seed, output) for number in wanted)
             continue
         lead = first - (meters and first > 0)
         with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
@@ -129,7 +129,7 @@ def frames(
                         {} if camera is program.simulator.camera else {"camera": camera}
                     )
                     program.update(scene=scene, **other, **operation)
-                made = _made(
+                made = _make_frame(
                     program, number, seed, output
                 )  # even an unwanted one: the next frame meters it
                 if number in wanted:
@@ -179,7 +179,7 @@ def blurred_frames(
             yield Made.of(number, values, account, exposure)
 
 
-def _made(program, number, seed, output):
+def _make_frame(program, number, seed, output):
     """Return a frame of a program."""
     account, exposure = program.account, program.shots.exposure
     if output is None:
@@ -249,11 +249,13 @@ class NumberedFiles:
             for one in computed:
                 writing[pool.submit(one.values.save, self.name(one.number))] = one
                 while len(writing) > workers:
-                    yield from _written(writing, wait(writing, return_when=FIRST_COMPLETED).done)
-            yield from _written(writing, wait(writing).done)
+                    yield from _finish_tasks(
+                        writing, wait(writing, return_when=FIRST_COMPLETED).done
+                    )
+            yield from _finish_tasks(writing, wait(writing).done)
 
 
-def _written(writing, done):
+def _finish_tasks(writing, done):
     """Yield the frames of finished tasks, in order."""
     for task in sorted(done, key=lambda task: writing[task].number):
         one = writing.pop(task)
@@ -327,9 +329,9 @@ class EncodedFile:
         )
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
-                yield from self._encoded(segment, computed)
+                yield from self._encode(segment, computed)
 
-    def _encoded(self, segment, computed):
+    def _encode(self, segment, computed):
         """Encode a segment; yield each of its frames."""
         taken: list[Made] = []
 
