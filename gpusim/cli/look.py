@@ -129,7 +129,8 @@ def _of_frame(name):
     return panel
 
 
-# name -> function from the request and `gpusim.plot` to a function that draws, and words for the help
+# name -> function from the request and `gpusim.plot` to a function that draws, and words for the
+# help
 PANELS: dict[str, tuple[Callable, str]] = {
     "scene": (_scene, "radiance as sRGB; in a window, click a pixel for its spectrum"),
     "spectra": (_spectra, "spectra of pixels or regions of the scene, see --at"),

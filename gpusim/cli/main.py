@@ -27,13 +27,15 @@ COMMANDS: dict[str, tuple[type[Options], Callable, dict[str, str]]] = {
 def main(argv: list[str] | None = None) -> int:
     """Run one command.
 
-    `gpusim.__main__.start` calls it as a program: with signals, and a standard output that may be closed or full.
+    `gpusim.__main__.start` calls it as a program: with signals, and a standard output that may be
+    closed or full.
 
     Args:
         argv: Arguments of the command line. None: those of the process.
 
     Returns:
-        The exit status: 0, 1 (a verification failed or a tolerance is not met), 2 (wrong input, reported in one
+        The exit status: 0, 1 (a verification failed or a tolerance is not met), 2 (wrong input,
+            reported in one
         line) or 3 (a tolerance that cannot be judged).
     """
     parser = _parser()

@@ -1,7 +1,7 @@
 """Options of the command line: one dataclass per command makes its parser, camera, scene and simulator.
 
-A field made by `option` is one option. The dataclass records which options the user gave and which of
-them the command has read, so that a command can refuse an option that has no effect.
+A field made by `option` is one option. The dataclass records which options the user gave and which
+of them the command has read, so that a command can refuse an option that has no effect.
 """
 
 import argparse

@@ -191,7 +191,10 @@ def _count_states(samples, bar, states):
 
 
 def _photographs(request):
-    """Return the files of the command line, those of a folder in the order of their names. Raises BadFile."""
+    """Return the files of the command line, those of a folder in the order of their names.
+
+    Raises BadFile.
+    """
     from gpusim.io.scene.readers import IN_FOLDERS, scene_files
 
     found = []

@@ -26,7 +26,10 @@ class PreviewRequest(MovingRequest):
     )
 
     def changes(self) -> dict:
-        """Return the settings of the camera by the names of the page's controls. Raises Conflict."""
+        """Return the settings of the camera by the names of the page's controls.
+
+        Raises Conflict.
+        """
         self.refuse("iso", "the preview sets the gain with its slider")
         given = {
             "optics.f_number": self.f_number,

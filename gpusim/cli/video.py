@@ -245,7 +245,10 @@ def _meter(request, simulator, scenes):
 
 
 def _write(target, simulator, scenes, own, seed, loops, plans):
-    """Write what is missing, and say what was done; plans: of the manifest. Returns the exit status."""
+    """Write what is missing, and say what was done; plans: of the manifest.
+
+    Returns the exit status.
+    """
     from tqdm import tqdm
 
     from gpusim.apps.video.video import EncodedFile
@@ -307,7 +310,10 @@ def _target(request, simulator, scenes, segments):
 
 
 def _open_numbered(path, simulator, scenes, frames_of):
-    """Return numbered files as the output, and the path of their manifest. Raises BadFile, OutOfRange."""
+    """Return numbered files as the output, and the path of their manifest.
+
+    Raises BadFile, OutOfRange.
+    """
     from gpusim.apps.video.video import NumberedFiles
     from gpusim.io.atomic import check_output
     from gpusim.io.frame.frames import check_format

@@ -1,9 +1,10 @@
 """Filters for Bayer mosaics, trained on photographs: encoded pictures as they are, linear light with noise.
 
-At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and blurred copies of
-it; at the others it is its linear light, counted in electrons with shot and read noise, on variance-stabilised codes.
-Both are nearly the same code, so filters can be interpolated between all levels. Filters keep flat fields exactly,
-red and blue play the same part, and mirror images count as further photographs.
+At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and
+blurred copies of it; at the others it is its linear light, counted in electrons with shot and read
+noise, on variance-stabilised codes. Both are nearly the same code, so filters can be interpolated
+between all levels. Filters keep flat fields exactly, red and blue play the same part, and mirror
+images count as further photographs.
 """
 
 import datetime
@@ -40,7 +41,8 @@ BORDER = 4  # pixels that do not count, next to mirrored ones
 def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
     """The normal equations of photographs, an iterable of (rows, cols, 3) numbers 0 .. 255 in sRGB.
 
-    seed: of the noise. blurs: standard deviations of the copies, 0 for the photograph itself [pixel].
+    seed: of the noise. blurs: standard deviations of the copies, 0 for the photograph itself
+    [pixel].
     """
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     random = np.random.default_rng(seed)

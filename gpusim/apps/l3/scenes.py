@@ -19,10 +19,11 @@ SIZE = 96  # [pixel]
 def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE) -> list[Scene]:
     """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`; they depend only on `seed`.
 
-    Each has three parts, one over the other. Leaves: overlapping discs of the measured reflectances (dead leaves, the
-    statistics of natural scenes at every scale). Strokes: thin straight lines of other surfaces, a third of the scene
-    having dark ones on grey, as print has. Patches: grey and coloured ramps, and gratings up to the finest that the
-    pixels resolve. Over all of it lie shade, smooth over a factor of 8, and texture at the scale of pixels.
+    Each has three parts, one over the other. Leaves: overlapping discs of the measured reflectances
+    (dead leaves, the statistics of natural scenes at every scale). Strokes: thin straight lines of
+    other surfaces, a third of the scene having dark ones on grey, as print has. Patches: grey and
+    coloured ramps, and gratings up to the finest that the pixels resolve. Over all of it lie shade,
+    smooth over a factor of 8, and texture at the scale of pixels.
     Raises OutOfRange.
     """
     if count < 1 or size < 32:
@@ -116,7 +117,8 @@ def _shade(shape, random):
         values = gaussian_filter(random.standard_normal(shape), sigma, mode="wrap")
         return values / values.std()
 
-    # in patches, most of it faint: filters treat a feature of all scenes as detail, and would keep such noise
+    # in patches, most of it faint: filters treat a feature of all scenes as detail, and would keep
+    # such noise
     texture = (
         0.15
         * random.random() ** 3

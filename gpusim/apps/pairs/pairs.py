@@ -23,7 +23,8 @@ READ = 2  # photographs that are opened ahead
 class Pairs:
     """Noisy and clean frames of photographs.
 
-    Each pair depends only on its photograph, its number and the seed, whichever others the run makes.
+    Each pair depends only on its photograph, its number and the seed, whichever others the run
+    makes.
 
     Args:
         simulator: Camera and device.
@@ -60,7 +61,10 @@ class Pairs:
         return self._each * len(self._photographs)
 
     def files(self, numbers: range) -> Iterator[tuple[str, dict[str, bytes]]]:
-        """Yield key and files by suffix of each pair; see `gpusim pairs --help`. Raises as `Simulator.frames` does."""
+        """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
+
+        Raises as `Simulator.frames` does.
+        """
         with closing(ahead(map(self._read, numbers), READ)) as arriving:
             for number, scene, values in arriving:
                 yield f"{number:08d}", self._files(number, scene, values)
@@ -115,7 +119,10 @@ class Pairs:
 
 
 def gain_of(camera: Camera, speed: float | None) -> float:
-    """Return the analog gain, in addition to the sensor's, for an ISO speed; 1 for None. Raises OutOfRange."""
+    """Return the analog gain, in addition to the sensor's, for an ISO speed; 1 for None.
+
+    Raises OutOfRange.
+    """
     return (
         1.0 if speed is None else gain_for_speed(camera.sensor, speed) / camera.sensor.analog_gain
     )

@@ -1,6 +1,7 @@
 """Samples in tar files for WebDataset: the files of a sample are adjacent and start with its key.
 
-A file is complete or does not exist. It holds no time and no owner, so every run writes the same bytes.
+A file is complete or does not exist. It holds no time and no owner, so every run writes the same
+bytes.
 """
 
 import io

@@ -21,7 +21,10 @@ class Variety:
 
     @classmethod
     def parse(cls, text: str) -> "Variety":
-        """Return the variety of `exposure=1/200..1/20,iso=100..1600,light=D65|A`. Raises ArgumentTypeError."""
+        """Return the variety of `exposure=1/200..1/20,iso=100..1600,light=D65|A`.
+
+        Raises ArgumentTypeError.
+        """
         wanted = f"NAME=LOW..HIGH or a number, above 0, each NAME once: {', '.join(NUMBERS)}, or light=D65|A"
         return cls(tuple(read_named(text, _values, wanted).items()))
 

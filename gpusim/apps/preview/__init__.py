@@ -1,6 +1,7 @@
 """Live preview: move a slider, see the camera change; `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
 
-The package is callable, because an import of one of its modules sets `gpusim.apps.preview` to the package.
+The package is callable, because an import of one of its modules sets `gpusim.apps.preview` to the
+package.
 """
 
 import sys

@@ -73,7 +73,8 @@ class Control:
     def check(self, value):
         """Raise BadData or OutOfRange for a value that neither the slider nor the number field can set.
 
-        A typed number may lie a little beyond the slider's ends. Far beyond, a picture would take minutes.
+        A typed number may lie a little beyond the slider's ends. Far beyond, a picture would take
+        minutes.
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
@@ -103,7 +104,8 @@ def _noise(key, label, high, unit, low):
     return Control("noise", key, label, low, high, unit, is_log=True, off=0.0, default=0.0)
 
 
-# Places in Noll's order of aberrations that are the same all over the field; those that vary take seconds to plan
+# Places in Noll's order of aberrations that are the same all over the field; those that vary take
+# seconds to plan
 ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
 GROUPS: dict[str, tuple[Control, ...]] = {
     "Exposure": (

@@ -7,7 +7,10 @@ ENLARGED = (1, 2, 4, 8, 16)  # pixels of the screen along one of the frame
 
 @dataclass(frozen=True)
 class Crop:
-    """Part of a frame. top, left, rows, cols: [pixel]. times: screen pixels per pixel along each axis."""
+    """Part of a frame.
+
+    top, left, rows, cols: [pixel]. times: screen pixels per pixel along each axis.
+    """
 
     top: int
     left: int
@@ -36,7 +39,8 @@ def enlarge(
 ) -> Crop | None:
     """Return the next larger (step 1) or smaller (-1) crop around a pixel; None: the whole frame.
 
-    at: row and column that stay in place. shape: of the frame. width: of the picture on the screen [pixel].
+    at: row and column that stay in place. shape: of the frame. width: of the picture on the screen
+    [pixel].
     """
     rows, cols = shape
     known = [times for times in ENLARGED if times * cols > width]

@@ -19,8 +19,9 @@ SPAN = 4.0  # root mean squares of the error from grey to full colour
 def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
     """Return the histogram of mean electrons, and the electrons of one pixel.
 
-    mean: (rows, cols), or of stacked pixels (C, rows, cols) [e-]. at: row and column, or None. The histogram counts
-    some of the pixels, in BINS from 0 to `full well`, by the letters of the channels.
+    mean: (rows, cols), or of stacked pixels (C, rows, cols) [e-]. at: row and column, or None. The
+    histogram counts some of the pixels, in BINS from 0 to `full well`, by the letters of the
+    channels.
     """
     sensor = program.exposure.camera.sensor
     full = float(sensor.saturation)
@@ -52,8 +53,9 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
 def edge(linear, part: tuple[slice, slice]) -> dict:
     """Return the spatial frequency response of a part of a picture, or the reason why it has none.
 
-    linear: display RGB (rows, cols, 3). The result has lists of frequencies [cycle/pixel] and responses up to 1
-    cycle/pixel, `mtf50` [cycle/pixel] and the edge's angle [degree]; or only `why`.
+    linear: display RGB (rows, cols, 3). The result has lists of frequencies [cycle/pixel] and
+    responses up to 1 cycle/pixel, `mtf50` [cycle/pixel] and the edge's angle [degree]; or only
+    `why`.
     """
     values = np.asarray(linear, np.float64)[part] @ LUMINANCE
     try:

@@ -77,8 +77,8 @@ class Preview(HBox):
     """A picture, and the controls that change it. `close` ends it.
 
     Attributes:
-        controls: Name -> field, of all of `CONTROLS` and of "view", "tolerance", "light", "luminance", "seed" and
-            "frame": a Number, or a widget with a `value`.
+        controls: Name -> field, of all of `CONTROLS` and of "view", "tolerance", "light",
+            "luminance", "seed" and "frame": a Number, or a widget with a `value`.
         image: An ipywidgets.Image: a JPEG while a control moves, then a PNG.
     """
 
@@ -107,7 +107,10 @@ class Preview(HBox):
         return self.state.build()
 
     def frame(self) -> Frame:
-        """Return the frame of a Simulator of `camera`, with this seed and number. Raises GpusimError."""
+        """Return the frame of a Simulator of `camera`, with this seed and number.
+
+        Raises GpusimError.
+        """
         return DEVICE.submit(self._producer.frame, self.state, self.state.frame).result()
 
     @property
@@ -262,8 +265,9 @@ class Preview(HBox):
 class Number(HBox):
     """A slider and a number field, which also takes values beyond the slider's ends.
 
-    is_switched: whether a switch sets the control to its `off`. turned: function that is called with a new value, and
-    whether the slider was moved. slider, number, switch: the widgets; switch may be None.
+    is_switched: whether a switch sets the control to its `off`. turned: function that is called
+    with a new value, and whether the slider was moved. slider, number, switch: the widgets; switch
+    may be None.
     """
 
     def __init__(self, control: Control, is_switched: bool, turned):
@@ -316,7 +320,10 @@ class Number(HBox):
 
 
 class _Session(Session):
-    """A session that shows its pictures. show: coroutine of version, kind and bytes (None if there is an `error`)."""
+    """A session that shows its pictures.
+
+    show: coroutine of version, kind and bytes (None if there is an `error`).
+    """
 
     def __init__(self, producer, state, show):
         super().__init__(producer, state)

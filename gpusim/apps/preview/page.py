@@ -34,7 +34,8 @@ PATIENT = 1.0  # [s] of a picture, after which the page says that it is being ma
 OPEN = ("Exposure", "Lens")  # groups, at first
 QUIET = "text-sm text-neutral-300 font-mono"
 FORMATS = (".png", ".dng", ".exr", ".npz")
-# A control that glides to its new place has the page laid out and painted at every refresh of the screen
+# A control that glides to its new place has the page laid out and painted at every refresh of the
+# screen
 STYLE = """
 .q-slider *, .q-field, .q-field *, .q-checkbox *, .q-focus-helper {
     transition: none !important; animation: none !important;
@@ -398,7 +399,10 @@ class Page:
     # output of the page
 
     def _follow(self, only=""):
-        """Put the settings into the controls. only: the control that moved, if no other can have changed."""
+        """Put the settings into the controls.
+
+        only: the control that moved, if no other can have changed.
+        """
         state = self.session.state
         if only in ("split", "frame"):
             return

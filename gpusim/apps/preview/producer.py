@@ -1,4 +1,7 @@
-"""Pictures of a scene by a client's camera. A slider recomputes only the steps that depend on it."""
+"""Pictures of a scene by a client's camera.
+
+A slider recomputes only the steps that depend on it.
+"""
 
 import time
 from collections.abc import Callable
@@ -27,7 +30,10 @@ NUMBERS = 2**32  # of frames of a scene that does not move
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture: codes, uint8 (rows, cols, 3). number: of the frame. ms: time it took. facts: data for the page."""
+    """A picture: codes, uint8 (rows, cols, 3).
+
+    number: of the frame. ms: time it took. facts: data for the page.
+    """
 
     codes: np.ndarray
     number: int
@@ -54,7 +60,10 @@ class Producer:
         self._checker: tuple = (None, None)
 
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
-        """Return a picture of a state. drafts: see `Program.update`. Raises as camera, light and simulation do."""
+        """Return a picture of a state. drafts: see `Program.update`.
+
+        Raises as camera, light and simulation do.
+        """
         begun = time.perf_counter()
         program = self._update(state, number, drafts)
         show = {
@@ -87,7 +96,10 @@ class Producer:
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
     def frame(self, state: State, number: int) -> Frame:
-        """Return a frame to save, from a new simulator, as of `gpusim simulate`. Raises as `picture`."""
+        """Return a frame to save, from a new simulator, as of `gpusim simulate`.
+
+        Raises as `picture`.
+        """
         simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
         return next(
             simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)
@@ -96,9 +108,9 @@ class Producer:
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
         """Return a function that returns a map of the error of the mean electrons, and that error.
 
-        It takes seconds, in any thread. The map is codes (rows, cols, 3) of the frame that `frame` returns. Raises as
-        `picture` and `Simulator` with `verify` do; the function raises BadData for a large frame with a blur that
-        varies over the field.
+        It takes seconds, in any thread. The map is codes (rows, cols, 3) of the frame that `frame`
+        returns. Raises as `picture` and `Simulator` with `verify` do; the function raises BadData
+        for a large frame with a blur that varies over the field.
         """
         simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
         scene = self._scene_in(state, number)
@@ -127,7 +139,8 @@ class Producer:
     ) -> dict:
         """Return the measurements next to the picture, see `gpusim.apps.preview.measures`.
 
-        at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as `picture`.
+        at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as
+        `picture`.
         """
         program = self._update(state, number, drafts=True)
         exposure = program.exposure

@@ -1,4 +1,7 @@
-"""A client of the preview: its settings, and the frames on their way to it. Pictures are made while it waits."""
+"""A client of the preview: its settings, and the frames on their way to it.
+
+Pictures are made while it waits.
+"""
 
 import asyncio
 import io
@@ -81,7 +84,10 @@ class Session:
         return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
 
     async def serve(self, send, acknowledged):
-        """Send frames on request. send: coroutine of bytes; acknowledged: coroutine that waits for a paint."""
+        """Send frames on request.
+
+        send: coroutine of bytes; acknowledged: coroutine that waits for a paint.
+        """
         begun: deque[float] = deque()
 
         async def listen():

@@ -13,14 +13,20 @@ MOST_SESSIONS = 16  # each holds its scene on the device
 
 
 class Sessions:
-    """Sessions of all clients by their tokens; idle ones are removed. made: makes a Producer. first: first State."""
+    """Sessions of all clients by their tokens; idle ones are removed.
+
+    made: makes a Producer. first: first State.
+    """
 
     def __init__(self, made: Callable[[], Producer], first: State):
         self._made, self._first = made, first
         self._known: dict[str, Session] = {}
 
     def of(self, token: str, link: str = "") -> tuple[str, Session]:
-        """Return the session of a token, or a new one, with the settings of a link. Raises BadData."""
+        """Return the session of a token, or a new one, with the settings of a link.
+
+        Raises BadData.
+        """
         now = time.monotonic()
         for name, session in list(self._known.items()):
             if now - session.used > LEFT:

@@ -29,7 +29,8 @@ class State:
         view: One of VIEWS.
         is_live: Whether noise and moving scenes run.
         seed, frame: Seed of the noise, and number of the frame while nothing runs.
-        against: `camera` and `changes` of a second camera, shown right of `split` of the width. None: no second one.
+        against: `camera` and `changes` of a second camera, shown right of `split` of the width.
+            None: no second one.
     """
 
     camera: str
@@ -59,11 +60,17 @@ class State:
         return given if control.item is None else _long(given, control)[control.item]
 
     def table(self) -> dict:
-        """Return the camera file's table with the changes and absolute file names. Raises BadFile, UnknownName."""
+        """Return the camera file's table with the changes and absolute file names.
+
+        Raises BadFile, UnknownName.
+        """
         return self.changed(anchored(*camera_table(self.camera)))
 
     def changed(self, table: dict) -> dict:
-        """Return a camera file's table with the changes. Raises BadData or OutOfRange for a value."""
+        """Return a camera file's table with the changes.
+
+        Raises BadData or OutOfRange for a value.
+        """
         for name, value in self.changes.items():
             control = CONTROLS[name]
             control.check(value)
@@ -138,7 +145,10 @@ class State:
 
     @classmethod
     def of_link(cls, text: str, camera: str) -> "State":
-        """Return the state of a link, which may be of an older page. camera: if it names none. Raises BadData."""
+        """Return the state of a link, which may be of an older page. camera: if it names none.
+
+        Raises BadData.
+        """
         try:
             if len(text) > LONGEST_LINK:
                 raise ValueError

@@ -34,18 +34,21 @@ PICTURES = ("linear", "xyz", "codes")  # outputs with channels: RGB or XYZ
 class Batch:
     """Computes frames of batches of pictures by a camera on a device. Not differentiable.
 
-    Channels come first in input and output, (B, C, rows, cols). A frame depends only on its picture, its settings, its
-    number, the seed and the plan, not on the rest of its batch, so any number of workers makes the same data.
+    Channels come first in input and output, (B, C, rows, cols). A frame depends only on its
+    picture, its settings, its number, the seed and the plan, not on the rest of its batch, so any
+    number of workers makes the same data.
 
     Args:
         camera: Camera.
         device: Name of the device, or a Device.
         output: Name of `gpusim.pipeline.outputs.OUTPUTS`, for example "raw", "linear" or "codes".
-        wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or grey (1).
-        light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral pictures are
-            radiance [W sr-1 m-2 nm-1].
+        wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or
+            grey (1).
+        light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral
+            pictures are radiance [W sr-1 m-2 nm-1].
         luminance: Luminance of white in this light [cd m-2].
-        tolerance: See `Simulator`. With one, each picture is planned, which takes time; without one, each shape.
+        tolerance: See `Simulator`. With one, each picture is planned, which takes time; without
+            one, each shape.
         plan: Plan of all pictures, see `Simulator`.
         options: Options of every Scene, for example border.
 
@@ -104,11 +107,13 @@ class Batch:
             seed: Seed of the noise.
             exposure_time: Exposure time [s], see `Simulator.expose`, or one for each picture.
             gain: Analog gain, see `Simulator.expose`, or one for each picture.
-            camera: Camera with other noise, white point, lens or other settings, or one for each picture.
+            camera: Camera with other noise, white point, lens or other settings, or one for each
+                picture.
 
         Returns:
-            A new array (B, rows, cols) or (B, C, rows, cols): torch's or cupy's on the device of the pictures, or in
-            the memory of a Warp device; else NumPy's. Codes are (B, 3, rows, cols) with the channels last in memory.
+            A new array (B, rows, cols) or (B, C, rows, cols): torch's or cupy's on the device of
+            the pictures, or in the memory of a Warp device; else NumPy's. Codes are (B, 3, rows,
+            cols) with the channels last in memory.
 
         Raises:
             BadData: If the pictures have another shape or type, or negative values.
@@ -213,7 +218,8 @@ def _convert(pictures, device, frames):
         return np.array(device.numpy(frames))
     is_torch = library.__name__ == "torch"
     if not isinstance(frames, np.ndarray) and device.kind == "warp":
-        # this device copies, in order: a copy by the other library might be too late for the next batch
+        # this device copies, in order: a copy by the other library might be too late for the next
+        # batch
         return library.from_dlpack(device.reshape(device.stack([frames]), frames.shape))
     copied = np.array(device.numpy(frames))
     return library.from_numpy(copied).to(pictures.device) if is_torch else library.asarray(copied)

@@ -1,9 +1,10 @@
 """For Ray Data: a callable class for `map_batches`, one device for each actor. Ray itself is not imported here.
 
-    pictures.map_batches(gpusim.apps.tensors.ray.Frames, fn_constructor_kwargs={"camera": camera, "device":
-                         "warp:cuda:0"}, batch_size=32, concurrency=4, num_gpus=1)
+    pictures.map_batches(gpusim.apps.tensors.ray.Frames, fn_constructor_kwargs={"camera": camera,
+                         "device": "warp:cuda:0"}, batch_size=32, concurrency=4, num_gpus=1)
 
-Each row needs its own number, which selects its noise. The result does not depend on how Ray distributes the rows.
+Each row needs its own number, which selects its noise. The result does not depend on how Ray
+distributes the rows.
 """
 
 import numpy as np

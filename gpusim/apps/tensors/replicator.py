@@ -1,8 +1,8 @@
 """Frames of rendered linear HDR pictures, as from Replicator's writers and Isaac Lab's cameras.
 
-`Views` takes the argument of a writer's `write`: a dictionary in which "HdrColor", or "HdrColor-" and the name of a
-view, is linear RGB with alpha, float16 (rows, cols, 4), in a Warp array on the GPU, a NumPy array or another library's.
-Omniverse is not needed.
+`Views` takes the argument of a writer's `write`: a dictionary in which "HdrColor", or "HdrColor-"
+and the name of a view, is linear RGB with alpha, float16 (rows, cols, 4), in a Warp array on the
+GPU, a NumPy array or another library's. Omniverse is not needed.
 """
 
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ class Views:
 
     Args:
         cameras: One camera for all views, or cameras by the names of views.
-        settings: Other arguments of `gpusim.Batch`, for example device and output; luminance is the luminance of
-            the value 1 [cd m-2].
+        settings: Other arguments of `gpusim.Batch`, for example device and output; luminance is the
+            luminance of the value 1 [cd m-2].
 
     Raises:
         GpusimError: As `gpusim.Batch` does.
@@ -78,7 +78,10 @@ class Views:
 
 
 def channels_first(frame):
-    """Return linear RGB (1, 3, rows, cols) of a picture (rows, cols, 3 or 4), in the same library. Raises BadData."""
+    """Return linear RGB (1, 3, rows, cols) of a picture (rows, cols, 3 or 4), in the same library.
+
+    Raises BadData.
+    """
     values = described(frame, COLOUR)
     if len(values.shape) != 3 or values.shape[2] not in (3, 4):
         raise BadData(f"{COLOUR}: {tuple(values.shape)}, wanted (rows, cols, 4) or (rows, cols, 3)")

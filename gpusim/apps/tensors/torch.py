@@ -34,16 +34,20 @@ class Frames(torch.nn.Module):
         self.batch = Batch(camera, **settings)
 
     def forward(self, pictures: torch.Tensor, **settings) -> torch.Tensor:
-        """Return frames of pictures (B, C, rows, cols). settings: as of a call of `gpusim.Batch`."""
+        """Return frames of pictures (B, C, rows, cols).
+
+        settings: as of a call of `gpusim.Batch`.
+        """
         return self.batch(pictures.detach(), **settings)
 
 
 class PairSet(Dataset):
     """Noisy and clean raw values of photographs, as of `gpusim pairs`.
 
-    An item has the tensors "raw" (rows, cols) [DN], "clean" (rows, cols) [DN] and, with pictures, "rgb" (3, rows,
-    cols), and "record", a dictionary of its settings. It depends only on its number and the seed. Each process opens
-    the device again. Forked processes cannot do so if their parent has opened it: use "spawn" then.
+    An item has the tensors "raw" (rows, cols) [DN], "clean" (rows, cols) [DN] and, with pictures,
+    "rgb" (3, rows, cols), and "record", a dictionary of its settings. It depends only on its number
+    and the seed. Each process opens the device again. Forked processes cannot do so if their parent
+    has opened it: use "spawn" then.
 
     Args:
         photographs: Files.

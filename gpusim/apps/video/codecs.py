@@ -1,12 +1,14 @@
 """Encoded videos by FFmpeg's libraries (PyAV): segments are encoded independently, then joined without re-encoding.
 
-The number of encoder threads is fixed, because the output depends on it. x264 uses no look-ahead: with it the output
-differed between runs (heights that are not whole macroblocks). x265 has threads for frames but no pool of workers:
-with a pool, the end of a stream sometimes hangs (x265 4.2: the look-ahead's worker wakes nobody if its pictures were
-taken while it still counted as busy, and their taker waits for ever). Without a pool x265 has no wavefronts either:
-1920 x 1080 takes 145 ms a frame on two cores instead of 98 ms.
+The number of encoder threads is fixed, because the output depends on it. x264 uses no look-ahead:
+with it the output differed between runs (heights that are not whole macroblocks). x265 has threads
+for frames but no pool of workers: with a pool, the end of a stream sometimes hangs (x265 4.2: the
+look-ahead's worker wakes nobody if its pictures were taken while it still counted as busy, and
+their taker waits for ever). Without a pool x265 has no wavefronts either: 1920 x 1080 takes 145 ms
+a frame on two cores instead of 98 ms.
 
-Colours are tagged: the display's primaries and curve, and for luma and chroma the matrix of BT.709 in limited range.
+Colours are tagged: the display's primaries and curve, and for luma and chroma the matrix of BT.709
+in limited range.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -95,8 +97,8 @@ def pyav():
         raise GpusimError(
             f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
         ) from error
-    # No log. With one, threads of the decoders wait for Python's lock to report damage, while its holder waits for
-    # them to close the file: a deadlock
+    # No log. With one, threads of the decoders wait for Python's lock to report damage, while its
+    # holder waits for them to close the file: a deadlock
     av.logging.set_level(None)
     return av
 
@@ -222,7 +224,8 @@ class Encoder:
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
         """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
 
-        Yields the number of each frame that was taken; the file exists when all were. Raises BadFile.
+        Yields the number of each frame that was taken; the file exists when all were. Raises
+        BadFile.
         """
         av = pyav()
         with (
@@ -240,7 +243,8 @@ class Encoder:
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):
         """Join the files of segments, each with the number of its first frame. Raises BadFile."""
-        # decoders take frames in another order than they show them, and start this many frames earlier
+        # decoders take frames in another order than they show them, and start this many frames
+        # earlier
         delay = max(
             (number - shown for _, part in parts for number, shown, _ in self._packets(part)),
             default=0,

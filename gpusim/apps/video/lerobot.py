@@ -1,7 +1,8 @@
 """Episodes of a LeRobot data set: each is a video and a table of data on its frames.
 
-The layout is version 3.0, after Hugging Face's lerobot 0.4.4 (`datasets/utils.py`, `lerobot_dataset.py`,
-`compute_stats.py`). Every episode has its own files, as episodes that LeRobot adds to an existing data set.
+The layout is version 3.0, after Hugging Face's lerobot 0.4.4 (`datasets/utils.py`,
+`lerobot_dataset.py`, `compute_stats.py`). Every episode has its own files, as episodes that LeRobot
+adds to an existing data set.
 """
 
 import json
@@ -64,8 +65,8 @@ def pyarrow():
 class Episode(EncodedFile):
     """A new episode of the data set in a folder.
 
-    The table has `exposure_time_s` [s], analog `gain`, `predicted_rms` (relative) and `seed` of each frame in
-    addition to LeRobot's columns.
+    The table has `exposure_time_s` [s], analog `gain`, `predicted_rms` (relative) and `seed` of
+    each frame in addition to LeRobot's columns.
 
     Args:
         folder: Folder of the data set.
@@ -80,8 +81,8 @@ class Episode(EncodedFile):
         made: `frames` or `blurred_frames`.
 
     Raises:
-        OutOfRange: If the rate is not a whole number, the seed is not an int64, or rate, size or features differ
-            from earlier episodes.
+        OutOfRange: If the rate is not a whole number, the seed is not an int64, or rate, size or
+            features differ from earlier episodes.
         BadFile: If the folder has another version, or is damaged.
         GpusimError: If pyarrow is not installed.
     """
@@ -185,7 +186,8 @@ class Episode(EncodedFile):
     def finish(self) -> bool:
         """Add the episode to the data set, if all segments exist. Return whether they do. Raises BadFile.
 
-        All files are complete before the first one gets its name; the file that lists them comes last.
+        All files are complete before the first one gets its name; the file that lists them comes
+        last.
         """
         if not all(self.part(segment).exists() for segment in self._segments):
             return False

@@ -1,7 +1,7 @@
 """Control loops of a camera over the frames of a video: exposure, white balance and focus that follow the scene.
 
-Their settings are computed before the frames, in a pass over all scenes that takes one picture of each. They
-are stored in the video's manifest, where shards and resumed runs read them.
+Their settings are computed before the frames, in a pass over all scenes that takes one picture of
+each. They are stored in the video's manifest, where shards and resumed runs read them.
 """
 
 import json
@@ -33,14 +33,14 @@ READ = 2  # scenes that are read ahead
 class Lags:
     """Time constants of a camera's control loops [s]; None: no such loop.
 
-    After one time constant a loop has followed 63 % of a step, 1 - exp(-t / lag); with 0 it follows in the next
-    frame.
+    After one time constant a loop has followed 63 % of a step, 1 - exp(-t / lag); with 0 it follows
+    in the next frame.
 
     Attributes:
         exposure: Automatic exposure; the loop works in stops.
         white: White balance that the processor estimates; the loop works in logarithms.
-        focus: Focus on the middle third of a scene with depth, as phase-detection sensors measure it without
-            a search; the loop works in dioptres.
+        focus: Focus on the middle third of a scene with depth, as phase-detection sensors measure
+            it without a search; the loop works in dioptres.
     """
 
     exposure: float | None = None

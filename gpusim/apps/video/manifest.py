@@ -45,8 +45,8 @@ def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
         path: File of the manifest.
         made: Content, as plain data.
         outputs: Files that a new start has to remove, in words.
-        is_empty: Function that returns whether nothing was written. If so, a new manifest is removed
-            when the work fails.
+        is_empty: Function that returns whether nothing was written. If so, a new manifest is
+            removed when the work fails.
 
     Raises:
         BadFile: If the existing manifest belongs to another run.

@@ -136,7 +136,10 @@ def checked_size(scene: Scene, shape, name, first) -> Scene:
 
 
 def numbered_files(folder: Path) -> list[Path]:
-    """Return the scene files of a folder by number. Raises BadFile if there are none, or two series."""
+    """Return the scene files of a folder by number.
+
+    Raises BadFile if there are none, or two series.
+    """
     try:
         found = scene_files(folder)
     except OSError as error:

@@ -1,7 +1,8 @@
 """Segments of a video. Each is computed independently, so resumed runs and shards equal one run.
 
-The state of a loop over frames, for example the metered light, restarts with every segment: the frame
-before its first one is computed again. A segment's frames therefore depend only on the segment.
+The state of a loop over frames, for example the metered light, restarts with every segment: the
+frame before its first one is computed again. A segment's frames therefore depend only on the
+segment.
 """
 
 import argparse

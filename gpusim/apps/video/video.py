@@ -96,7 +96,8 @@ def frames(
 ) -> Iterator[Made]:
     """Yield the wanted frames of each segment, in order.
 
-    A camera that meters exposes each frame for the light of the previous one, and the first for its own.
+    A camera that meters exposes each frame for the light of the previous one, and the first for its
+    own.
 
     Args:
         simulator: Camera and device.
@@ -148,7 +149,10 @@ def blurred_frames(
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
 ) -> Iterator[Made]:
-    """Yield frames with motion blur, rolling shutter and flicker; see `frames`. Each frame meters its first view."""
+    """Yield frames with motion blur, rolling shutter and flicker; see `frames`.
+
+    Each frame meters its first view.
+    """
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
@@ -231,7 +235,10 @@ class NumberedFiles:
         seed: int = 0,
         loops: Loops = NO_LOOPS,
     ) -> Iterator[Made]:
-        """Write the missing frames of the segments; yield each written one. Raises as `Frame.save` does."""
+        """Write the missing frames of the segments; yield each written one.
+
+        Raises as `Frame.save` does.
+        """
         missing = [
             [segment.start, *(number for number in segment if not self.name(number).exists())]
             for segment in segments

@@ -1,9 +1,9 @@
 """Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV). Frames become reflectances, as photographs do.
 
-The tags of the file (ITU-T H.273) set the meaning of its codes: BT.709 and BT.601 (the inverse of the camera's
-curve, BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67), the last two with white at the
-203 cd/m2 and 75 % of ITU-R BT.2408. Without a tag the matrix and range are chosen as players do: BT.709 from 576
-rows, else BT.601, and limited range.
+The tags of the file (ITU-T H.273) set the meaning of its codes: BT.709 and BT.601 (the inverse of
+the camera's curve, BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67),
+the last two with white at the 203 cd/m2 and 75 % of ITU-R BT.2408. Without a tag the matrix and
+range are chosen as players do: BT.709 from 576 rows, else BT.601, and limited range.
 """
 
 import re
@@ -99,7 +99,10 @@ class Film:
         self._shape = next(self.between(0, 1)).shape
 
     def _count_frames(self, container, stream):
-        """Return the number of frames of a file without that entry. Raises BadFile if the last ones are missing."""
+        """Return the number of frames of a file without that entry.
+
+        Raises BadFile if the last ones are missing.
+        """
         shown, end = [], Fraction(0)  # times of the frames, and end of the last one [s]
         for packet in container.demux(stream):
             if packet.size:
