@@ -113,7 +113,7 @@ class VideoRequest(MovingRequest):
         type=_read_lags,
         metavar="LIST",
         help="time constants [s] of the camera's control loops, such as exposure=0.3,white=1,focus=0.5; "
-        "all scenes are meter_scenes first (default: exposure follows in the next frame, the white balance "
+        "all scenes are metered first (default: exposure follows in the next frame, the white balance "
         "is each frame's own)",
     )
     flicker: "Flicker | None" = option(

@@ -99,7 +99,7 @@ ROWS = {
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
         "blur": (f"{PHOTO} --frames 2 --pan 0,400 -o out.npz", "--blur"),
         "ramp": (f"{PHOTO} --frames 2 -o out.npz", "--ramp exposure=1/500..1/30"),
-        "lag": (f"{SEVERAL} -o out.npz", "--lag exposure=1"),
+        "lag": (f"{SEVERAL} --fps 5 -o out.npz", "--lag exposure=1"),
         "flicker": (f"{PHOTO} --exposure 1/500 -o out.npz", "--flicker 100"),
         "pwm": (f"{PHOTO} --exposure 1/500 -o out.npz", "--pwm 200,.3"),
         "codec": (f"{CHART} -o out.mkv", "--codec ffv1-linear"),

@@ -112,7 +112,7 @@ def test_parts_of_a_frame():
     for _ in range(9):
         most = enlarge(most, 1, (3, 3), shape, 1000)
     assert most.times == 16
-    small = enlarge(None, 1, (1, 1), (2, 3), 4000)  # enlarge farther than ENLARGED goes
+    small = enlarge(None, 1, (1, 1), (2, 3), 4000)  # enlarged farther than ENLARGED goes
     assert small is None
     low = enlarge(None, 1, (1000, 2000), (2160, 3840), 1000)
     assert (low.times, low.cols) == (1, 1000)
