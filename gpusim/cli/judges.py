@@ -43,7 +43,8 @@ class BenchRequest(StageRequest):
     size: tuple[int, int] | None = option(
         type=size,
         metavar="COLSxROWS",
-        help="size of the frame (default: 1920x1080), or of the chart of --pareto (default: 480x320)",
+        help="size of the frame (default: 1920x1080), or of the chart of --pareto (default: "
+        "480x320)",
     )
     pareto: str | None = option(
         metavar="SCENE", help="run a scene with all plans instead: time against true error"

@@ -176,13 +176,15 @@ class LookRequest(Request):
         type=_place,
         action="append",
         metavar="PLACE",
-        help="for spectra: a pixel COL,ROW or a region LEFT,TOP,RIGHT,BOTTOM; may be repeated (default: "
+        help="for spectra: a pixel COL,ROW or a region LEFT,TOP,RIGHT,BOTTOM; may be repeated "
+        "(default: "
         "the whole frame)",
     )
     of: list[str | float] | None = option(
         type=_kinds,
         metavar="LIST",
-        help="for psf and mtf: wavelengths in nm and letters of channels, such as 450,550,R (default: "
+        help="for psf and mtf: wavelengths in nm and letters of channels, such as 450,550,R "
+        "(default: "
         "450,550,650 and all channels)",
     )
     seed: int = option(

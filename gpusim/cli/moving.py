@@ -1,4 +1,4 @@
-"""Options of commands that show several scenes or a moving camera, and the scenes of their frames."""
+"""Options of commands with several scenes or a moving camera, and the scenes of their frames."""
 
 import argparse
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def _pair(text):
 
 @dataclass(frozen=True, kw_only=True)
 class MovingRequest(Request):
-    """One scene or several, the movement of the camera, and objects that move in front of the scene."""
+    """One scene or several, the movement of the camera, and actors in front of the scene."""
 
     scene: list[str] = option(
         positional=True, in_key=False, nargs="+", metavar="SCENE", help=SCENES_HELP
@@ -62,13 +62,15 @@ class MovingRequest(Request):
         type=whole(1, MOST_FRAMES),
         in_key=False,
         metavar="N",
-        help="number of frames of one scene, or of the first frames of a video (default: 1; all of a video)",
+        help="number of frames of one scene, or of the first frames of a video (default: 1; all of "
+        "a video)",
     )
     fps: Fraction = option(
         default=Fraction(30),
         type=_rate,
         metavar="RATE",
-        help="frames per second, such as 24, 29.97 or 30000/1001; limits the exposure time (default: 30)",
+        help="frames per second, such as 24, 29.97 or 30000/1001; limits the exposure time "
+        "(default: 30)",
     )
     pan: tuple[float, float] = option(
         default=(0.0, 0.0),
@@ -86,7 +88,8 @@ class MovingRequest(Request):
         default=1.0,
         type=_number,
         metavar="Z",
-        help="magnification of the first frame, at least 1: 1.1 leaves a margin for a moving camera "
+        help="magnification of the first frame, at least 1: 1.1 leaves a margin for a moving "
+        "camera "
         "(default: 1)",
     )
     zooming: float = option(
@@ -106,13 +109,16 @@ class MovingRequest(Request):
         type=Cast.parse,
         action="append",
         metavar="PNG,...",
-        help="a picture with alpha that moves in front of a photograph; may be repeated, the nearest "
-        "first: car.png,at=40:-200 (row and column of its centre, from the scene's centre),pan=0:120 "
+        help="a picture with alpha that moves in front of a photograph; may be repeated, the "
+        "nearest "
+        "first: car.png,at=40:-200 (row and column of its centre, from the scene's "
+        "centre),pan=0:120 "
         "(pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR",
     )
     transfer: str | None = option(
         metavar="NAME",
-        help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, linear, "
+        help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, "
+        "linear, "
         "gamma2.2, gamma2.8",
     )
     any_order: bool = option(

@@ -1,4 +1,4 @@
-"""Options of the command line: one dataclass per command makes its parser, camera, scene and simulator.
+"""Options of the command line: one dataclass per command makes parser, camera, scene, simulator.
 
 A field made by `option` is one option. The dataclass records which options the user gave and which
 of them the command has read, so that a command can refuse an option that has no effect.
@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # the command line starts without them
 
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 SCENE_HELP = (
-    "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral "
+    "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
+    "spectral "
     ".exr, .npz, .mat, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif"
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
@@ -258,20 +259,24 @@ class Request(Options):
     samples_per_pixel: float | None = option(
         type=float,
         metavar="S",
-        help="scene samples per pixel along each axis, at least 1. A chart is drawn with that many; a file "
+        help="scene samples per pixel along each axis, at least 1. A chart is drawn with that "
+        "many; a file "
         "keeps its samples and gives a smaller frame (default: the scene's, 1)",
     )
     light: str | None = option(
-        help="light on the scene: any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)"
+        help="light on the scene: any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: "
+        "the scene's)"
     )
     luminance: float | None = option(
         type=float,
         metavar="CD_M2",
-        help="luminance of a white diffuser in the scene's light [cd/m2] (default: the scene's, or 100)",
+        help="luminance of a white diffuser in the scene's light [cd/m2] (default: the scene's, or "
+        "100)",
     )
     border: str | None = option(
         choices=("zero", "edge", "reflect"),
-        help="how the scene continues outside the frame: black, by its edge, or mirrored (default: the "
+        help="how the scene continues outside the frame: black, by its edge, or mirrored (default: "
+        "the "
         "scene's)",
     )
     exposure: float | str | None = option(
@@ -303,7 +308,8 @@ class Request(Options):
     scaling: str | None = option(
         choices=("exposure", "normalised"),
         in_key=False,
-        help="brightness of the picture. exposure: a longer exposure is brighter and may clip; normalised: a "
+        help="brightness of the picture. exposure: a longer exposure is brighter and may clip; "
+        "normalised: a "
         "white surface is white (default: the camera's)",
     )
     band: list[str] | tuple = option(
@@ -320,13 +326,15 @@ class Request(Options):
     )
     kind: str | None = option(
         choices=("reflectance", "radiance"),
-        help="quantity in planes (.tif, .npy, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 nm-1 "
+        help="quantity in planes (.tif, .npy, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 "
+        "nm-1 "
         "(default: reflectance, or as an ENVI header says)",
     )
     scale: float | None = option(
         type=_positive("a number above 0", 1e30),
         metavar="N",
-        help="value in planes or spectra that means 1.0, such as 100 for percent (default: 1, the largest "
+        help="value in planes or spectra that means 1.0, such as 100 for percent (default: 1, the "
+        "largest "
         "value of uint8 and uint16, or as an ENVI header says)",
     )
     fov: float | None = option(
@@ -337,7 +345,8 @@ class Request(Options):
     depth: str = option(
         default="axis",
         choices=("axis", "ray", "none"),
-        help="how a file gives distances [m]. axis: along the optical axis (Blender); ray: along each "
+        help="how a file gives distances [m]. axis: along the optical axis (Blender); ray: along "
+        "each "
         "pixel's ray (Mitsuba; needs --fov); none: ignore them (default: axis)",
     )
 

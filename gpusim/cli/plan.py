@@ -6,7 +6,8 @@ from gpusim.cli.options import Request, option, write_json
 from gpusim.domain.account import STATUS
 
 TEXTS = {
-    "help": "models, predicted errors and time of a frame, without computing it; status 1 if the tolerance "
+    "help": "models, predicted errors and time of a frame, without computing it; status 1 if the "
+    "tolerance "
     "is not met, 3 if that cannot be judged"
 }
 

@@ -21,7 +21,8 @@ class PreviewRequest(MovingRequest):
     port: int = option(default=8080, type=whole(1, 65535), help="port of the page (default: 8080)")
     host: str = option(
         default="127.0.0.1",
-        help="address of the page; any other than this machine's own lets its whole network move the "
+        help="address of the page; any other than this machine's own lets its whole network move "
+        "the "
         "sliders (default: 127.0.0.1)",
     )
 

@@ -33,12 +33,14 @@ class SimulateRequest(Request):
         default=(),
         action="append",
         metavar="OUT",
-        help="file: .png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be repeated",
+        help="file: .png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be "
+        "repeated",
     )
     bits: int | None = option(
         type=int,
         choices=(8, 16, 32),
-        help="bits per value of .png (8, 16), .tif (8, 16, or 32 for linear floats) and .exr (16, 32) "
+        help="bits per value of .png (8, 16), .tif (8, 16, or 32 for linear floats) and .exr (16, "
+        "32) "
         "(default: 8, 16 and 32)",
     )
     report: str | None = option(
@@ -133,7 +135,7 @@ def simulate(request: SimulateRequest) -> int:
 
 
 def _number_files(path, count):
-    """Return a function from a frame's number to its path: `a.png`, or `a_0000.png`, ... of several frames."""
+    """Return a function from a frame's number to its path: `a.png`, or `a_0000.png`, ..."""
     from gpusim.io.frame.frames import frame_format
 
     frame_format(path)

@@ -30,7 +30,8 @@ class TrainRequest(Options):
         positional=True,
         nargs="*",
         metavar="SCENE",
-        help="scenes to train on in addition to the generated ones: photographs, spectral files with "
+        help="scenes to train on in addition to the generated ones: photographs, spectral files "
+        "with "
         "their light, charts",
     )
     camera: str = option(
@@ -41,25 +42,29 @@ class TrainRequest(Options):
         "--out",
         required=True,
         metavar="TABLE.npz",
-        help='file of the filters, for [processor] demosaic = "learned", table = "TABLE.npz" in the '
+        help='file of the filters, for [processor] demosaic = "learned", table = "TABLE.npz" in '
+        "the "
         "camera file",
     )
     light: str = option(default="D65", help="light on the scenes (default: D65)")
     luminance: tuple[float, ...] | None = option(
         type=luminances,
         metavar="LOW..HIGH",
-        help="luminance of a white diffuser [cd/m2], as a range or a list such as 1,10,100 (default: from "
+        help="luminance of a white diffuser [cd/m2], as a range or a list such as 1,10,100 "
+        "(default: from "
         "near darkness to where every channel saturates)",
     )
     generated: int | None = option(
         type=int,
         metavar="N",
-        help="number of scenes generated from measured reflectances (default: 30; 0: only the given scenes)",
+        help="number of scenes generated from measured reflectances (default: 30; 0: only the "
+        "given scenes)",
     )
     outputs: str = option(
         default="channels",
         choices=("channels", "xyz"),
-        help="values that the filters estimate: the camera's red, green and blue without noise and colour "
+        help="values that the filters estimate: the camera's red, green and blue without noise and "
+        "colour "
         "error, or CIE XYZ (default: channels)",
     )
     seed: int = option(

@@ -108,7 +108,7 @@ class NormalEquations:
     ) -> FilterTable:
         """Return the table that fits the frames added so far.
 
-        An output that is the pixel's own channel, and equals the sample in all frames, stays the sample.
+        An output of the pixel's own channel that equals the sample in all frames stays the sample.
 
         Args:
             ridge: lambda in units of the mean variance of a term in a class (of an average class of that
@@ -201,7 +201,7 @@ class NormalEquations:
 
 
 def solve_ridge(a, b, ridge, prior, limit):
-    """Return W (terms, outputs) with (A + ridge I) W = B + ridge prior, and C W = d for a limit (C, d)."""
+    """Solve (A + ridge I) W = B + ridge prior for W (terms, outputs), with C W = d for a limit."""
     a = a + ridge * np.eye(len(a))
     b = b if prior is None else b + ridge * prior
     if limit is None:
@@ -225,7 +225,9 @@ def flat_sums(layout: Layout, constant=False):
 
 
 def symmetries(layout: Layout, exchanges=()):
-    """Return the mirror images, transposes and shifts that map the mosaic to itself, perhaps with channels exchanged.
+    """Return mirror images, transposes and shifts that map the mosaic to itself.
+
+    They may exchange channels.
 
     Returns a list of (positions (P,), classes (K,), groups (G,), outputs): the new index of each of
     them.

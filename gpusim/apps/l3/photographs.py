@@ -1,4 +1,4 @@
-"""Filters for Bayer mosaics, trained on photographs: encoded pictures as they are, linear light with noise.
+"""Filters for Bayer mosaics, trained on photographs: encoded pictures, and linear light with noise.
 
 At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and
 blurred copies of it; at the others it is its linear light, counted in electrons with shot and read
@@ -66,7 +66,7 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
 
 
 def train(folders, path):
-    """Write the table trained on all .png photographs of some folders; half of each folder's come with seed 1, 2."""
+    """Write the table trained on all .png files of some folders, half of each with seed 1, half with 2."""
     pictures = [sorted(Path(folder).glob("[!.]*.png")) for folder in folders]
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     for half in (0, 1):

@@ -1,4 +1,4 @@
-"""Scenes that filters are trained on: measured reflectances in shapes of every size, light and shade."""
+"""Training scenes of filters: measured reflectances in shapes of every size, light and shade."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ SIZE = 96  # [pixel]
 
 
 def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE) -> list[Scene]:
-    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`; they depend only on `seed`.
+    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`.
 
-    Each has three parts, one over the other. Leaves: overlapping discs of the measured reflectances
+    They depend only on `seed`. Each has three layers. Leaves: overlapping discs of the measured reflectances
     (dead leaves, the statistics of natural scenes at every scale). Strokes: thin straight lines of
     other surfaces, a third of the scene having dark ones on grey, as print has. Patches: grey and
     coloured ramps, and gratings up to the finest that the pixels resolve. Over all of it lie shade,
@@ -87,7 +87,7 @@ def _strokes(ids, shading, random, grey):
 
 
 def _patches(ids, shading, random, grey):
-    """Squares of a sixth of the scene: ramps, flat fields, gratings and slanted edges; half of them grey."""
+    """Return squares of a sixth of the scene: ramps, flat fields, gratings, edges; half of them grey."""
     n = len(ids)
     side = n // 6
     y, x = np.mgrid[:side, :side] - (side - 1) / 2

@@ -251,7 +251,7 @@ def frame_code(camera: Camera) -> Code:
 
 
 def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the letters of three channels, and the matrix (3, 3) from XYZ in the target light to them.
+    """Return letters of three channels, and the matrix (3, 3) from XYZ in the target light to them.
 
     Red, green and blue if there are, else the first three. The matrix is the inverse of the matrix
     from them to XYZ as `processor.color` says, so white is 1 in the most sensitive channel.

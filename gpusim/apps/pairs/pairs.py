@@ -74,7 +74,7 @@ class Pairs:
         return number, self._opened(self._photographs[number // self._each], values), values
 
     def pair(self, number: int) -> dict:
-        """Return raw values, clean values, codes if there are pictures, and a record of the settings."""
+        """Return raw values, clean values, codes (with pictures), and a record of the settings."""
         return self._pair(*self._read(number))
 
     def _files(self, number, scene, values):

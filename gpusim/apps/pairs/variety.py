@@ -25,7 +25,8 @@ class Variety:
 
         Raises ArgumentTypeError.
         """
-        wanted = f"NAME=LOW..HIGH or a number, above 0, each NAME once: {', '.join(NUMBERS)}, or light=D65|A"
+        names = ", ".join(NUMBERS)
+        wanted = f"NAME=LOW..HIGH or a number, above 0, each NAME once: {names}, or light=D65|A"
         return cls(tuple(read_named(text, _values, wanted).items()))
 
     def draw(self, seed: int, number: int) -> dict:

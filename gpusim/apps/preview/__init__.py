@@ -1,4 +1,4 @@
-"""Live preview: move a slider, see the camera change; `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
+"""Live preview with sliders: `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
 
 The package is callable, because an import of one of its modules sets `gpusim.apps.preview` to the
 package.

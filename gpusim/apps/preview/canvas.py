@@ -92,7 +92,7 @@ class Canvas:
             self._held = None
 
     def _find_pixel(self, y, x):
-        """Return row and column of the frame at a place of the canvas, which is declared as large as the frame."""
+        """Return row and column of the frame at a place of the canvas, in units of the whole frame."""
         corner, size = self._window()
         return tuple(
             min(max(start + int(place * own / n), 0), n - 1)
@@ -127,7 +127,7 @@ class Canvas:
             self._draw_edge()
 
     def _draw_edge(self):
-        """Draw the rectangle of the measured edge on the canvas, which is declared as large as the frame."""
+        """Draw the rectangle of the measured edge on the canvas, in units of the whole frame."""
         shown = ""
         if self.edge is not None:
             (y, high), (x, wide) = (

@@ -71,7 +71,7 @@ class Control:
         return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
 
     def check(self, value):
-        """Raise BadData or OutOfRange for a value that neither the slider nor the number field can set.
+        """Raise BadData or OutOfRange for a value that the control cannot set.
 
         A typed number may lie a little beyond the slider's ends. Far beyond, a picture would take
         minutes.

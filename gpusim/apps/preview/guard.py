@@ -6,7 +6,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class Guard:
-    """Refuses pages and websockets of other origins, and other host names that point to this address.
+    """Refuses pages and websockets of other origins, and other host names of this address.
 
     Args:
         inner: The application.

@@ -1,4 +1,4 @@
-"""Measurements that the page shows next to a picture: light, edges, and the error of the electrons."""
+"""Measurements next to a picture on the page: light, edges, and the error of the electrons."""
 
 from math import log10
 
@@ -73,7 +73,7 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
 
 
 def error_map(mean, truth) -> np.ndarray:
-    """Return codes (rows, cols, 3) of an error: grey for none, red for too many electrons, full colour at SPAN rms."""
+    """Return codes (rows, cols, 3) of an error: grey 0, red too many electrons, full colour at SPAN."""
     wrong = np.asarray(mean, np.float64) - truth
     wrong = wrong if wrong.ndim == 2 else wrong.mean(axis=0)
     part = np.clip(wrong / max(SPAN * np.sqrt(np.mean(wrong**2)), 1e-300), -1, 1)

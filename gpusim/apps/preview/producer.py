@@ -122,7 +122,8 @@ class Producer:
             mean, truth = seen(simulator, scene, exposure)
             if mean.ndim == 1:
                 raise BadData(
-                    "error map: the frame is too large for the reference of a blur that varies over the field"
+                    "error map: the frame is too large for the reference of a blur that varies over "
+                    "the field"
                 )
             return error_map(mean, truth), Error.between(
                 mean, truth, simulator.camera.sensor.read_sigma

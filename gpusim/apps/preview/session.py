@@ -19,7 +19,7 @@ from gpusim.domain.errors import GpusimError, one_line
 
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
-STILL = 0.3  # [s] without a change after which pictures are no drafts, and one that stands still is sent without loss
+STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
 COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1

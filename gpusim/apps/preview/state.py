@@ -1,4 +1,4 @@
-"""Settings of one client of the preview: changes of a camera file, the scene's light, and the view."""
+"""Settings of a client of the preview: changes of a camera file, the scene's light, and the view."""
 
 import json
 from dataclasses import asdict, dataclass, field, replace

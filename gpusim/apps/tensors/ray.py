@@ -1,4 +1,6 @@
-"""For Ray Data: a callable class for `map_batches`, one device for each actor. Ray itself is not imported here.
+"""For Ray Data: a callable class for `map_batches`, one device for each actor.
+
+Ray itself is not imported here.
 
     pictures.map_batches(gpusim.apps.tensors.ray.Frames, fn_constructor_kwargs={"camera": camera,
                          "device": "warp:cuda:0"}, batch_size=32, concurrency=4, num_gpus=1)

@@ -1,4 +1,4 @@
-"""For PyTorch: a module that computes frames, and data sets of noisy and clean frames for several workers.
+"""For PyTorch: a module that computes frames, and data sets of noisy and clean frames.
 
 Not differentiable: no gradient goes through a frame. Needs torch, which gpusim does not install.
 """

@@ -1,4 +1,6 @@
-"""Encoded videos by FFmpeg's libraries (PyAV): segments are encoded independently, then joined without re-encoding.
+"""Encoded videos by FFmpeg's libraries (PyAV).
+
+Segments are encoded independently, then joined without re-encoding.
 
 The number of encoder threads is fixed, because the output depends on it. x264 uses no look-ahead:
 with it the output differed between runs (heights that are not whole macroblocks). x265 has threads
@@ -32,7 +34,8 @@ from gpusim.io.files import reading
 PRIMARIES = {"srgb": 1, "display-p3": 12}
 UNKNOWN, SRGB_CURVE, LINEAR, RGB, BT709 = 2, 13, 8, 0, 1
 LIMITED, FULL = 1, 2
-EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"  # equal results on all processors
+# Equal results on all processors
+EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"
 TO_LUMA = f"{EXACT}:in_range=full:out_range=tv:out_color_matrix=bt709"
 
 
@@ -222,7 +225,7 @@ class Encoder:
         )
 
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
-        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
+        """Write a file of frames: codes and linear are (rows, cols, 3), raw is (rows, cols).
 
         Yields the number of each frame that was taken; the file exists when all were. Raises
         BadFile.
@@ -321,7 +324,7 @@ class Encoder:
 
     @cached_property
     def _codes(self):
-        """Codes of 16 bits, indexed by the square root of the light, in which they are nearly uniform."""
+        """Codes of 16 bits, indexed by the square root of the light: they are nearly uniform in it."""
         codes, light = np.arange(2**14) / (2**14 - 1), np.linspace(0, 1, 2**17) ** 2
         values = np.interp(light, decoding(self._display, self._tone)(codes), codes)
         return np.rint(65535 * values).astype(np.uint16)

@@ -184,10 +184,10 @@ class Episode(EncodedFile):
         return self.part(segment).with_suffix(".npz")
 
     def finish(self) -> bool:
-        """Add the episode to the data set, if all segments exist. Return whether they do. Raises BadFile.
+        """Add the episode to the data set if all segments exist. Return whether they do.
 
         All files are complete before the first one gets its name; the file that lists them comes
-        last.
+        last. Raises BadFile.
         """
         if not all(self.part(segment).exists() for segment in self._segments):
             return False

@@ -1,4 +1,4 @@
-"""Control loops of a camera over the frames of a video: exposure, white balance and focus that follow the scene.
+"""Control loops of a camera in a video: exposure, white balance and focus follow the scene.
 
 Their settings are computed before the frames, in a pass over all scenes that takes one picture of
 each. They are stored in the video's manifest, where shards and resumed runs read them.
@@ -147,7 +147,7 @@ class Loops:
         return replace(camera, optics=optics, processor=processor)
 
     def operation(self, camera: Camera, number: int) -> dict[str, Any]:
-        """Return exposure time [s] and analog gain of a frame for `Program.update`; empty if it meters."""
+        """Return exposure time [s] and analog gain for `Program.update`; empty if a frame meters."""
         if self.seconds is None:
             return {}
         total, longest = self.seconds[number], camera.sensor.auto_exposure.longest

@@ -107,7 +107,7 @@ def _keep(path, made, outputs):
 
 
 class Plans:
-    """Names of the plans of a video's frames, in its manifest: "plans", by name the runs [first, last].
+    """Plans of a video's frames, in its manifest: "plans", runs [first, last] of frames by name.
 
     Shards add theirs to one manifest. A context manager that writes them at its end.
 
@@ -127,7 +127,7 @@ class Plans:
         self.write()
 
     def add(self, name: str, number: int, is_last: bool = False):
-        """Add the plan of a frame, and update the manifest after SECONDS or the last frame of a segment."""
+        """Add the plan of a frame. The manifest is updated after SECONDS and after a segment."""
         self.runs[name] = _join_runs([*self.runs.get(name, ()), [number, number]])
         if is_last or time.monotonic() > self._written + SECONDS:
             self.write()
@@ -192,7 +192,7 @@ def _alone(folder: Path):
 
 
 def file_digest(path) -> str:
-    """Return a digest of a file's size, beginning and end; "" if there is no such file (a chart)."""
+    """Return a digest of a file's size, beginning and end; "" for a chart."""
     path = Path(path)
     if not path.is_file():
         return ""

@@ -1,4 +1,4 @@
-"""Frames of a video, computed by segments while the next scenes are read and the last frames are written."""
+"""Frames of a video, computed while the next scenes are read and the last frames are written."""
 
 import glob
 import os

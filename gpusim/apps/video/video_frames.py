@@ -1,4 +1,6 @@
-"""Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV). Frames become reflectances, as photographs do.
+"""Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV).
+
+Frames become reflectances, as photographs do.
 
 The tags of the file (ITU-T H.273) set the meaning of its codes: BT.709 and BT.601 (the inverse of
 the camera's curve, BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67),
@@ -206,7 +208,7 @@ class Film:
             yield from container.decode(video=0)
 
     def _codes(self, frame):
-        """Return RGB codes of a decoded frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
+        """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
         convert = converter(
             f"{EXACT}:{self._scale}",
