@@ -100,12 +100,12 @@ def test_focus_follows_the_distance_in_dioptres():
         replace(SCENE, depth=np.full(SCENE.content.shape, distance)) for distance in (5.0, 0.5)
     )
     scenes = Sequence([far] * 4 + [near] * (COUNT - 4))
-    loops = meter_scenes(gs.Simulator(PHONE, device="numpy"), scenes, Lags(focus=0.1), Ramps(), PERIOD)
+    loops = meter_scenes(
+        gs.Simulator(PHONE, device="numpy"), scenes, Lags(focus=0.1), Ramps(), PERIOD
+    )
     np.testing.assert_allclose(1 / np.array(loops.focus), step(0.2, 2.0, 0.1), rtol=1e-12)
     assert loops.camera(PHONE, 6).optics.object_distance == loops.focus[6]
-    with pytest.raises(
-        gs.GpusimError, match="ramp: no depth, so that a loop of focus has nothing to follow"
-    ):
+    with pytest.raises(gs.GpusimError, match="ramp: a loop of focus needs scene.depth"):
         meter_scenes(
             gs.Simulator(PHONE, device="numpy"), Sequence([SCENE]), Lags(focus=0.1), Ramps(), PERIOD
         )
@@ -177,11 +177,17 @@ def test_parts_and_runs_that_go_on_are_those_of_one_run(folder, tmp_path, capsys
         (["--lag", "exposure=-1"], "wanted NAME=SECONDS"),
         (["--lag", "exposure=nan"], "wanted NAME=SECONDS"),
         (["--lag", "white=1,white=2"], "each NAME once"),
-        (["--lag", "exposure=1", "--exposure", "1/100"], "for a camera that meters"),
-        (["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"], "for a camera that meters"),
-        (["--lag", "focus=1", "--ramp", "focus=1..2"], "without a ramp of the focus"),
+        (
+            ["--lag", "exposure=1", "--exposure", "1/100"],
+            "--lag exposure: the exposure time is set",
+        ),
+        (
+            ["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"],
+            "--lag exposure: the exposure time is set",
+        ),
+        (["--lag", "focus=1", "--ramp", "focus=1..2"], "--lag focus: --ramp focus sets the focus"),
         (["--lag", "white=1"], "one of gray-world, max-rgb, shades-of-gray, red-blue"),
-        (["--lag", "focus=1"], "has nothing to follow"),
+        (["--lag", "focus=1"], "a loop of focus needs scene.depth"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_in_a_line(asked, words, folder, tmp_path, capsys):

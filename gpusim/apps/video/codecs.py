@@ -26,7 +26,7 @@ import numpy as np
 
 from gpusim.color.encoding import decoding
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, Conflict, GpusimError, OutOfRange, UnknownName
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import reading
 
@@ -212,7 +212,7 @@ class Encoder:
                 f"{LEAST_H265} columns and rows or more, or --codec h264",
             )
         if quality is not None and not codec.quality:
-            raise OutOfRange("--quality", quality, "none for ffv1, which loses nothing")
+            raise Conflict("--quality", "ffv1 is lossless", "leave it out")
         self.codec, self.rate, self._display, self._shape, self._tone = (
             codec,
             rate,

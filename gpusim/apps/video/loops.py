@@ -20,7 +20,7 @@ from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Scenes
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, GpusimError, OutOfRange
+from gpusim.domain.errors import BadData, Conflict, GpusimError
 from gpusim.domain.processor import WHITE_BALANCES
 from gpusim.io.files import read_text
 from gpusim.pipeline.simulator import Simulator
@@ -62,31 +62,32 @@ class Lags:
         return cls(**read_named(text, read, wanted))
 
     def check(self, camera: Camera, ramps: Ramps):
-        """Raise OutOfRange if a loop has no effect, because its setting is given."""
+        """Raise Conflict if a loop has no effect, because its setting is given or fixed."""
         ramped = [name for name, _ in ramps.ranges]
         if self.exposure is not None and (
             camera.sensor.exposure_time is not None or "exposure" in ramped
         ):
-            raise OutOfRange(
-                "--lag exposure", self.exposure, "for a camera that meters: --exposure auto"
+            raise Conflict(
+                "--lag exposure",
+                "the exposure time is set",
+                "use --exposure auto and no ramp of it",
             )
         if self.focus is not None and "focus" in ramped:
-            raise OutOfRange("--lag focus", self.focus, "without a ramp of the focus")
+            raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
         if self.focus is not None and camera.optics.psf is not None:
-            raise OutOfRange(
+            raise Conflict(
                 "--lag focus",
-                self.focus,
-                "for a camera without measured point spread functions, which have one focus",
+                "measured point spread functions have one focus",
+                "use a camera without [optics] psf",
             )
         if self.white is not None and not camera.processor.estimates_white:
             estimates = [
                 name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
             ]
-            raise OutOfRange(
+            raise Conflict(
                 "--lag white",
-                self.white,
-                "for a processor that estimates the white: white_balance = one "
-                f"of {', '.join(estimates)} in the camera file",
+                "the processor does not estimate the white",
+                f"set white_balance in the camera file to one of {', '.join(estimates)}",
             )
 
 
@@ -243,7 +244,7 @@ def _distance(scene):
     """Return the median distance of the middle third of a scene [m]."""
     if scene.depth is None:
         raise BadData(
-            f"{scene.name}: --lag focus needs scene.depth [m], which this scene does not have"
+            f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
         )
     middle = tuple(slice(n // 3, n - n // 3) for n in scene.depth.shape)
     return float(np.median(scene.depth[middle]))
