@@ -105,7 +105,7 @@ def test_focus_follows_the_distance_in_dioptres():
     )
     np.testing.assert_allclose(1 / np.array(loops.focus), step(0.2, 2.0, 0.1), rtol=1e-12)
     assert loops.camera(PHONE, 6).optics.object_distance == loops.focus[6]
-    with pytest.raises(gs.GpusimError, match="ramp: a loop of focus needs scene.depth"):
+    with pytest.raises(gs.GpusimError, match=r"ramp: a loop of focus needs scene\.depth"):
         meter_scenes(
             gs.Simulator(PHONE, device="numpy"), Sequence([SCENE]), Lags(focus=0.1), Ramps(), PERIOD
         )
