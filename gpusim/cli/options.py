@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from gpusim.domain.account import SHOWN
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange
@@ -57,7 +57,14 @@ def option(
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Base class of the options of one command."""
+    """Base class of the options of one command.
+
+    Attributes:
+        REFUSED: Inherited options that the command has no use for, and the reason. They are not in
+            its help.
+    """
+
+    REFUSED: ClassVar[dict[str, str]] = {}
 
     def __post_init__(self):
         given = {part.name for part in fields(self) if vars(self)[part.name] is not part.default}
@@ -86,16 +93,20 @@ class Options:
                 if part.metadata["positional"]
                 else part.metadata["flags"] or (_flag(part),)
             )
-            parser.add_argument(*flags, default=argparse.SUPPRESS, **part.metadata["settings"])
+            hidden = {"help": argparse.SUPPRESS} if part.name in cls.REFUSED else {}
+            settings = part.metadata["settings"] | hidden
+            parser.add_argument(*flags, default=argparse.SUPPRESS, **settings)
         parser.set_defaults(run=lambda arguments: run(cls.from_arguments(arguments)))
 
     @classmethod
     def from_arguments(cls, arguments: argparse.Namespace) -> Self:
-        """Return the options that a parser of `add_command` has read."""
+        """Return the options that a parser of `add_command` has read. Raises Conflict."""
         names = {part.name for part in fields(cls)}
         given = {name: value for name, value in vars(arguments).items() if name in names}
         options = cls(**given)
         options._given.update(given)
+        for name, reason in cls.REFUSED.items():
+            options.refuse(name, reason)
         return options
 
     def is_given(self, name: str) -> bool:

@@ -1,6 +1,7 @@
 """`gpusim plan`: what a frame would compute, its errors and its time, without computing it."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from gpusim.cli.options import Request, option, write_json
 from gpusim.domain.account import STATUS
@@ -15,6 +16,8 @@ TEXTS = {
 @dataclass(frozen=True, kw_only=True)
 class PlanRequest(Request):
     """Options of `gpusim plan`."""
+
+    REFUSED: ClassVar = {"scaling": "a plan does not depend on the brightness of the picture"}
 
     json: str | None = option(metavar="FILE", help="also write the plan to a JSON file")
 
@@ -35,7 +38,6 @@ def plan(request: PlanRequest) -> int:
     from gpusim.judge.plan_summary import Forecast
 
     check_output(request.json)
-    request.refuse("scaling", "a plan does not depend on the brightness of the picture")
     simulator, scene = request.open_simulator(), request.open_scene()
     request.refuse_unread("plan")
     forecast = Forecast.of(simulator, scene)

@@ -2,6 +2,7 @@
 
 import socket
 from dataclasses import dataclass
+from typing import ClassVar
 
 from gpusim.apps.preview.guard import LOOPBACK
 from gpusim.cli.moving import MovingRequest
@@ -18,6 +19,12 @@ TEXTS = {"help": "a page on this machine: move a slider, see the picture change"
 class PreviewRequest(MovingRequest):
     """Options of `gpusim preview`."""
 
+    REFUSED: ClassVar = {
+        "iso": "the preview sets the gain with its slider",
+        "guaranteed": "the preview plans only for the scene that it shows",
+        "strict": "the page shows whether the tolerance is met",
+    }
+
     port: int = option(default=8080, type=whole(1, 65535), help="port of the page (default: 8080)")
     host: str = option(
         default="127.0.0.1",
@@ -27,11 +34,7 @@ class PreviewRequest(MovingRequest):
     )
 
     def changes(self) -> dict:
-        """Return the settings of the camera by the names of the page's controls.
-
-        Raises Conflict.
-        """
-        self.refuse("iso", "the preview sets the gain with its slider")
+        """Return the settings of the camera by the names of the page's controls."""
         given = {
             "optics.f_number": self.f_number,
             "optics.object_distance_m": self.focus,
