@@ -224,6 +224,8 @@ def video(request: VideoRequest) -> int:
     own = request.shard.of(segments)
     target, manifest, made = _target(request, simulator, scenes, segments)
     request.refuse_unread("video")
+    for folder in target.folders:
+        make_folder(folder)
     loops = NO_LOOPS
     if request.lag:
         loops = Loops.kept_in(manifest, request.lag, scenes.count) or _meter(
@@ -384,11 +386,9 @@ def _open_encoded(request, path, simulator, scenes, segments, frames_of):
             frames_of,
         )
         made["task"] = request.lerobot
-        make_folder(path)
     else:
         check_output(path)
         target = EncodedFile(path, codec, encoder, segments, frames_of)
         if path.exists() and not target.folder.exists():
             raise BadFile(path, "exists; remove it, or give -o another name")
-    make_folder(target.folder)
     return target, made

@@ -157,6 +157,11 @@ class Episode(EncodedFile):
         """The finished output, for messages."""
         return f"{self._root}: episode {self.number}"
 
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """See `EncodedFile`."""
+        return self._root, self.folder
+
     def _join(self, path):
         self._encoder.join(
             path, [(segment.start, self.part(segment)) for segment in self._segments]

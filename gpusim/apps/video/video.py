@@ -209,6 +209,8 @@ class NumberedFiles:
         made: `frames` or `blurred_frames`.
     """
 
+    folders = ()
+
     def __init__(self, path: Path, count: int, made: Callable = frames):
         self._path, self._count, self._made = path, count, made
 
@@ -311,6 +313,11 @@ class EncodedFile:
     def is_empty(self) -> bool:
         """Return whether nothing was written yet."""
         return not any(self.folder.glob(f"*{PART}"))
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders that the output needs, in the order of their creation."""
+        return (self.folder,)
 
     def part(self, segment: range) -> Path:
         """Return the file of a segment."""
