@@ -177,15 +177,13 @@ class LookRequest(Request):
         action="append",
         metavar="PLACE",
         help="for spectra: a pixel COL,ROW or a region LEFT,TOP,RIGHT,BOTTOM; may be repeated "
-        "(default: "
-        "the whole frame)",
+        "(default: the whole frame)",
     )
     of: list[str | float] | None = option(
         type=_kinds,
         metavar="LIST",
         help="for psf and mtf: wavelengths in nm and letters of channels, such as 450,550,R "
-        "(default: "
-        "450,550,650 and all channels)",
+        "(default: 450,550,650 and all channels)",
     )
     seed: int = option(
         default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"

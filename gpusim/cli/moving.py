@@ -89,8 +89,7 @@ class MovingRequest(Request):
         type=_number,
         metavar="Z",
         help="magnification of the first frame, at least 1: 1.1 leaves a margin for a moving "
-        "camera "
-        "(default: 1)",
+        "camera (default: 1)",
     )
     zooming: float = option(
         default=1.0,
@@ -110,16 +109,13 @@ class MovingRequest(Request):
         action="append",
         metavar="PNG,...",
         help="a picture with alpha that moves in front of a photograph; may be repeated, the "
-        "nearest "
-        "first: car.png,at=40:-200 (row and column of its centre, from the scene's "
-        "centre),pan=0:120 "
-        "(pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR",
+        "nearest first: car.png,at=40:-200 (row and column of its centre, from the scene's "
+        "centre),pan=0:120 (pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR",
     )
     transfer: str | None = option(
         metavar="NAME",
         help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, "
-        "linear, "
-        "gamma2.2, gamma2.8",
+        "linear, gamma2.2, gamma2.8",
     )
     any_order: bool = option(
         default=False,

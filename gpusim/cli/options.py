@@ -24,8 +24,8 @@ if TYPE_CHECKING:  # the command line starts without them
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 SCENE_HELP = (
     "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
-    "spectral "
-    ".exr, .npz, .mat, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif"
+    "spectral .exr, .npz, .mat, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, "
+    ".jpg or .tif"
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
@@ -271,8 +271,7 @@ class Request(Options):
         type=float,
         metavar="S",
         help="scene samples per pixel along each axis, at least 1. A chart is drawn with that "
-        "many; a file "
-        "keeps its samples and gives a smaller frame (default: the scene's, 1)",
+        "many; a file keeps its samples and gives a smaller frame (default: the scene's, 1)",
     )
     light: str | None = option(
         help="light on the scene: any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: "
@@ -287,8 +286,7 @@ class Request(Options):
     border: str | None = option(
         choices=("zero", "edge", "reflect"),
         help="how the scene continues outside the frame: black, by its edge, or mirrored (default: "
-        "the "
-        "scene's)",
+        "the scene's)",
     )
     exposure: float | str | None = option(
         type=_time,
@@ -320,8 +318,7 @@ class Request(Options):
         choices=("exposure", "normalised"),
         in_key=False,
         help="brightness of the picture. exposure: a longer exposure is brighter and may clip; "
-        "normalised: a "
-        "white surface is white (default: the camera's)",
+        "normalised: a white surface is white (default: the camera's)",
     )
     band: list[str] | tuple = option(
         default=(),
@@ -338,15 +335,13 @@ class Request(Options):
     kind: str | None = option(
         choices=("reflectance", "radiance"),
         help="quantity in planes (.tif, .npy, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 "
-        "nm-1 "
-        "(default: reflectance, or as an ENVI header says)",
+        "nm-1 (default: reflectance, or as an ENVI header says)",
     )
     scale: float | None = option(
         type=_positive("a number above 0", 1e30),
         metavar="N",
         help="value in planes or spectra that means 1.0, such as 100 for percent (default: 1, the "
-        "largest "
-        "value of uint8 and uint16, or as an ENVI header says)",
+        "largest value of uint8 and uint16, or as an ENVI header says)",
     )
     fov: float | None = option(
         type=_fov,
@@ -357,8 +352,7 @@ class Request(Options):
         default="axis",
         choices=("axis", "ray", "none"),
         help="how a file gives distances [m]. axis: along the optical axis (Blender); ray: along "
-        "each "
-        "pixel's ray (Mitsuba; needs --fov); none: ignore them (default: axis)",
+        "each pixel's ray (Mitsuba; needs --fov); none: ignore them (default: axis)",
     )
 
     def open_scene(

@@ -24,11 +24,9 @@ MOST = 10**8
 TEXTS = {
     "help": "noisy and clean frames of photographs for training, in tar files for WebDataset",
     "description": "Each sample has KEY.raw.npy (digital numbers, uint16), KEY.clean.npy (the same "
-    "without "
-    "noise, dark current, fixed pattern and clipping, float32) and KEY.json (camera, seed, "
-    "exposure, levels, "
-    "predicted error). A photograph is read as a display shows it: white reflects all light, and "
-    "anything brighter is lost.",
+    "without noise, dark current, fixed pattern and clipping, float32) and KEY.json (camera, seed, "
+    "exposure, levels, predicted error). A photograph is read as a display shows it: white "
+    "reflects all light, and anything brighter is lost.",
 }
 
 
@@ -57,8 +55,8 @@ class PairsRequest(Request):
         type=Variety.parse,
         metavar="NAME=LOW..HIGH,...",
         help="settings that are drawn for each pair, evenly in the logarithm: "
-        "exposure=1/200..1/20, "
-        "iso=100..1600, luminance=10..1000 [cd/m2]; or from a list: light=D65|A|FL11",
+        "exposure=1/200..1/20, iso=100..1600, luminance=10..1000 [cd/m2]; or from a list: "
+        "light=D65|A|FL11",
     )
     each: int = option(
         default=1,

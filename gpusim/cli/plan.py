@@ -8,8 +8,7 @@ from gpusim.domain.account import STATUS
 
 TEXTS = {
     "help": "models, predicted errors and time of a frame, without computing it; status 1 if the "
-    "tolerance "
-    "is not met, 3 if that cannot be judged"
+    "tolerance is not met, 3 if that cannot be judged"
 }
 
 

@@ -29,8 +29,7 @@ class PreviewRequest(MovingRequest):
     host: str = option(
         default="127.0.0.1",
         help="address of the page; any other than this machine's own lets its whole network move "
-        "the "
-        "sliders (default: 127.0.0.1)",
+        "the sliders (default: 127.0.0.1)",
     )
 
     def changes(self) -> dict:

@@ -40,8 +40,7 @@ class SimulateRequest(Request):
         type=int,
         choices=(8, 16, 32),
         help="bits per value of .png (8, 16), .tif (8, 16, or 32 for linear floats) and .exr (16, "
-        "32) "
-        "(default: 8, 16 and 32)",
+        "32) (default: 8, 16 and 32)",
     )
     report: str | None = option(
         metavar="FILE.json", help="file of the report: models, times and errors"

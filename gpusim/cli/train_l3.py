@@ -31,8 +31,7 @@ class TrainRequest(Options):
         nargs="*",
         metavar="SCENE",
         help="scenes to train on in addition to the generated ones: photographs, spectral files "
-        "with "
-        "their light, charts",
+        "with their light, charts",
     )
     camera: str = option(
         required=True, help="as for simulate; any mosaic of three or more channels"
@@ -43,16 +42,14 @@ class TrainRequest(Options):
         required=True,
         metavar="TABLE.npz",
         help='file of the filters, for [processor] demosaic = "learned", table = "TABLE.npz" in '
-        "the "
-        "camera file",
+        "the camera file",
     )
     light: str = option(default="D65", help="light on the scenes (default: D65)")
     luminance: tuple[float, ...] | None = option(
         type=luminances,
         metavar="LOW..HIGH",
         help="luminance of a white diffuser [cd/m2], as a range or a list such as 1,10,100 "
-        "(default: from "
-        "near darkness to where every channel saturates)",
+        "(default: from near darkness to where every channel saturates)",
     )
     generated: int | None = option(
         type=int,
@@ -64,8 +61,7 @@ class TrainRequest(Options):
         default="channels",
         choices=("channels", "xyz"),
         help="values that the filters estimate: the camera's red, green and blue without noise and "
-        "colour "
-        "error, or CIE XYZ (default: channels)",
+        "colour error, or CIE XYZ (default: channels)",
     )
     seed: int = option(
         default=0,

@@ -24,8 +24,7 @@ if TYPE_CHECKING:  # the command line starts without them
 ENCODED = (".mp4", ".mkv")
 TEXTS = {
     "help": "a frame of every scene, or frames of one scene, as numbered files or an encoded "
-    "video; an "
-    "interrupted run continues"
+    "video; an interrupted run continues"
 }
 
 
@@ -85,15 +84,13 @@ class VideoRequest(MovingRequest):
         required=True,
         metavar="OUT",
         help="encoded video .mp4 or .mkv, or numbered files .png, .tif, .exr, .dng, .npz (a.png "
-        "gives "
-        "a_0000.png, ...); with --lerobot a folder",
+        "gives a_0000.png, ...); with --lerobot a folder",
     )
     lerobot: str | None = option(
         in_key=False,
         metavar="TASK",
         help="add an episode of this task, such as 'pick up the cube', to the LeRobot data set "
-        "(version "
-        "3.0) in the folder -o, which is created if it does not exist",
+        "(version 3.0) in the folder -o, which is created if it does not exist",
     )
     seed: int = option(
         default=0,
@@ -116,17 +113,14 @@ class VideoRequest(MovingRequest):
         type=_read_lags,
         metavar="LIST",
         help="time constants [s] of the camera's control loops, such as "
-        "exposure=0.3,white=1,focus=0.5; "
-        "all scenes are metered first (default: exposure follows in the next frame, the white "
-        "balance "
-        "is each frame's own)",
+        "exposure=0.3,white=1,focus=0.5; all scenes are metered first (default: exposure follows "
+        "in the next frame, the white balance is each frame's own)",
     )
     flicker: "Flicker | None" = option(
         type=_read_flicker,
         metavar="HZ[,DEPTH]",
         help="all light flickers as lamps on mains power do: at 100 or 120 Hz, with the modulation "
-        "depth "
-        "(max - min) / (max + min) (default: 1); rows see it in turn",
+        "depth (max - min) / (max + min) (default: 1); rows see it in turn",
     )
     pwm: "Flicker | None" = option(
         type=_read_pwm,
@@ -137,8 +131,7 @@ class VideoRequest(MovingRequest):
         in_key=False,
         metavar="NAME",
         help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, .mkv), ffv1-linear "
-        "(linear RGB, "
-        "16 bit, .mkv) (default: h264)",
+        "(linear RGB, 16 bit, .mkv) (default: h264)",
     )
     quality: float | None = option(
         in_key=False,

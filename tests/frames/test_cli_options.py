@@ -375,6 +375,25 @@ def test_every_option_has_a_row():
         assert command == "look" or names == ROWS[command].keys(), command
 
 
+# In a manifest separately (camera, device, files, codec, task), or without an effect on any frame
+RECORDED = set("scene camera device exposure iso f_number focus scaling out shard strict".split())
+RECORDED_BY = {
+    "video": {"frames", "any_order", "codec", "quality", "lerobot"},
+    "pairs": {"vary"},
+}
+
+
+@pytest.mark.parametrize("command", RECORDED_BY)
+def test_a_manifest_has_every_option(command):
+    """A new option is part of it, unless it is named here."""
+    options = COMMANDS[command][0]
+    names = {part.name for part in fields(options)}
+    request = options(scene=["flat"], camera="phone", out="a.png", light="A")
+    assert names - request.key().keys() == RECORDED | RECORDED_BY[command]
+    assert request.key()["light"] == "A" and request.is_given("light")
+    assert not request.is_given("seed")
+
+
 def is_slow(command, name):
     """Whether a row runs only with the slow tests: options that `simulate` and `plan` share."""
     return command in ("plan", "video", "pairs") and name in SCENE
