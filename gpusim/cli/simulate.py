@@ -64,9 +64,9 @@ class SimulateRequest(Request):
         first = [output(0) for output in outputs]
         if not self.out:
             self.refuse("bits", "no file is written", "add -o OUT")
-        elif all(path.suffix.lower() in WITHOUT_PICTURE for path in first):
+        if all(path.suffix.lower() in WITHOUT_PICTURE for path in first):
             self.refuse("bits", "these files have one format of numbers")
-            self.refuse("scaling", "the outputs hold raw values, not a picture")
+            self.refuse("scaling", "no picture is written", "add -o with .png, .tif or .exr")
         folder = functools.cache(os.path.realpath)
 
         def place(path):

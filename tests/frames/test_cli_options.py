@@ -316,6 +316,7 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("simulate", CHART, "--bits 16"),
     ("simulate", f"{CHART} -o out.npz", "--bits 16"),
     ("simulate", f"{CHART} -o out.dng", "--scaling normalised"),
+    ("simulate", CHART, "--scaling normalised"),
     ("video", f"{PHOTO} -o out.npz", "--scaling normalised"),
     ("video", f"{PHOTO} -o out.mkv --codec ffv1-raw", "--scaling normalised"),
     ("video", f"{PHOTO} -o out.png", "--blur"),
