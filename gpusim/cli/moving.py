@@ -1,178 +1,26 @@
-"""What a command line says of scenes that move, or of several: its options, and the scenes."""
+"""Options of commands with several scenes or a moving camera, and the scenes of their frames."""
 
 import argparse
+from dataclasses import dataclass
 from fractions import Fraction
 from math import radians
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gpusim.apps.video.actors import Cast
-from gpusim.cli.options import scene_of, whole
-from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.cli.options import SCENES_HELP, Request, option, whole
+from gpusim.domain.errors import BadFile
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.apps.video.scenes import Scenes
+    from gpusim.domain.flicker import Flicker
 
 MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 
 
-def add_moving(parser):
-    """Add the options of scenes, and of a camera that moves before them."""
-    parser.add_argument(
-        "--frames",
-        type=whole(1, MOST_FRAMES),
-        metavar="N",
-        help="of one scene, or the first ones of "
-        "a video (default: one for each scene, all of a video)",
-    )
-    parser.add_argument(
-        "--fps",
-        type=_rate,
-        default=Fraction(30),
-        metavar="RATE",
-        help="frames per second, such as "
-        "24, 29.97 or 30000/1001; no exposure is longer than a frame (default: 30)",
-    )
-    parser.add_argument(
-        "--pan",
-        type=_pair,
-        default=(0.0, 0.0),
-        metavar="DOWN,RIGHT",
-        help="camera's movement over the scene [pixel/s]",
-    )
-    parser.add_argument(
-        "--roll",
-        type=_number,
-        default=0.0,
-        metavar="DEG_S",
-        help="camera's turn about its axis [degree/s]",
-    )
-    parser.add_argument(
-        "--zoom",
-        type=_number,
-        default=1.0,
-        metavar="Z",
-        help="magnification at the first frame, "
-        "from 1 on: 1.1 leaves a margin for a camera that moves (default: 1)",
-    )
-    parser.add_argument(
-        "--zooming",
-        type=_number,
-        default=1.0,
-        metavar="FACTOR",
-        help="by which it grows in a second",
-    )
-    parser.add_argument(
-        "--shake",
-        type=_number,
-        default=0.0,
-        metavar="PIXELS",
-        help="root mean square of a hand's displacement, from --seed",
-    )
-    parser.add_argument(
-        "--actor",
-        type=Cast.parse,
-        action="append",
-        metavar="PNG,...",
-        help="a picture with alpha "
-        "that moves before a photograph, the nearest first: car.png,at=40:-200,pan=0:120 (its middle's "
-        "row and column from the scene's, pixels a second), roll=DEG_S, zoom=Z, zooming=FACTOR",
-    )
-    parser.add_argument(
-        "--transfer",
-        metavar="NAME",
-        help="what the codes of a video stand for, in place of its tag: "
-        "bt709, srgb, pq, hlg, linear, gamma2.2, gamma2.8",
-    )
-    parser.add_argument(
-        "--any-order",
-        action="store_true",
-        help="take scene files as they are given, whatever their numbers",
-    )
-
-
-def moving(arguments):
-    """The `Scenes` of all frames. Raises BadFile, BadData and what `open_scene` does."""
-    from gpusim.apps.video.scenes import Moving
-    from gpusim.domain.motion import Motion
-
-    scenes, motion = (
-        _scenes(arguments),
-        Motion(
-            arguments.pan,
-            radians(arguments.roll),
-            arguments.zoom,
-            arguments.zooming,
-            arguments.shake,
-            arguments.seed,
-        ),
-    )
-    if arguments.flicker and arguments.pwm:
-        raise OutOfRange("--pwm", "given", "without --flicker: all light is one or the other")
-    actors = tuple(cast.actor() for cast in arguments.actor or ())
-    if motion != Motion(seed=arguments.seed) or arguments.flicker or arguments.pwm or actors:
-        scenes = Moving(scenes, motion, arguments.fps, arguments.flicker or arguments.pwm, actors)
-        next(scenes.between(0, 1))  # whose actors fit or not
-    elif arguments.blur:
-        raise OutOfRange(
-            "--blur", "given", "with --pan, --roll, --zooming, --shake or --actor: nothing moves"
-        )
-    return scenes
-
-
-def _scenes(arguments):
-    """What the frames show. Raises BadFile, BadData and what `open_scene` does."""
-    from gpusim.apps.video.scenes import Files, First, Still, check_numbers, numbered_files
-    from gpusim.apps.video.video_frames import SUFFIXES, Film
-
-    names, films = (
-        arguments.scene,
-        [name for name in arguments.scene if Path(name).suffix.lower() in SUFFIXES],
-    )
-    if films and len(names) > 1:
-        raise BadFile(films[0], "a video among several scenes; give it alone")
-    if arguments.transfer is not None and not films:
-        raise OutOfRange(
-            "--transfer", arguments.transfer, f"for videos alone ({', '.join(SUFFIXES)})"
-        )
-    if films:
-        if any(
-            (
-                arguments.size,
-                arguments.band,
-                arguments.fov,
-                arguments.depth != "axis",
-                arguments.wavelengths,
-            )
-        ):
-            raise OutOfRange(
-                "--size, --band, --wavelengths, --fov, --depth",
-                "given",
-                "none for a video, which has its own size and colours, and no depth",
-            )
-        options = {
-            name: getattr(arguments, name)
-            for name in ("light", "luminance", "border", "samples_per_pixel")
-        }
-        film = Film(
-            Path(names[0]),
-            arguments.transfer,
-            **{name: value for name, value in options.items() if value is not None},
-        )
-        return film if arguments.frames is None else First(film, arguments.frames)
-    if len(names) == 1 and Path(names[0]).is_dir():
-        paths = numbered_files(Path(names[0]))
-    elif len(names) == 1:
-        return Still(scene_of(arguments, names[0]), arguments.frames or 1)
-    else:
-        paths = [Path(name) for name in names]
-    if arguments.frames is not None:
-        raise OutOfRange(
-            "--frames", arguments.frames, f"for one scene; {len(paths)} scenes make as many frames"
-        )
-    if not arguments.any_order:
-        check_numbers(paths)
-    return Files(paths, lambda path: scene_of(arguments, str(path)))
-
-
 def _rate(text):
+    """Return a frame rate as a fraction."""
     try:
         rate = Fraction(text).limit_denominator(1001)
     except (ValueError, ZeroDivisionError):
@@ -185,6 +33,7 @@ def _rate(text):
 
 
 def _number(text):
+    """Return a number."""
     try:
         return float(text)
     except ValueError:
@@ -192,6 +41,7 @@ def _number(text):
 
 
 def _pair(text):
+    """Return the two numbers of DOWN,RIGHT."""
     try:
         down, right = (float(part) for part in text.split(","))
     except ValueError:
@@ -199,3 +49,139 @@ def _pair(text):
             f"{text!r}: wanted two numbers, DOWN,RIGHT, such as 0,20"
         ) from None
     return down, right
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingRequest(Request):
+    """One scene or several, the movement of the camera, and actors in front of the scene."""
+
+    scene: list[str] = option(
+        positional=True, in_key=False, nargs="+", metavar="SCENE", help=SCENES_HELP
+    )
+    frames: int | None = option(
+        type=whole(1, MOST_FRAMES),
+        in_key=False,
+        metavar="N",
+        help="number of frames of one scene, or of the first frames of a video (default: 1; all of "
+        "a video)",
+    )
+    fps: Fraction = option(
+        default=Fraction(30),
+        type=_rate,
+        metavar="RATE",
+        help="frames per second, such as 24, 29.97 or 30000/1001; limits the exposure time "
+        "(default: 30)",
+    )
+    pan: tuple[float, float] = option(
+        default=(0.0, 0.0),
+        type=_pair,
+        metavar="DOWN,RIGHT",
+        help="speed of the camera over the scene [pixel/s]",
+    )
+    roll: float = option(
+        default=0.0,
+        type=_number,
+        metavar="DEG_S",
+        help="rotation about the optical axis [degree/s]",
+    )
+    zoom: float = option(
+        default=1.0,
+        type=_number,
+        metavar="Z",
+        help="magnification of the first frame, at least 1: 1.1 leaves a margin for a moving "
+        "camera (default: 1)",
+    )
+    zooming: float = option(
+        default=1.0,
+        type=_number,
+        metavar="FACTOR",
+        help="growth of the magnification per second (default: 1)",
+    )
+    shake: float = option(
+        default=0.0,
+        type=_number,
+        metavar="PIXELS",
+        help="root mean square displacement of a hand-held camera",
+    )
+    actor: list[Cast] | tuple = option(
+        default=(),
+        type=Cast.parse,
+        action="append",
+        metavar="PNG,...",
+        help="a picture with alpha that moves in front of a photograph; may be repeated, the "
+        "nearest first: car.png,at=40:-200 (row and column of its centre, from the scene's "
+        "centre),pan=0:120 (pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR",
+    )
+    transfer: str | None = option(
+        metavar="NAME",
+        help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, "
+        "linear, gamma2.2, gamma2.8",
+    )
+    any_order: bool = option(
+        default=False,
+        in_key=False,
+        action="store_true",
+        help="keep the order of scene files whatever their numbers",
+    )
+
+    def open_scenes(self, seed: int = 0, flicker: "Flicker | None" = None) -> "Scenes":
+        """Return the scenes of all frames.
+
+        Args:
+            seed: Seed of the hand's movement.
+            flicker: Flicker of all light.
+
+        Raises:
+            BadFile, BadData, Conflict: And as `open_scene` does.
+        """
+        from gpusim.apps.video.scenes import Moving
+        from gpusim.domain.motion import Motion
+
+        scenes: Any = self._open_scenes()
+        motion = Motion(self.pan, radians(self.roll), self.zoom, self.zooming, self.shake, seed)
+        actors = tuple(cast.actor() for cast in self.actor)
+        if motion != Motion(seed=seed) or flicker or actors:
+            scenes = Moving(scenes, motion, self.fps, flicker, actors)
+            next(scenes.between(0, 1))  # refuses actors that do not fit
+        return scenes
+
+    def check_movement(self, scenes: "Scenes") -> None:
+        """Raise Conflict for a movement that no frame of these scenes shows."""
+        if scenes.count == 1:
+            for name in ("pan", "roll", "zooming"):
+                self.refuse(name, "a single frame shows no movement", "make more --frames")
+
+    def _open_scenes(self):
+        """Return the scenes before the camera moves."""
+        from gpusim.apps.video.scenes import Files, First, Still, check_numbers, numbered_files
+        from gpusim.apps.video.video_frames import SUFFIXES, Film
+
+        names = self.scene
+        films = [name for name in names if Path(name).suffix.lower() in SUFFIXES]
+        if films and len(names) > 1:
+            raise BadFile(films[0], "a video among several scenes; give only the video")
+        if films:
+            for name in ("size", "band", "wavelengths", "kind", "scale", "fov", "depth"):
+                self.refuse(name, "a video has its own size and colours, and no depth")
+        else:
+            self.refuse("transfer", f"only a video has codes ({', '.join(SUFFIXES)})")
+        is_folder = len(names) == 1 and Path(names[0]).is_dir()
+        if len(names) == 1 and not is_folder:
+            self.refuse("any_order", "one scene has only one order")
+        if films:
+            options = {
+                name: value
+                for name in ("light", "luminance", "border", "samples_per_pixel")
+                if (value := getattr(self, name)) is not None
+            }
+            film = Film(Path(names[0]), self.transfer, **options)
+            return film if self.frames is None else First(film, self.frames)
+        if len(names) == 1 and not is_folder:
+            return Still(self.open_scene(names[0]), self.frames or 1)
+        paths = numbered_files(Path(names[0])) if is_folder else [Path(name) for name in names]
+        self.refuse(
+            "frames", f"{len(paths)} scenes make as many frames", "leave it out, or give one scene"
+        )
+        if not self.any_order:
+            check_numbers(paths)
+        return Files(paths, lambda path: self.open_scene(str(path)))

@@ -1,90 +1,163 @@
-"""Options that commands share: the scene, the camera as operated, and what is asked of the planner."""
+"""Options of the command line: one dataclass per command makes parser, camera, scene, simulator.
+
+A field made by `option` is one option. The dataclass records which options the user gave and which
+of them the command has read, so that a command can refuse an option that has no effect.
+"""
 
 import argparse
+import json
 import math
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from gpusim.domain.account import SHOWN
-from gpusim.domain.errors import Conflict, OutOfRange
+from gpusim.domain.errors import BadFile, Conflict, OutOfRange
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.domain.camera import Camera
+    from gpusim.domain.scene import Scene
+    from gpusim.pipeline.simulator import Simulator
 
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
-
-
-# Options that change no frame, or that are in the camera or elsewhere in a manifest
-APART = frozenset(
-    "run command scene camera device out strict shard frames exposure iso f_number focus scaling".split()
+SCENE_HELP = (
+    "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
+    "spectral .exr, .npz, .mat, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, "
+    ".jpg or .tif"
+)
+SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
+CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
+CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
+SCENE_OPTIONS = (
+    "size light luminance border samples_per_pixel fov depth wavelengths kind scale band".split()
 )
 
 
-def describe_options(arguments, apart=()) -> dict[str, str]:
-    """Return every option that frames depend on, as text by name, for a manifest.
+def option(
+    *flags: str,
+    default: Any = None,
+    in_key: bool = True,
+    positional: bool = False,
+    **settings: Any,
+) -> Any:
+    """Return the dataclass field of an option.
 
-    apart: others that change no frame, or that are elsewhere in the manifest.
+    Args:
+        flags: Names on the command line. None: "--" and the field's name.
+        default: Value if the option is not given.
+        in_key: False for an option that no frame depends on, or that a manifest records separately.
+        positional: True for an argument without a flag.
+        settings: Other arguments of `ArgumentParser.add_argument`.
     """
-    skipped = APART.union(apart)
-    return {
-        name: str(value) for name, value in sorted(vars(arguments).items()) if name not in skipped
-    }
+    metadata = {"flags": flags, "settings": settings, "in_key": in_key, "positional": positional}
+    return field(default=default, metadata=metadata)
 
 
-class Reading:
-    """Options of a command line that remember which of them are read."""
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Base class of the options of one command.
 
-    def __init__(self, arguments, parser):
-        self.__dict__.update(_arguments=arguments, _parser=parser, _read=set())
+    Attributes:
+        REFUSED: Inherited options that the command has no use for, and the reason. They are not in
+            its help.
+    """
 
-    def __getattr__(self, name):
-        self._read.add(name)
-        return getattr(self._arguments, name)
+    REFUSED: ClassVar[dict[str, str]] = {}
 
-    def __setattr__(self, name, value):
-        setattr(self._arguments, name, value)
+    def __post_init__(self):
+        given = {part.name for part in fields(self) if vars(self)[part.name] is not part.default}
+        self.__dict__.update(_given=given, _read=set())
 
-    def refuse_unread(self, command: str):
-        """Raise Conflict for an option that was given and that nothing has read. command: in words."""
-        for action in self._parser._actions:
-            value = getattr(self._arguments, action.dest, action.default)
-            if action.option_strings and action.dest not in self._read and value != action.default:
-                option = action.option_strings[-1]
-                raise Conflict(option, f"{command} does not use it", "leave it out")
+    def __getattribute__(self, name):
+        state = object.__getattribute__(self, "__dict__")
+        if name in state and "_read" in state:
+            state["_read"].add(name)
+        return object.__getattribute__(self, name)
+
+    @classmethod
+    def add_command(cls, commands: Any, name: str, run: Any, **texts: str) -> None:
+        """Add a command with these options to the subparsers of `gpusim`.
+
+        Args:
+            commands: Result of `ArgumentParser.add_subparsers`.
+            name: Name of the command.
+            run: Function from the options to the exit status.
+            texts: `help` and `description` of the command.
+        """
+        parser = commands.add_parser(name, **texts)
+        for part in fields(cls):
+            flags = (
+                (part.name,)
+                if part.metadata["positional"]
+                else part.metadata["flags"] or (_flag(part),)
+            )
+            hidden = {"help": argparse.SUPPRESS} if part.name in cls.REFUSED else {}
+            settings = part.metadata["settings"] | hidden
+            parser.add_argument(*flags, default=argparse.SUPPRESS, **settings)
+        parser.set_defaults(run=lambda arguments: run(cls.from_arguments(arguments)))
+
+    @classmethod
+    def from_arguments(cls, arguments: argparse.Namespace) -> Self:
+        """Return the options that a parser of `add_command` has read. Raises Conflict."""
+        names = {part.name for part in fields(cls)}
+        given = {name: value for name, value in vars(arguments).items() if name in names}
+        options = cls(**given)
+        options._given.update(given)
+        for name, reason in cls.REFUSED.items():
+            options.refuse(name, reason)
+        return options
+
+    def is_given(self, name: str) -> bool:
+        """Return whether the user gave an option, if only its default."""
+        return name in self._given
+
+    def is_changed(self, name: str) -> bool:
+        """Return whether an option has another value than its default."""
+        return getattr(self, name) != type(self).__dataclass_fields__[name].default
+
+    def refuse(self, name: str, reason: str, remedy: str = "leave it out") -> None:
+        """Raise Conflict if an option was given.
+
+        Args:
+            name: Name of the field.
+            reason: Why the option has no effect.
+            remedy: What to change.
+        """
+        if self.is_given(name):
+            part = next(part for part in fields(self) if part.name == name)
+            raise Conflict(_flag(part), reason, remedy)
+
+    def refuse_unread(self, command: str) -> None:
+        """Raise Conflict for an option that was given but that nothing has read.
+
+        Args:
+            command: The command and what it does, such as "look --what mtf".
+        """
+        for part in fields(self):
+            if part.name not in self._read:
+                self.refuse(part.name, f"{command} does not use it")
+
+    def key(self) -> dict[str, str]:
+        """Return every option that frames depend on, as text by name, for a manifest."""
+        return {
+            part.name: str(vars(self)[part.name])
+            for part in sorted(fields(self), key=lambda part: part.name)
+            if part.metadata["in_key"]
+        }
 
 
-def scene_of(arguments, name: str | None = None):
-    """The scene that a command was given, or one of several. Raises BadFile, BadData, OutOfRange, UnknownName."""
-    from gpusim.io.scene.scenes import open_scene
-
-    bands = dict(_named(text) for text in arguments.band)
-    return open_scene(
-        arguments.scene if name is None else name,
-        size=arguments.size,
-        light=arguments.light,
-        luminance=arguments.luminance,
-        bands=bands,
-        border=arguments.border,
-        samples_per_pixel=arguments.samples_per_pixel,
-        fov=arguments.fov,
-        depth=arguments.depth,
-        wavelengths=arguments.wavelengths,
-        kind=arguments.kind,
-        scale=arguments.scale,
-    )
+def _flag(part):
+    """Return the name by which users know an option."""
+    flags = part.metadata["flags"]
+    if part.metadata["positional"]:
+        return part.metadata["settings"]["metavar"]
+    return flags[-1] if flags else f"--{part.name.replace('_', '-')}"
 
 
-def operated(camera, arguments):
-    """The camera with what the command line says of it: exposure, speed, lens and display scaling."""
-    from gpusim.color.speed import operate_camera
-
-    return operate_camera(
-        camera,
-        exposure=arguments.exposure,
-        iso=arguments.iso,
-        f_number=arguments.f_number,
-        focus=arguments.focus,
-        scaling=arguments.scaling,
-    )
-
-
-def _named(text):
+def _channel(text):
+    """Return name and wavelength [nm] of NAME=NM. Raises OutOfRange."""
     name, _, value = text.rpartition("=")
     try:
         return name, float(value)
@@ -93,7 +166,7 @@ def _named(text):
 
 
 def size(text: str) -> tuple[int, int]:
-    """Columns and rows of `COLSxROWS` on a command line."""
+    """Return the columns and rows of the text COLSxROWS. Raises ArgumentTypeError."""
     try:
         cols, rows = (int(part) for part in text.lower().split("x"))
     except ValueError:
@@ -101,8 +174,8 @@ def size(text: str) -> tuple[int, int]:
     return cols, rows
 
 
-def whole(low, high):
-    """Reader of a whole number from `low` to `high` on a command line."""
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return a function that reads a whole number from `low` to `high`."""
 
     def read(text):
         try:
@@ -117,20 +190,18 @@ def whole(low, high):
 
 
 def _time(text):
-    return text if text == "auto" else seconds_of(text)
-
-
-def seconds_of(text: str) -> float:
-    """Seconds of a time on a command line, see `parse_seconds`."""
+    """Return an exposure time [s], or "auto"."""
     from gpusim.domain.quantities import parse_seconds
 
     try:
-        return parse_seconds(text)
+        return text if text == "auto" else parse_seconds(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _positive(wanted, most):
+    """Return a function that reads a number above 0, up to `most`. wanted: in words."""
+
     def read(text):
         try:
             value = float(text)
@@ -143,153 +214,13 @@ def _positive(wanted, most):
     return read
 
 
-def _add_operation(command):
-    """Options by which a camera is operated."""
-    command.add_argument(
-        "--exposure",
-        type=_time,
-        metavar="TIME",
-        help="1/60, 0.01 [s], 10ms, 500us, or auto: metered (default: the camera's)",
-    )
-    command.add_argument(
-        "--iso",
-        type=_positive("a number above 0", float("inf")),
-        metavar="N",
-        help="speed by "
-        "saturation, by the analog gain; from the base speed on (default: the camera's gain)",
-    )
-    command.add_argument(
-        "--f-number",
-        type=_positive("0.1 .. 1000", 1e3),
-        metavar="N",
-        help="such as 2.8 (default: the camera's)",
-    )
-    command.add_argument(
-        "--focus",
-        type=_positive("metres above 0, or inf", float("inf")),
-        metavar="METRES",
-        help="distance of the plane in focus, or inf (default: the camera's)",
-    )
-    command.add_argument(
-        "--scaling",
-        choices=("exposure", "normalised"),
-        help="of the picture: by exposure longer is "
-        "brighter and clips, normalised a white surface is white (default: the camera's, exposure)",
-    )
-
-
-def add_asked(command, several: bool = False, camera: str | None = None, more: str = ""):
-    """Add the options of a scene before a camera, or of several scenes.
-
-    camera: which where none is named; None: one has to be. more: what is taken where no scene is named, for the help;
-    "": one has to be.
-    """
-    count = {"nargs": "+"} if several else {"nargs": "?"} if more else {}
-    more = "; several, or a folder of numbered ones: a frame of each" if several else more
-    command.add_argument(
-        "scene",
-        metavar="SCENE",
-        **count,
-        help="a chart (colorchecker, "
-        "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, .mat, "
-        f"ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif{more}",
-    )
-    command.add_argument(
-        "--camera",
-        required=camera is None,
-        default=camera,
-        help="phone, machine-vision, figure8, "
-        f"mono, or a .toml file{'' if camera is None else f' (default: {camera})'}",
-    )
-    command.add_argument("--device", default="auto", help=DEVICE_HELP)
-    command.add_argument(
-        "--tolerance",
-        help="preview, video, metrology, or a relative RMS error; checked by --verify",
-    )
-    command.add_argument(
-        "--guaranteed", action="store_true", help="the tolerance holds for every spectrum"
-    )
-    command.add_argument(
-        "--strict", action="store_true", help="refuse a tolerance that is not predicted to be met"
-    )
-    command.add_argument(
-        "--size",
-        type=size,
-        metavar="COLSxROWS",
-        help="of a chart, or of the patches of a .csv (default: 768x512)",
-    )
-    command.add_argument(
-        "--samples-per-pixel",
-        type=float,
-        metavar="S",
-        help="scene samples along a pixel, at least "
-        "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
-        "scene's, 1)",
-    )
-    command.add_argument(
-        "--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)"
-    )
-    command.add_argument(
-        "--luminance", type=float, metavar="CD_M2", help="of white in the scene's light"
-    )
-    command.add_argument(
-        "--border", choices=("zero", "edge", "reflect"), help="the world outside the frame"
-    )
-    _add_operation(command)
-    command.add_argument(
-        "--band",
-        action="append",
-        default=[],
-        metavar="NAME=NM",
-        help="wavelength of an .exr channel that is not named by it; may be repeated",
-    )
-    command.add_argument(
-        "--wavelengths",
-        type=_wavelengths,
-        metavar="NM",
-        help="of the planes of a .tif or .npy, or "
-        "of an ENVI file's bands: FIRST:LAST:STEP, such as 400:700:10, or all of them, such as "
-        "450,550,650",
-    )
-    command.add_argument(
-        "--kind",
-        choices=("reflectance", "radiance"),
-        help="what these planes, or the spectra of a "
-        ".csv, hold (default: reflectance, or what an ENVI header says; radiance is in "
-        "W m-2 sr-1 nm-1)",
-    )
-    command.add_argument(
-        "--scale",
-        type=_positive("a number above 0", 1e30),
-        metavar="N",
-        help="the number that "
-        "stands for 1 in these files, such as 100 of per cents (default: 1, the largest of uint8 and "
-        "uint16, or what an ENVI header says)",
-    )
-    command.add_argument(
-        "--fov",
-        type=_fov,
-        metavar="DEGREES",
-        help="horizontal field of view of the scene (default: the file's, or what the camera sees)",
-    )
-    command.add_argument(
-        "--depth",
-        choices=("axis", "ray", "none"),
-        default="axis",
-        help="distances of an .exr's "
-        "depth channel [m] are along the optical axis (Blender), along each pixel's ray (Mitsuba; "
-        "needs --fov), or left (default: axis)",
-    )
-
-
 def _fov(text):
-    """Degrees on a command line as radians."""
-    degrees = _positive("degrees above 0 and below 180", 179.99)(text)
-    return math.radians(degrees)
+    """Return an angle in radians from a text in degrees."""
+    return math.radians(_positive("degrees above 0 and below 180", 179.99)(text))
 
 
 def _wavelengths(text):
-    """Wavelengths [nm] of FIRST:LAST:STEP or of a list on a command line."""
+    """Return the wavelengths [nm] of FIRST:LAST:STEP or of a list."""
     try:
         if ":" not in text:
             return [float(part) for part in text.split(",")]
@@ -304,8 +235,189 @@ def _wavelengths(text):
         ) from None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Request(Options):
+    """A scene, a camera with its controls, and the settings of the planner."""
+
+    scene: Any = option(
+        positional=True,
+        in_key=False,
+        metavar="SCENE",
+        help=SCENE_HELP,
+    )
+    camera: str = option(in_key=False, required=True, help=CAMERA_HELP)
+    device: str = option(default="auto", in_key=False, help=DEVICE_HELP)
+    tolerance: str | None = option(
+        help="error that the frame may have: preview, video, metrology, or a relative RMS error "
+        "(default: exact, every wavelength is computed)",
+    )
+    guaranteed: bool = option(
+        default=False,
+        action="store_true",
+        help="meet --tolerance for every possible spectrum",
+    )
+    strict: bool = option(
+        default=False,
+        in_key=False,
+        action="store_true",
+        help="fail if --tolerance is not predicted to be met",
+    )
+    size: tuple[int, int] | None = option(
+        type=size,
+        metavar="COLSxROWS",
+        help="size of a chart, or of the patches of a .csv file, in pixels (default: 768x512)",
+    )
+    samples_per_pixel: float | None = option(
+        type=float,
+        metavar="S",
+        help="scene samples per pixel along each axis, at least 1. A chart is drawn with that "
+        "many; a file keeps its samples and gives a smaller frame (default: the scene's, 1)",
+    )
+    light: str | None = option(
+        help="light on the scene: any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: "
+        "the scene's)"
+    )
+    luminance: float | None = option(
+        type=float,
+        metavar="CD_M2",
+        help="luminance of a white diffuser in the scene's light [cd/m2] (default: the scene's, or "
+        "100)",
+    )
+    border: str | None = option(
+        choices=("zero", "edge", "reflect"),
+        help="how the scene continues outside the frame: black, by its edge, or mirrored (default: "
+        "the scene's)",
+    )
+    exposure: float | str | None = option(
+        type=_time,
+        in_key=False,
+        metavar="TIME",
+        help="exposure time: 1/60, 0.01 (seconds), 10ms, 500us, or auto for automatic exposure "
+        "(default: the camera's)",
+    )
+    iso: float | None = option(
+        type=_positive("a number above 0", float("inf")),
+        in_key=False,
+        metavar="N",
+        help="ISO speed (saturation based), from the sensor's base speed up; sets the analog gain "
+        "(default: the camera's gain)",
+    )
+    f_number: float | None = option(
+        type=_positive("0.1 .. 1000", 1e3),
+        in_key=False,
+        metavar="N",
+        help="f-number of the lens, such as 2.8 (default: the camera's)",
+    )
+    focus: float | None = option(
+        type=_positive("metres above 0, or inf", float("inf")),
+        in_key=False,
+        metavar="METRES",
+        help="distance of the plane in focus, or inf (default: the camera's)",
+    )
+    scaling: str | None = option(
+        choices=("exposure", "normalised"),
+        in_key=False,
+        help="brightness of the picture. exposure: a longer exposure is brighter and may clip; "
+        "normalised: a white surface is white (default: the camera's)",
+    )
+    band: list[str] | tuple = option(
+        default=(),
+        action="append",
+        metavar="NAME=NM",
+        help="wavelength of an .exr channel whose name does not contain it; may be repeated",
+    )
+    wavelengths: list[float] | None = option(
+        type=_wavelengths,
+        metavar="NM",
+        help="wavelengths of the planes of a .tif or .npy file, or of the bands of an ENVI file: "
+        "FIRST:LAST:STEP, such as 400:700:10, or a list, such as 450,550,650",
+    )
+    kind: str | None = option(
+        choices=("reflectance", "radiance"),
+        help="quantity in planes (.tif, .npy, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 "
+        "nm-1 (default: reflectance, or as an ENVI header says)",
+    )
+    scale: float | None = option(
+        type=_positive("a number above 0", 1e30),
+        metavar="N",
+        help="value in planes or spectra that means 1.0, such as 100 for percent (default: 1, the "
+        "largest value of uint8 and uint16, or as an ENVI header says)",
+    )
+    fov: float | None = option(
+        type=_fov,
+        metavar="DEGREES",
+        help="horizontal field of view of the scene (default: the file's, or the camera's)",
+    )
+    depth: str = option(
+        default="axis",
+        choices=("axis", "ray", "none"),
+        help="how a file gives distances [m]. axis: along the optical axis (Blender); ray: along "
+        "each pixel's ray (Mitsuba; needs --fov); none: ignore them (default: axis)",
+    )
+
+    def open_scene(
+        self, name: str | None = None, unused: tuple[str, ...] = (), **changes: Any
+    ) -> "Scene":
+        """Return the scene, or one of several scenes, as `gpusim.open_scene` does.
+
+        Args:
+            name: Chart or file. None: the only scene of the command line.
+            unused: Options of a scene that the caller has no use for, and does not read.
+            changes: Arguments of `open_scene` that replace the options of the command line.
+
+        Raises:
+            GpusimError: As `open_scene` does.
+        """
+        from gpusim.io.scene.scenes import open_scene
+
+        names = [part for part in SCENE_OPTIONS if part not in unused]
+        settings = {part: getattr(self, part) for part in names}
+        settings["bands"] = dict(_channel(text) for text in settings.pop("band"))
+        return open_scene(self.scene if name is None else name, **(settings | changes))
+
+    def open_camera(self, *controls: str) -> "Camera":
+        """Return the camera with the controls that the command line sets.
+
+        Args:
+            controls: Names of the controls that the caller uses, of CONTROLS. None: all of them.
+
+        Raises:
+            GpusimError: As `gpusim.open_camera` does, or for settings that the camera cannot have.
+        """
+        from gpusim.color.speed import operate_camera
+        from gpusim.io.camera.cameras import open_camera
+
+        settings = {name: getattr(self, name) for name in controls or CONTROLS}
+        return operate_camera(open_camera(self.camera), **settings)
+
+    def open_simulator(self, camera: "Camera | None" = None) -> "Simulator":
+        """Return the simulator of a camera, by default of `open_camera`, on the device.
+
+        Raises:
+            GpusimError: As `Simulator` does.
+            Conflict: For options about a tolerance without --tolerance.
+        """
+        from gpusim.pipeline.simulator import Simulator
+
+        if self.tolerance is None:
+            for name in ("guaranteed", "strict"):
+                self.refuse(name, "there is no tolerance to meet", "add --tolerance")
+
+        return Simulator(
+            self.open_camera() if camera is None else camera,
+            device=self.device,
+            tolerance=self.tolerance,
+            guaranteed=self.guaranteed,
+            strict=self.strict,
+        )
+
+
 def describe_verdicts(states: Counter) -> str:
-    """States of verdicts, each with the number of its frames, as the end of a line; "" without a tolerance."""
+    """Return the end of a line that reports verdicts; "" without a tolerance.
+
+    Args:
+        states: Number of frames for each state of a verdict.
+    """
     if not states:
         return ""
     worst, *rest = sorted(states, key=("not met", "not judged", "met").index)
@@ -314,3 +426,20 @@ def describe_verdicts(states: Counter) -> str:
         *(f"{SHOWN[state]} in {states[state]}" for state in rest),
     ]
     return f"; tolerance {SHOWN[worst]} {', '.join(filter(None, words))}".rstrip()
+
+
+def make_folder(path: Path) -> None:
+    """Create a folder if it does not exist. Raises BadFile."""
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise BadFile(path, f"cannot be created: {error.strerror or error}") from error
+
+
+def write_json(path: str | None, content: Any) -> None:
+    """Write plain data to a JSON file. None is no file. Raises BadFile."""
+    from gpusim.io.atomic import atomic_path
+
+    if path is not None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n")

@@ -1,151 +1,162 @@
 """`gpusim pairs`: noisy and clean frames of photographs, in shards for training."""
 
-import argparse
 import json
 import time
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
-from gpusim.apps.pairs.variety import Variety
+from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.video.segments import Shard, segments_of
 from gpusim.cli.options import (
-    add_asked,
-    describe_options,
+    SCENE_HELP,
+    Request,
     describe_verdicts,
-    operated,
-    scene_of,
+    make_folder,
+    option,
     whole,
 )
 from gpusim.domain.account import STATUS, worst_state
-from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.domain.errors import BadFile, Conflict
 
 IN_SHARD = 256  # pairs, by default
 MOST = 10**8
+TEXTS = {
+    "help": "noisy and clean frames of photographs for training, in tar files for WebDataset",
+    "description": "Each sample has KEY.raw.npy (digital numbers, uint16), KEY.clean.npy (the same "
+    "without noise, dark current, fixed pattern and clipping, float32) and KEY.json (camera, seed, "
+    "exposure, levels, predicted error). A photograph is read as a display shows it: white "
+    "reflects all light, and anything brighter is lost.",
+}
 
 
-def add_command(commands):
-    """Add `pairs` to the subparsers of `gpusim`; its default `run` is `pairs`."""
-    parser = commands.add_parser(
-        "pairs",
-        help="noisy frames of photographs and the light that they are of, in tar "
-        "files as WebDataset reads them",
-        description="Each sample has KEY.raw.npy (digital "
-        "numbers, uint16), KEY.clean.npy (the same of the light alone: without noise, dark "
-        "current, fixed pattern and clipping, float32) and KEY.json (camera, seed, exposure, "
-        "levels, predicted error). A photograph is taken as what a display shows: white "
-        "reflects all light, and what was brighter is not known.",
+@dataclass(frozen=True, kw_only=True)
+class PairsRequest(Request):
+    """Options of `gpusim pairs`."""
+
+    scene: list[str] = option(
+        positional=True,
+        in_key=False,
+        nargs="+",
+        metavar="SCENE",
+        help=f"{SCENE_HELP}; several of them, or folders",
     )
-    add_asked(parser, several=True)
-    parser.add_argument(
-        "-o", "--out", required=True, metavar="FOLDER", help="of 000000.tar and so on"
+    out: str = option(
+        "-o",
+        "--out",
+        in_key=False,
+        required=True,
+        metavar="FOLDER",
+        help="folder of the tar files 000000.tar, ...; it is created if it does not exist",
     )
-    parser.add_argument(
-        "--vary",
-        type=Variety.parse,
+    vary: Variety = option(
         default=Variety(),
+        in_key=False,
+        type=Variety.parse,
         metavar="NAME=LOW..HIGH,...",
-        help="what is drawn for each pair, evenly in the logarithm: exposure=1/200..1/20, "
-        "iso=100..1600, luminance=10..1000 [cd/m2]; light=D65|A|FL11",
+        help="settings that are drawn for each pair, evenly in the logarithm: "
+        "exposure=1/200..1/20, iso=100..1600, luminance=10..1000 [cd/m2]; or from a list: "
+        "light=D65|A|FL11",
     )
-    parser.add_argument(
-        "--each",
-        type=whole(1, MOST),
+    each: int = option(
         default=1,
-        metavar="N",
-        help="pairs of a photograph (default: 1)",
-    )
-    parser.add_argument(
-        "--seed", type=whole(0, 2**64 - 1), default=0, help="of noise and variety (default: 0)"
-    )
-    parser.add_argument("--pictures", action="store_true", help="KEY.rgb.png of every frame, too")
-    parser.add_argument(
-        "--in-shard",
         type=whole(1, MOST),
-        default=IN_SHARD,
         metavar="N",
-        help=f"pairs in a tar file (default: {IN_SHARD})",
+        help="pairs per photograph (default: 1)",
     )
-    parser.add_argument(
-        "--shard",
-        type=Shard.parse,
+    seed: int = option(
+        default=0, type=whole(0, 2**64 - 1), help="seed of the noise and of --vary (default: 0)"
+    )
+    pictures: bool = option(
+        default=False, action="store_true", help="also write KEY.rgb.png of every frame"
+    )
+    in_shard: int = option(
+        default=IN_SHARD,
+        type=whole(1, MOST),
+        metavar="N",
+        help=f"pairs per tar file (default: {IN_SHARD})",
+    )
+    shard: Shard = option(
         default=Shard(),
+        in_key=False,
+        type=Shard.parse,
         metavar="I/N",
-        help="make part I of N of the tar files alone, I from 0 on",
+        help="make only part I of N of the tar files, counted from 0",
     )
-    parser.set_defaults(run=pairs)
+
+    def check_settings(self) -> None:
+        """Raise Conflict for two options that set the same, or that have no effect together."""
+        for name in ("exposure", "iso", "light", "luminance"):
+            if name in dict(self.vary.ranges):
+                self.refuse(name, f"--vary {name} draws it for each pair", "give only one of them")
+        if not self.pictures:
+            self.refuse(
+                "scaling", "raw values have no picture that it could scale", "add --pictures"
+            )
 
 
-def pairs(arguments) -> int:
-    """Run `gpusim pairs`; returns the exit status. Raises GpusimError."""
+def pairs(request: PairsRequest) -> int:
+    """Run `gpusim pairs`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
     from tqdm import tqdm
 
-    from gpusim import __version__
     from gpusim.apps.pairs.pairs import Pairs, gain_of
     from gpusim.apps.pairs.shards import write_shard
-    from gpusim.apps.video.manifest import file_digest, kept
-    from gpusim.backends.probe import made_by
+    from gpusim.apps.video.manifest import describe_run, kept
     from gpusim.data.lights import illuminant
-    from gpusim.domain.digest import digest
-    from gpusim.io.camera.cameras import open_camera
-    from gpusim.pipeline.simulator import Simulator
 
-    varied = dict(arguments.vary.ranges)
-    for name, option in (
-        ("exposure", arguments.exposure),
-        ("iso", arguments.iso),
-        ("light", arguments.light),
-        ("luminance", arguments.luminance),
-    ):
-        if name in varied and option is not None:
-            raise OutOfRange(f"--{name} and --vary {name}", "both given", "one of them")
-    camera = operated(open_camera(arguments.camera), arguments)
-    simulator = Simulator(
-        camera,
-        device=arguments.device,
-        tolerance=arguments.tolerance,
-        guaranteed=arguments.guaranteed,
-        strict=arguments.strict,
-    )
-    for speed in varied.get("iso", ()):
-        gain_of(camera, speed)  # said before the work
+    request.check_settings()
+    varied = dict(request.vary.ranges)
+    simulator = request.open_simulator()
+    camera = simulator.camera
+    for speed in varied.get("iso", ()):  # refuse wrong settings before the work
+        gain_of(camera, speed)
+    for light in varied.get("light", ()):
+        illuminant(light)
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
-        raise OutOfRange(
+        raise Conflict(
             "--vary iso",
-            "with automatic exposure, which chooses the gain",
-            "with --exposure TIME, or --vary exposure=LOW..HIGH",
+            "automatic exposure chooses the gain",
+            "add --exposure TIME or --vary exposure=LOW..HIGH",
         )
-    photographs = _photographs(arguments)
-    opened = _opener(arguments)
-    opened(photographs[0], arguments.vary.drawn(arguments.seed, 0))
+    photographs = _photographs(request)
+
+    def open_drawn(path, values):
+        return request.open_scene(str(path), **scene_options(values))
+
+    open_drawn(photographs[0], request.vary.draw(request.seed, 0))
     made = Pairs(
         simulator,
         photographs,
-        opened,
-        arguments.vary,
-        arguments.each,
-        arguments.seed,
-        arguments.pictures,
+        open_drawn,
+        request.vary,
+        request.each,
+        request.seed,
+        request.pictures,
     )
-    for light in varied.get("light", ()):
-        illuminant(light)
-    folder = Path(arguments.out)
+    folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
-    shards = segments_of(len(made), arguments.in_shard)
-    own = arguments.shard.of(shards, "--in-shard")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise BadFile(folder, f"cannot be made: {error.strerror or error}") from error
-    told = {
-        "gpusim": __version__,
-        "camera": digest(camera),
-        "photographs": [str(path) for path in photographs],
-        "contents of files": [file_digest(path) for path in photographs],
-        "vary": {name: list(values) for name, values in varied.items()},
-        "options": describe_options(arguments, ("vary",)),
-        "device": made_by(simulator.device),
-    }
+    shards = segments_of(len(made), request.in_shard)
+    own = request.shard.of(shards, "--in-shard")
+    request.refuse_unread("pairs")
+    make_folder(folder)
+    content = describe_run(
+        simulator,
+        photographs,
+        request.key(),
+        photographs=[str(path) for path in photographs],
+        vary={name: list(values) for name, values in varied.items()},
+    )
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))
@@ -153,14 +164,14 @@ def pairs(arguments) -> int:
     with (
         kept(
             folder / "pairs.json",
-            told,
-            "the tar files beside it",
+            content,
+            "its tar files",
             lambda: not any(folder.glob("*.tar")),
         ),
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
         for shard in missing:
-            write_shard(names[shard.start], _counted(made.made(shard), bar, states))
+            write_shard(names[shard.start], _count_states(made.files(shard), bar, states))
     seconds = time.perf_counter() - begun
     if count:
         print(
@@ -171,8 +182,8 @@ def pairs(arguments) -> int:
     return STATUS[worst_state(states)]
 
 
-def _counted(samples, bar, states):
-    """The samples; the states of their verdicts are counted in `states`."""
+def _count_states(samples, bar, states):
+    """Yield the samples, and count the states of their verdicts in `states`."""
     for key, parts in samples:
         yield key, parts
         if verdict := json.loads(parts["json"]).get("verdict"):
@@ -180,26 +191,17 @@ def _counted(samples, bar, states):
         bar.update()
 
 
-def _photographs(arguments):
-    """Files that are given, those of folders in the order of their names. Raises BadFile."""
+def _photographs(request):
+    """Return the files of the command line, those of a folder in the order of their names.
+
+    Raises BadFile.
+    """
     from gpusim.io.scene.readers import IN_FOLDERS, scene_files
 
     found = []
-    for name in map(Path, arguments.scene):
-        inside = [name]
-        if name.is_dir():
-            inside = scene_files(name)
+    for name in map(Path, request.scene):
+        inside = scene_files(name) if name.is_dir() else [name]
         if not inside:
             raise BadFile(name, f"no scene files in it; wanted {', '.join(IN_FOLDERS)}")
         found += inside
     return found
-
-
-def _opener(arguments):
-    """Function from a path, and what was drawn for it, to a scene."""
-
-    def opened(path, values):
-        drawn = {name: values[name] for name in ("light", "luminance") if name in values}
-        return scene_of(argparse.Namespace(**(vars(arguments) | drawn)), str(path))
-
-    return opened

@@ -1,40 +1,63 @@
 """`gpusim preview`: one page of sliders and a live picture."""
 
 import socket
+from dataclasses import dataclass
+from typing import ClassVar
 
 from gpusim.apps.preview.guard import LOOPBACK
-from gpusim.cli.moving import add_moving, moving
-from gpusim.cli.options import Reading, add_asked, operated, whole
+from gpusim.cli.moving import MovingRequest
+from gpusim.cli.options import option, whole
 from gpusim.domain.errors import Missing, OutOfRange, UnknownName
 
+TOLERANCE = (
+    "1e-3"  # relative to the light, so that one plan serves all exposures and noise settings
+)
+TEXTS = {"help": "a page on this machine: move a slider, see the picture change"}
 
-def add_command(commands):
-    """Add `preview` to the subparsers of `gpusim`; its default `run` is `preview`."""
-    parser = commands.add_parser(
-        "preview", help="a page on this machine: move a slider, see the camera change"
-    )
-    add_asked(parser, several=True)
-    add_moving(parser)
-    parser.add_argument(
-        "--port", type=whole(1, 65535), default=8080, help="of the page (default: 8080)"
-    )
-    parser.add_argument(
-        "--host",
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewRequest(MovingRequest):
+    """Options of `gpusim preview`."""
+
+    REFUSED: ClassVar = {
+        "iso": "the preview sets the gain with its slider",
+        "guaranteed": "the preview plans only for the scene that it shows",
+        "strict": "the page shows whether the tolerance is met",
+    }
+
+    port: int = option(default=8080, type=whole(1, 65535), help="port of the page (default: 8080)")
+    host: str = option(
         default="127.0.0.1",
-        help="address at which the page is served; another than this "
-        "machine's own lets all of its network move the sliders (default: 127.0.0.1)",
-    )
-    parser.set_defaults(
-        run=lambda arguments: preview(Reading(arguments, parser)),
-        seed=0,
-        flicker=None,
-        pwm=None,
-        blur=False,
+        help="address of the page; any other than this machine's own lets its whole network move "
+        "the sliders (default: 127.0.0.1)",
     )
 
+    def changes(self) -> dict:
+        """Return the settings of the camera by the names of the page's controls."""
+        given = {
+            "optics.f_number": self.f_number,
+            "optics.object_distance_m": self.focus,
+            "processor.scaling": self.scaling,
+        }
+        if self.exposure is not None:
+            given["sensor.exposure_time_ms"] = (
+                self.exposure if isinstance(self.exposure, str) else 1e3 * self.exposure
+            )
+        return {name: value for name, value in given.items() if value is not None}
 
-def preview(arguments) -> int:
-    """Run `gpusim preview`; returns the exit status. Raises GpusimError."""
+
+def preview(request: PreviewRequest) -> int:
+    """Run `gpusim preview`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
     try:
         from nicegui import app, ui
     except ImportError:
@@ -47,37 +70,36 @@ def preview(arguments) -> int:
     from gpusim.apps.preview.producer import Producer
     from gpusim.apps.preview.state import State
     from gpusim.backends import open_device
-    from gpusim.io.camera.cameras import open_camera
 
-    tolerance = (
-        arguments.tolerance or "1e-3"
-    )  # in parts of the light: a plan stands where noise and exposure change
+    changes, tolerance = request.changes(), request.tolerance or TOLERANCE
     if tolerance not in TOLERANCES:
         raise UnknownName("--tolerance of a preview", tolerance, TOLERANCES)
-    scenes, device = moving(arguments), open_device(arguments.device)
-    first = next(scenes.between(0, 1))
-    operated(open_camera(arguments.camera), arguments)  # said before the page
-    require_port(arguments.host, arguments.port)
-    state = State(arguments.camera, _changes(arguments), tolerance=tolerance)
-    period = 0.0 if scenes.is_still else float(1 / arguments.fps)
+    scenes = request.open_scenes()
+    if scenes.is_still:
+        request.refuse("frames", "nothing moves", "leave it out, or add --pan or --roll")
+    request.check_movement(scenes)
+    period = 0.0 if scenes.is_still else float(1 / request.fps)
+    first, device = next(scenes.between(0, 1)), open_device(request.device)
+    request.open_camera()  # refuses wrong settings before the page opens
+    require_port(request.host, request.port)
+    request.refuse_unread("preview")
     mount(
         lambda: Producer(scenes, device, period),
-        state,
+        State(request.camera, changes, tolerance=tolerance),
         first.name,
         first.shape,
-        " ".join(arguments.scene),
+        " ".join(request.scene),
     )
-    arguments.refuse_unread("preview")
-    hosts = LOOPBACK if arguments.host in LOOPBACK else (*LOOPBACK, arguments.host)
+    hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
-    if arguments.host not in LOOPBACK:
+    if request.host not in LOOPBACK:
         print(
-            f"{arguments.host} is not this machine alone: whoever reaches it may use this preview and its device"
+            f"{request.host}: anyone who reaches this address may use this preview and its device"
         )
-    print(f"http://{arguments.host}:{arguments.port}/  (Ctrl+C ends it)", flush=True)
+    print(f"http://{request.host}:{request.port}/  (Ctrl+C ends it)", flush=True)
     ui.run(
-        host=arguments.host,
-        port=arguments.port,
+        host=request.host,
+        port=request.port,
         reload=False,
         show=False,
         show_welcome_message=False,
@@ -89,24 +111,8 @@ def preview(arguments) -> int:
     return 0
 
 
-def _changes(arguments):
-    """What the command line says of the camera, as the page's controls have it."""
-    given = {
-        "optics.f_number": arguments.f_number,
-        "optics.object_distance_m": arguments.focus,
-        "processor.scaling": arguments.scaling,
-    }
-    if arguments.exposure is not None:
-        given["sensor.exposure_time_ms"] = (
-            "auto" if arguments.exposure == "auto" else 1e3 * arguments.exposure
-        )
-    if arguments.iso is not None:
-        raise OutOfRange("--iso", arguments.iso, "the gain of the page's slider")
-    return {name: value for name, value in given.items() if value is not None}
-
-
 def require_port(host: str, port: int):
-    """Raise OutOfRange where a port cannot be listened at."""
+    """Raise OutOfRange if the port cannot be opened at this address."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM

@@ -3,129 +3,52 @@
 import argparse
 import time
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.segments import LENGTH, Shard, segments_of
-from gpusim.cli.moving import MOST_FRAMES, add_moving, moving
-from gpusim.cli.options import add_asked, describe_options, describe_verdicts, operated, whole
+from gpusim.cli.moving import MOST_FRAMES, MovingRequest
+from gpusim.cli.options import describe_verdicts, make_folder, option, whole
+from gpusim.cli.simulate import WITHOUT_PICTURE
 from gpusim.domain.account import STATUS, worst_state
-from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, Conflict, OutOfRange, UnknownName
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.apps.video.loops import Lags
+    from gpusim.apps.video.scenes import Scenes
+    from gpusim.domain.flicker import Flicker
+
+ENCODED = (".mp4", ".mkv")
+TEXTS = {
+    "help": "a frame of every scene, or frames of one scene, as numbered files or an encoded "
+    "video; an interrupted run continues"
+}
 
 
-def add_command(commands):
-    """Add `video` to the subparsers of `gpusim`; its default `run` is `video`."""
-    parser = commands.add_parser(
-        "video",
-        help="a frame of every scene, or of one scene again and again, as numbered "
-        "files or an encoded video; goes on where it was interrupted",
-    )
-    add_asked(parser, several=True)
-    parser.add_argument(
-        "-o",
-        "--out",
-        required=True,
-        metavar="OUT",
-        help=".mp4 or .mkv, or numbered files: .png, "
-        ".tif, .exr, .dng, .npz (a.png gives a_0000.png ...); with --lerobot a folder",
-    )
-    parser.add_argument(
-        "--lerobot",
-        metavar="TASK",
-        help="add an episode of this task, such as 'pick up the cube', to "
-        "the LeRobot data set (version 3.0) in the folder -o, or begin one",
-    )
-    add_moving(parser)
-    parser.add_argument(
-        "--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)"
-    )
-    parser.add_argument(
-        "--blur",
-        action="store_true",
-        help="of the camera's movement while it exposes, and its "
-        "rolling shutter: many times the work, as many instants a frame as the tolerance takes",
-    )
-    parser.add_argument(
-        "--ramp",
-        type=Ramps.parse,
-        default=Ramps(),
-        metavar="LIST",
-        help="what changes from the first "
-        "frame to the last, such as exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, "
-        "and light, a factor",
-    )
-    parser.add_argument(
-        "--lag",
-        type=_lags,
-        metavar="LIST",
-        help="loops of the camera that follow the scene, and "
-        "their time constants [s], such as exposure=0.3,white=1,focus=0.5; a pass over all scenes "
-        "meters them first (default: exposure follows in the next frame, white is each frame's own)",
-    )
-    parser.add_argument(
-        "--flicker",
-        type=_flicker,
-        metavar="HZ[,DEPTH]",
-        help="all light is that of lamps on the "
-        "mains: 100 or 120, and (most - least) / (most + least) (default: 1); rows see its phase",
-    )
-    parser.add_argument(
-        "--pwm",
-        type=_switched,
-        metavar="HZ,DUTY",
-        help="all light is switched so many times a second, and on for a part of the time",
-    )
-    parser.add_argument(
-        "--codec",
-        metavar="NAME",
-        help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, "
-        ".mkv), ffv1-linear (linear RGB, 16 bit, .mkv) (default: h264)",
-    )
-    parser.add_argument(
-        "--quality",
-        type=_quality,
-        metavar="CRF",
-        help="constant rate factor of h264 and h265, "
-        "0 .. 51, lower is better (default: the encoder's)",
-    )
-    parser.add_argument(
-        "--shard",
-        type=Shard.parse,
-        default=Shard(),
-        metavar="I/N",
-        help="make part I of N alone, I from 0 on; all parts together are what one run makes",
-    )
-    parser.add_argument(
-        "--segment",
-        type=whole(1, MOST_FRAMES),
-        default=LENGTH,
-        metavar="N",
-        help=f"frames that are made independently of all others (default: {LENGTH})",
-    )
-    parser.set_defaults(run=video)
-
-
-def _lags(text):
+def _read_lags(text):
+    """Return the lags of a camera's control loops."""
     from gpusim.apps.video.loops import Lags
 
     return Lags.parse(text)
 
 
-def _flicker(text):
-    """Of HZ or HZ,DEPTH."""
+def _read_flicker(text):
+    """Return the flicker of HZ or HZ,DEPTH."""
     frequency, _, depth = text.partition(",")
-    return _of_light(text, frequency=frequency, depth=depth or 1)
+    return _make_flicker(text, frequency=frequency, depth=depth or 1)
 
 
-def _switched(text):
-    """Of HZ,DUTY."""
+def _read_pwm(text):
+    """Return the flicker of HZ,DUTY."""
     frequency, _, duty = text.partition(",")
-    return _of_light(text, frequency=frequency, duty=duty)
+    return _make_flicker(text, frequency=frequency, duty=duty)
 
 
-def _of_light(text, **numbers):
+def _make_flicker(text, **numbers):
+    """Return a Flicker. numbers: its fields, as text."""
     from gpusim.domain.flicker import Flicker
 
     try:
@@ -139,7 +62,8 @@ def _of_light(text, **numbers):
         raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
 
 
-def _quality(text):
+def _read_quality(text):
+    """Return a constant rate factor."""
     try:
         value = float(text)
     except ValueError:
@@ -149,61 +73,185 @@ def _quality(text):
     return value
 
 
-def video(arguments) -> int:
-    """Run `gpusim video`; returns the exit status. Raises GpusimError."""
+@dataclass(frozen=True, kw_only=True)
+class VideoRequest(MovingRequest):
+    """Options of `gpusim video`."""
+
+    out: str = option(
+        "-o",
+        "--out",
+        in_key=False,
+        required=True,
+        metavar="OUT",
+        help="encoded video .mp4 or .mkv, or numbered files .png, .tif, .exr, .dng, .npz (a.png "
+        "gives a_0000.png, ...); with --lerobot a folder",
+    )
+    lerobot: str | None = option(
+        in_key=False,
+        metavar="TASK",
+        help="add an episode of this task, such as 'pick up the cube', to the LeRobot data set "
+        "(version 3.0) in the folder -o, which is created if it does not exist",
+    )
+    seed: int = option(
+        default=0,
+        type=whole(0, 2**64 - 1),
+        help="seed of the temporal noise and of --shake (default: 0)",
+    )
+    blur: bool = option(
+        default=False,
+        action="store_true",
+        help="simulate motion blur and rolling shutter (slow)",
+    )
+    ramp: Ramps = option(
+        default=Ramps(),
+        type=Ramps.parse,
+        metavar="LIST",
+        help="settings that change from the first frame to the last, such as "
+        "exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, and light (a factor)",
+    )
+    lag: "Lags | None" = option(
+        type=_read_lags,
+        metavar="LIST",
+        help="time constants [s] of the camera's control loops, such as "
+        "exposure=0.3,white=1,focus=0.5; all scenes are metered first (default: exposure follows "
+        "in the next frame, the white balance is each frame's own)",
+    )
+    flicker: "Flicker | None" = option(
+        type=_read_flicker,
+        metavar="HZ[,DEPTH]",
+        help="all light flickers as lamps on mains power do: at 100 or 120 Hz, with the modulation "
+        "depth (max - min) / (max + min) (default: 1); rows see it in turn",
+    )
+    pwm: "Flicker | None" = option(
+        type=_read_pwm,
+        metavar="HZ,DUTY",
+        help="all light is switched at this frequency and is on for this part of the time",
+    )
+    codec: str | None = option(
+        in_key=False,
+        metavar="NAME",
+        help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, .mkv), ffv1-linear "
+        "(linear RGB, 16 bit, .mkv) (default: h264)",
+    )
+    quality: float | None = option(
+        in_key=False,
+        type=_read_quality,
+        metavar="CRF",
+        help="constant rate factor of h264 and h265, 0 .. 51, lower is better (default: the "
+        "encoder's)",
+    )
+    shard: Shard = option(
+        default=Shard(),
+        in_key=False,
+        type=Shard.parse,
+        metavar="I/N",
+        help="make only part I of N, counted from 0; all parts together equal one run",
+    )
+    segment: int = option(
+        default=LENGTH,
+        type=whole(1, MOST_FRAMES),
+        metavar="N",
+        help=f"frames per segment; segments are independent of each other (default: {LENGTH})",
+    )
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the output, in lower case."""
+        return Path(self.out).suffix.lower()
+
+    def check_settings(self) -> None:
+        """Raise Conflict for two options that set the same, or that cannot hold together."""
+        ramped = dict(self.ramp.ranges)
+        for name in ("exposure", "iso", "f_number", "focus"):
+            flag = name.replace("_", "-")
+            if flag in ramped:
+                self.refuse(name, f"--ramp {flag} sets it in every frame", "give only one of them")
+        if self.lag is not None and self.lag.focus is not None:
+            self.refuse("focus", "--lag focus sets it in every frame", "give only one of them")
+        if self.flicker is not None:
+            self.refuse("pwm", "--flicker already sets the light", "give only one of them")
+        if self.lerobot is None and self.suffix not in ENCODED:
+            for name in ("codec", "quality"):
+                self.refuse(name, f"only {' and '.join(ENCODED)} files are encoded")
+        has_picture = self.lerobot is not None or self.suffix not in WITHOUT_PICTURE
+        if not has_picture or self.codec == "ffv1-raw":
+            self.refuse("scaling", "the output holds raw values, not a picture")
+
+    def check_scenes(self, scenes: "Scenes") -> None:
+        """Raise Conflict for options that have no effect on these scenes."""
+        if not any(map(self.is_changed, ("pan", "roll", "zooming", "shake", "actor"))):
+            self.refuse("blur", "nothing moves", "add --pan, --roll, --zooming, --shake or --actor")
+        if not (self.blur or self.flicker or self.pwm):
+            self.check_movement(scenes)
+        if scenes.count == 1:
+            for name in ("ramp", "lag"):
+                self.refuse(name, "a single frame does not change", "make more --frames")
+
+
+def video(request: VideoRequest) -> int:
+    """Run `gpusim video`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, kept
     from gpusim.apps.video.video import within_period
-    from gpusim.io.camera.cameras import open_camera
-    from gpusim.pipeline.simulator import Simulator
 
-    path = Path(arguments.out)
-    scenes = moving(arguments)
-    camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
-    for part in (0.0, 1.0):
-        within_period(arguments.ramp.camera(camera, part), arguments.fps)  # said before the work
-    if arguments.lag:
-        arguments.lag.check(camera, arguments.ramp)
-    simulator = Simulator(
-        camera,
-        device=arguments.device,
-        tolerance=arguments.tolerance,
-        guaranteed=arguments.guaranteed,
-        strict=arguments.strict,
-    )
-    segments = segments_of(scenes.count, arguments.segment)
-    own = arguments.shard.of(segments)
-    target, manifest, made = _target(path, arguments, simulator, scenes, segments)
+    request.check_settings()
+    scenes = request.open_scenes(request.seed, request.flicker or request.pwm)
+    request.check_scenes(scenes)
+    camera = within_period(request.open_camera(), request.fps)
+    for part in (0.0, 1.0):  # refuse a ramp before the work
+        within_period(request.ramp.camera(camera, part), request.fps)
+    if request.lag:
+        request.lag.check(camera, request.ramp)
+    simulator = request.open_simulator(camera)
+    segments = segments_of(scenes.count, request.segment)
+    own = request.shard.of(segments)
+    target, manifest, made = _target(request, simulator, scenes, segments)
+    request.refuse_unread("video")
+    for folder in target.folders:
+        make_folder(folder)
     loops = NO_LOOPS
-    if arguments.lag:
-        loops = Loops.kept_in(manifest, arguments.lag, scenes.count) or _metered(
-            arguments, simulator, scenes
+    if request.lag:
+        loops = Loops.kept_in(manifest, request.lag, scenes.count) or _meter(
+            request, simulator, scenes
         )
         made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
-        return _written(target, simulator, scenes, own, arguments.seed, loops, Plans(manifest))
+        return _write(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
 
 
-def _metered(arguments, simulator, scenes):
-    """Loops of a pass over all scenes."""
+def _meter(request, simulator, scenes):
+    """Return the loops of a pass over all scenes."""
     from tqdm import tqdm
 
-    from gpusim.apps.video.loops import metered
+    from gpusim.apps.video.loops import meter_scenes
 
     with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
-        return metered(
+        return meter_scenes(
             simulator,
             scenes,
-            arguments.lag,
-            arguments.ramp,
-            float(1 / arguments.fps),
-            seed=arguments.seed,
+            request.lag,
+            request.ramp,
+            float(1 / request.fps),
+            seed=request.seed,
             seen=bar.update,
         )
 
 
-def _written(target, simulator, scenes, own, seed, loops, plans):
-    """Write what is missing, and say what was done; plans: of the manifest. Returns the exit status."""
+def _write(target, simulator, scenes, own, seed, loops, plans):
+    """Write what is missing, and say what was done; plans: of the manifest.
+
+    Returns the exit status.
+    """
     from tqdm import tqdm
 
     from gpusim.apps.video.video import EncodedFile
@@ -229,109 +277,111 @@ def _written(target, simulator, scenes, own, seed, loops, plans):
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
-        print(
-            target.told if target.finish() else f"{target.path} is made by the last of the shards"
-        )
+        print(target.result if target.finish() else f"{target.path} will be made by the last shard")
     return STATUS[worst_state(states)]
 
 
-def _target(path, arguments, simulator, scenes, segments):
-    """What is written, its manifest's file and what that holds. Raises BadFile, UnknownName, OutOfRange."""
-    import dataclasses
+def _target(request, simulator, scenes, segments):
+    """Return the output, the path of its manifest and the manifest's content.
 
-    from gpusim import __version__
-    from gpusim.apps.video.codecs import CODECS, CONTAINERS, Encoder, codec_of
-    from gpusim.apps.video.lerobot import Episode
-    from gpusim.apps.video.manifest import file_digest
-    from gpusim.apps.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
-    from gpusim.backends.probe import made_by
-    from gpusim.domain.digest import digest
-    from gpusim.io.atomic import check_output
-    from gpusim.io.frame.frames import FORMATS, check_format
+    Raises BadFile, Conflict, OutOfRange, UnknownName.
+    """
+    from gpusim.apps.video.manifest import describe_run, file_digest
+    from gpusim.apps.video.video import blurred_frames, frames
+    from gpusim.io.frame.frames import FORMATS
 
     frames_of = partial(
-        blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames,
-        ramps=arguments.ramp,
+        blurred_frames if request.blur or request.flicker or request.pwm else frames,
+        ramps=request.ramp,
     )
-    camera, suffix = simulator.camera, path.suffix.lower()
-    made = {
-        "gpusim": __version__,
-        "camera": digest(camera),
-        "scenes": scenes.names,
-        "actors": [file_digest(cast.path) for cast in arguments.actor or ()],
-        "contents of files": [
-            file_digest(name)
-            for name in (
-                scenes.names
-                if len(arguments.scene) > 1 or Path(arguments.scene[0]).is_dir()
-                else arguments.scene
-            )
-        ],
-        "frames": scenes.count,
-        "options": describe_options(arguments, ("lerobot", "any_order", "codec", "quality")),
-        "device": made_by(simulator.device),
-    }
-    is_episode = arguments.lerobot is not None
-    if is_episode or suffix in CONTAINERS:
-        codec = codec_of(Path("episode.mp4") if is_episode else path, arguments.codec)
-        sensor = simulator.readout.output
-        if is_episode and codec != CODECS["h264"]:
-            raise OutOfRange("--codec of a LeRobot data set", arguments.codec, "h264")
-        if is_episode and arguments.shard.count > 1:
-            raise OutOfRange(
-                "--shard of a LeRobot data set", "given", "none: one run makes an episode"
-            )
-        if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
-            raise OutOfRange(
-                "raw values of an encoded video",
-                "stacked pixels" if sensor.stacked else f"{sensor.bits} bits",
-                "one mosaic of up to 16 bits; .npz files hold any",
-            )
-        shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-        encoder = Encoder(
-            codec, shape, arguments.fps, camera.display, camera.processor.tone, arguments.quality
-        )
-        if is_episode:
-            target = Episode(
-                path,
-                arguments.lerobot,
-                camera.name,
-                shape,
-                arguments.fps,
-                arguments.seed,
-                codec,
-                encoder,
-                segments,
-                frames_of,
-            )
-            made["task"] = arguments.lerobot
-        else:
-            check_output(path)
-            target = EncodedFile(path, codec, encoder, segments, frames_of)
-            if path.exists() and not target.folder.exists():
-                raise BadFile(path, "is there already; remove it, or give -o another name")
-        try:
-            if is_episode:
-                path.mkdir(exist_ok=True)
-            target.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise BadFile(target.folder, f"cannot be made: {error.strerror or error}") from error
-        made |= {"fps": str(arguments.fps), "codec": arguments.codec, "quality": arguments.quality}
-        return target, target.folder / "video.json", made
-    if suffix not in FORMATS:
-        raise UnknownName("output format", suffix or str(path), [*CONTAINERS, *FORMATS])
-    if arguments.codec is not None or arguments.quality is not None:
-        raise OutOfRange(
-            "--codec, --quality", f"with {suffix} files", f"for {' and '.join(CONTAINERS)} alone"
-        )
-    check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
+    is_list = len(request.scene) > 1 or Path(request.scene[0]).is_dir()
+    made = describe_run(
+        simulator,
+        scenes.names if is_list else request.scene,
+        request.key(),
+        scenes=scenes.names,
+        actors=[file_digest(cast.path) for cast in request.actor],
+        frames=scenes.count,
+    )
+    path = Path(request.out)
+    if request.lerobot is not None or request.suffix in ENCODED:
+        target, more = _open_encoded(request, path, simulator, scenes, segments, frames_of)
+        return target, target.folder / "video.json", made | more
+    if request.suffix not in FORMATS:
+        raise UnknownName("output format", request.suffix or request.out, [*ENCODED, *FORMATS])
+    return *_open_numbered(path, simulator, scenes, frames_of), made
+
+
+def _open_numbered(path, simulator, scenes, frames_of):
+    """Return numbered files as the output, and the path of their manifest.
+
+    Raises BadFile, OutOfRange.
+    """
+    from gpusim.apps.video.video import NumberedFiles
+    from gpusim.io.atomic import check_output
+    from gpusim.io.frame.frames import check_format
+
+    check_format(path, replace(simulator.camera, sensor=simulator.readout.output))
     numbered = NumberedFiles(path, scenes.count, frames_of)
     manifest = path.with_name(f"{path.stem}_video.json")
     check_output(manifest)
     there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)
     if there is not None and not manifest.exists():
         raise BadFile(
-            there,
-            "is there already, and not of a video that was begun; remove it, or give -o another name",
+            there, "exists, and no video was begun here; remove it, or give -o another name"
         )
-    return numbered, manifest, made
+    return numbered, manifest
+
+
+def _open_encoded(request, path, simulator, scenes, segments, frames_of):
+    """Return an encoded video or an episode as the output, and its part of the manifest."""
+    from gpusim.apps.video.codecs import CODECS, Encoder, codec_of
+    from gpusim.apps.video.lerobot import Episode
+    from gpusim.apps.video.video import EncodedFile
+    from gpusim.io.atomic import check_output
+
+    camera, sensor = simulator.camera, simulator.readout.output
+    is_episode = request.lerobot is not None
+    codec = codec_of(Path("episode.mp4") if is_episode else path, request.codec)
+    if is_episode and codec != CODECS["h264"]:
+        raise Conflict(
+            "--codec", "the videos of a LeRobot data set are h264", "leave --codec or --lerobot out"
+        )
+    if is_episode and request.shard.count > 1:
+        raise Conflict("--shard", "one run makes an episode", "leave --shard or --lerobot out")
+    if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
+        raise OutOfRange(
+            "raw values of an encoded video",
+            "stacked pixels" if sensor.stacked else f"{sensor.bits} bits",
+            "one mosaic of up to 16 bits; .npz files hold any",
+        )
+    shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
+    encoder = Encoder(
+        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
+    )
+    made: dict[str, Any] = {
+        "fps": str(request.fps),
+        "codec": request.codec,
+        "quality": request.quality,
+    }
+    target: EncodedFile
+    if is_episode:
+        target = Episode(
+            path,
+            request.lerobot,
+            camera.name,
+            shape,
+            request.fps,
+            request.seed,
+            codec,
+            encoder,
+            segments,
+            frames_of,
+        )
+        made["task"] = request.lerobot
+    else:
+        check_output(path)
+        target = EncodedFile(path, codec, encoder, segments, frames_of)
+        if path.exists() and not target.folder.exists():
+            raise BadFile(path, "exists; remove it, or give -o another name")
+    return target, made

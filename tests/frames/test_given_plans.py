@@ -411,10 +411,10 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
     scenes = [gs.open_scene(file) for file in files]
     own, plan = [simulator.plan(scene).name for scene in scenes], simulator.plan(scenes[1])
     asked = [simulator, files, lambda path, values: gs.open_scene(path), Variety(), 1, SEED]
-    assert [Pairs(*asked).pair(n)["told"]["plan"] for n in range(COUNT)] == own
+    assert [Pairs(*asked).pair(n)["record"]["plan"] for n in range(COUNT)] == own
     for number, scene in enumerate(scenes):
         pair = Pairs(*asked, plan=plan).pair(number)
-        assert pair["told"]["plan"] == plan.name
+        assert pair["record"]["plan"] == plan.name
         np.testing.assert_array_equal(
             pair["raw"], simulator(scene, seed=SEED, frame=number, plan=plan).raw
         )

@@ -11,7 +11,8 @@ import pytest
 from gpusim.apps.l3.layout import layout
 from gpusim.apps.l3.scenes import training_scenes
 from gpusim.apps.l3.train import train, training_camera, wanted_colors
-from gpusim.cli.train_l3 import add_command, luminances
+from gpusim.cli.main import _parser
+from gpusim.cli.train_l3 import luminances
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.data.colorimetry import cmf, xyz
 from gpusim.data.curves import curve
@@ -410,9 +411,7 @@ def test_luminance_needs_an_exposure_time():
 
 
 def command(*arguments):
-    parser = argparse.ArgumentParser()
-    add_command(parser.add_subparsers(), "device")
-    chosen = parser.parse_args(["train-l3", *map(str, arguments)])
+    chosen = _parser().parse_args(["train-l3", *map(str, arguments)])
     return chosen.run(chosen)
 
 

@@ -11,7 +11,7 @@ from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
-from gpusim.apps.video.loops import Lags, follow, metered
+from gpusim.apps.video.loops import Lags, follow, meter_scenes
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.video import blurred_frames, frames
 from gpusim.cli.main import main
@@ -64,7 +64,7 @@ def test_exposure_follows_in_stops(device, made_by):
     simulator = gs.Simulator(
         replace(PHONE, sensor=replace(PHONE.sensor, auto_exposure=automatic)), device=device
     )
-    loops = metered(simulator, scenes, Lags(exposure=0.1), Ramps(), PERIOD)
+    loops = meter_scenes(simulator, scenes, Lags(exposure=0.1), Ramps(), PERIOD)
     made = list(made_by(simulator, scenes, [[0, *range(COUNT)]], loops=loops))
     alone = [np.log(4 * longest), np.log(4 * longest / 10)]
     expected = np.exp(step(*alone, 0.1))
@@ -83,7 +83,7 @@ def test_white_balance_follows_the_light():
     scenes = Sequence([lit[0]] * 4 + [lit[1]] * (COUNT - 4))
     noiseless = replace(GRAY, sensor=replace(GRAY.sensor, noise=gs.Noise(photon="none")))
     simulator = gs.Simulator(noiseless, device="numpy")
-    loops = metered(simulator, scenes, Lags(white=0.02), Ramps(), PERIOD)
+    loops = meter_scenes(simulator, scenes, Lags(white=0.02), Ramps(), PERIOD)
     alone = [np.log(next(simulator.frames(one, 1)).rendering.neutral) for one in lit]
     expected = np.exp([step(before, after, 0.02) for before, after in zip(*alone, strict=True)]).T
     np.testing.assert_allclose(loops.white, expected, rtol=2e-3)  # digital numbers round
@@ -100,13 +100,13 @@ def test_focus_follows_the_distance_in_dioptres():
         replace(SCENE, depth=np.full(SCENE.content.shape, distance)) for distance in (5.0, 0.5)
     )
     scenes = Sequence([far] * 4 + [near] * (COUNT - 4))
-    loops = metered(gs.Simulator(PHONE, device="numpy"), scenes, Lags(focus=0.1), Ramps(), PERIOD)
+    loops = meter_scenes(
+        gs.Simulator(PHONE, device="numpy"), scenes, Lags(focus=0.1), Ramps(), PERIOD
+    )
     np.testing.assert_allclose(1 / np.array(loops.focus), step(0.2, 2.0, 0.1), rtol=1e-12)
     assert loops.camera(PHONE, 6).optics.object_distance == loops.focus[6]
-    with pytest.raises(
-        gs.GpusimError, match="ramp: no depth, so that a loop of focus has nothing to follow"
-    ):
-        metered(
+    with pytest.raises(gs.GpusimError, match=r"ramp: a loop of focus needs scene\.depth"):
+        meter_scenes(
             gs.Simulator(PHONE, device="numpy"), Sequence([SCENE]), Lags(focus=0.1), Ramps(), PERIOD
         )
 
@@ -177,11 +177,17 @@ def test_parts_and_runs_that_go_on_are_those_of_one_run(folder, tmp_path, capsys
         (["--lag", "exposure=-1"], "wanted NAME=SECONDS"),
         (["--lag", "exposure=nan"], "wanted NAME=SECONDS"),
         (["--lag", "white=1,white=2"], "each NAME once"),
-        (["--lag", "exposure=1", "--exposure", "1/100"], "for a camera that meters"),
-        (["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"], "for a camera that meters"),
-        (["--lag", "focus=1", "--ramp", "focus=1..2"], "without a ramp of the focus"),
+        (
+            ["--lag", "exposure=1", "--exposure", "1/100"],
+            "--lag exposure: the exposure time is set",
+        ),
+        (
+            ["--lag", "exposure=1", "--ramp", "exposure=1/100..1/50"],
+            "--lag exposure: the exposure time is set",
+        ),
+        (["--lag", "focus=1", "--ramp", "focus=1..2"], "--lag focus: --ramp focus sets the focus"),
         (["--lag", "white=1"], "one of gray-world, max-rgb, shades-of-gray, red-blue"),
-        (["--lag", "focus=1"], "has nothing to follow"),
+        (["--lag", "focus=1"], "a loop of focus needs scene.depth"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_in_a_line(asked, words, folder, tmp_path, capsys):

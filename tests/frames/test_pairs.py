@@ -145,7 +145,7 @@ def test_raw_values_scatter_about_the_clean_ones():
     variety = Variety.parse(f"exposure={seconds / 20}..{seconds / 2}")
     found, count = [], 40
     pairs = Pairs(simulator, [Path("flat")], lambda *_: scene, variety, count, 7)
-    for _, files in pairs.made(range(count)):
+    for _, files in pairs.files(range(count)):
         raw, clean = (
             np.load(io.BytesIO(files[f"{name}.npy"])).astype(float) for name in ("raw", "clean")
         )
@@ -187,12 +187,12 @@ def test_a_variety_that_cannot_be_is_refused(text, capsys):
 
 def test_a_variety_is_even_in_the_logarithm():
     variety = Variety.parse("exposure=1ms..100ms,light=A|D65|FL11")
-    drawn = [variety.drawn(3, number) for number in range(3000)]
+    drawn = [variety.draw(3, number) for number in range(3000)]
     place = np.log10([one["exposure"] / 1e-3 for one in drawn]) / 2
     assert 0 <= place.min() and place.max() <= 1
     assert abs(place.mean() - 0.5) < 5 / np.sqrt(12 * 3000) and abs(place.var() - 1 / 12) < 0.01
     assert {one["light"] for one in drawn} == {"A", "D65", "FL11"}
-    assert drawn[7] == variety.drawn(3, 7) != variety.drawn(4, 7)
+    assert drawn[7] == variety.draw(3, 7) != variety.draw(4, 7)
 
 
 def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
@@ -200,7 +200,13 @@ def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
     for words, arguments in {
         "no scene files": [tmp_path / "empty"],
         "no such file": [tmp_path / "none.png"],
-        "both given": [photographs, "--iso", "200", "--vary", "iso=100..200"],
+        "--iso: --vary iso draws it for each pair": [
+            photographs,
+            "--iso",
+            "200",
+            "--vary",
+            "iso=100..200",
+        ],
         "base speed": [photographs, "--vary", "iso=1..200"],
         "automatic exposure": [photographs, "--exposure", "auto", "--vary", "iso=200..400"],
         "smaller --in-shard": [photographs, "--in-shard", "3", "--shard", "0/3"],

@@ -91,7 +91,7 @@ def test_a_file_is_written_once(tmp_path, monkeypatch, capsys, arguments):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     os.symlink(".", "link")
-    assert "is given twice, and would be written over" in refused(capsys, *FLAT, *arguments)
+    assert "is given twice, and would be overwritten" in refused(capsys, *FLAT, *arguments)
     assert os.listdir() == ["link"]
 
 
@@ -104,7 +104,7 @@ def test_a_file_is_written_once(tmp_path, monkeypatch, capsys, arguments):
 )
 def test_an_input_is_not_written_over(tmp_path, monkeypatch, capsys, arguments):
     monkeypatch.chdir(tmp_path)
-    assert "is read, and would be written over" in refused(capsys, "simulate", *arguments)
+    assert "is read, and would be overwritten" in refused(capsys, "simulate", *arguments)
 
 
 def test_names_as_long_as_the_system_takes_are_written(tmp_path, capsys):

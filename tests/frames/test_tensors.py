@@ -229,11 +229,11 @@ def test_workers_of_a_loader_make_the_same_pairs(device, tmp_path):
                 multiprocessing_context="spawn",
             )
         )
-        streamed.sort(key=lambda pair: pair["told"]["frame"])
+        streamed.sort(key=lambda pair: pair["record"]["frame"])
         for found in (loaded, streamed):
             assert len(found) == len(expected)
             for own, its in zip(found, expected, strict=True):
-                assert own["told"] == its["told"]
+                assert own["record"] == its["record"]
                 assert all(torch.equal(own[name], its[name]) for name in ("raw", "clean", "rgb"))
 
 

@@ -342,15 +342,15 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
         "unknown output format": [*chart, "-o", out / "a.gif"],
         "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"],
-        "for .mp4 and .mkv": [*chart, "-o", png, "--quality", "20"],
+        "--quality: only .mp4 and .mkv files are encoded": [*chart, "-o", png, "--quality", "20"],
         "up to 2 shards": [*chart, "--frames", "5", "--segment", "4", "--shard", "0/3", "-o", png],
         "frame's period": [*chart, "--exposure", "1/20", "-o", png],
         "not tagged": [untagged, "-o", png],
         "no such file": [tmp_path / "none.mp4", "-o", png],
         "up to 1": [untagged, "--transfer", "srgb", "--frames", "2", "-o", png],
-        "for videos alone": [*chart, "--transfer", "srgb", "-o", png],
-        "give it alone": [untagged, "flat", "-o", png],
-        "for one scene": [pictures, "--frames", "3", "-o", png],
+        "only a video has codes": [*chart, "--transfer", "srgb", "-o", png],
+        "give only the video": [untagged, "flat", "-o", png],
+        "scenes make as many frames": [pictures, "--frames", "3", "-o", png],
         "does not exist": [*chart, "-o", out / "b" / "a.png"],
     }.items():
         assert words in refused(capsys, *arguments, *asked), words
@@ -384,7 +384,7 @@ def test_another_video_is_not_gone_on_with(tmp_path, capsys):
         tmp_path / "a.png",
     ]
     (tmp_path / "a_0001.png").write_bytes(b"mine")
-    assert "is there already" in refused(capsys, *asked, "--camera", "phone")
+    assert "exists, and no video was begun here" in refused(capsys, *asked, "--camera", "phone")
     (tmp_path / "a_0001.png").unlink()
     made(capsys, *asked, "--camera", "phone")
     before = files(tmp_path)

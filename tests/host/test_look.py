@@ -38,8 +38,8 @@ HOSTED = {"scene", "spectra", "psf", "mtf", "camera", "snr", "locus"}  # without
 )
 def test_an_option_that_a_panel_does_not_use_is_refused(what, options, tmp_path, capsys):
     out = tmp_path / "a.png"
-    asked = ["look", "colorchecker", "--what", what, *options, "-o", str(out)]
-    assert main([*asked, *(["--size", "40x30"] if what in ("scene", "spectra") else [])]) == 2
+    scene = ["colorchecker", "--size", "40x30"] if what in ("scene", "spectra") else []
+    assert main(["look", *scene, "--what", what, *options, "-o", str(out)]) == 2
     assert capsys.readouterr().err == (
         f"gpusim: {options[0]}: look --what {what} does not use it; leave it out\n"
     )
@@ -52,9 +52,10 @@ def test_look_writes_a_picture(what, tmp_path):
 
     scene = "slanted-edge" if what == "sfr" else "colorchecker"
     out = tmp_path / "a.png"
-    options = ["--size", "72x60", "--border", "reflect"] if what not in SCENELESS else []
+    options = [scene, "--size", "72x60"] if what not in SCENELESS else []
+    options += ["--border", "reflect"] if what not in SCENELESS | {"scene", "spectra"} else []
     options += ["--device", "numpy"] if what not in HOSTED else []
-    asked = ["look", scene, "--what", what, *options, *FEWER.get(what, []), "-o", str(out)]
+    asked = ["look", *options, "--what", what, *FEWER.get(what, []), "-o", str(out)]
     assert main(asked) == 0
     codes = np.asarray(Image.open(out).convert("RGB"))
     assert min(codes.shape[:2]) > 150 and codes.std() > 10 and list(tmp_path.iterdir()) == [out]
@@ -71,11 +72,15 @@ def test_look_writes_a_picture(what, tmp_path):
             "at = (480, 3): allowed is columns 0 .. 479",
         ),
         (["nothing", "-o", "a.png"], "nothing"),
+        (
+            ["colorchecker", "--what", "mtf", "-o", "a.png"],
+            "SCENE: look --what mtf does not use it",
+        ),
     ],
 )
 def test_look_refuses_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["look", *arguments, "--device", "numpy"]) == 2
+    assert main(["look", *arguments]) == 2
     told = capsys.readouterr().err
     assert words in told and told.count("\n") == 1 and not list(tmp_path.iterdir())
 

@@ -197,7 +197,7 @@ def test_a_camera_object_is_changed_as_its_file_is():
     for name in camera_names():
         camera, table = gs.open_camera(name), camera_table(name)[1]
         file, given = State(name), Given(camera.name, given=camera)
-        assert repr(given.built()) == repr(camera)
+        assert repr(given.build()) == repr(camera)
         for control in CONTROLS.values():
             own, written = given.value(control, table_of(camera)), file.value(control, table)
             assert own == written, control.name
@@ -208,12 +208,12 @@ def test_a_camera_object_is_changed_as_its_file_is():
             )
             changes = {control.name: value}
             try:
-                wanted = repr(replace(file, changes=changes).built())
+                wanted = repr(replace(file, changes=changes).build())
             except GpusimError:
                 with pytest.raises(GpusimError):
-                    replace(given, changes=changes).built()
+                    replace(given, changes=changes).build()
                 continue
-            assert repr(replace(given, changes=changes).built()) == wanted, control.name
+            assert repr(replace(given, changes=changes).build()) == wanted, control.name
     with pytest.raises(BadData, match="an object without a file"):
         given.toml()
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import erf
 
 import gpusim as gs
-from gpusim.apps.preview.crop import Crop, enlarged
+from gpusim.apps.preview.crop import Crop, enlarge
 from gpusim.apps.preview.curves import histogram, response
 from gpusim.apps.preview.measures import SPAN, edge, error_map
 from gpusim.apps.preview.producer import Producer
@@ -86,35 +86,35 @@ def test_the_error_of_a_producer_is_that_of_verify():
     scene = gs.chart("deadleaves", size=(64, 48))
     state = replace(STATE, tolerance="1e-2")
     codes, error = Producer(Still(scene, 1), open_device("opencl")).error(state, 0)()
-    report = gs.Simulator(state.built(), device="opencl", tolerance=1e-2)(scene, verify=True).report
+    report = gs.Simulator(state.build(), device="opencl", tolerance=1e-2)(scene, verify=True).report
     assert codes.shape == (48, 64, 3) and error == report.error
 
 
 def test_parts_of_a_frame():
     shape = 200, 320
-    one = enlarged(None, 1, (100, 160), shape, 1000)
+    one = enlarge(None, 1, (100, 160), shape, 1000)
     assert (one.times, one.cols, one.rows) == (
         4,
         250,
         156,
     )  # 3.1 pixels of the screen along one of the frame: all
-    two = enlarged(one, 1, (100, 160), shape, 1000)
+    two = enlarge(one, 1, (100, 160), shape, 1000)
     assert two.times == 8 and abs(two.top + two.rows / 2 - 100) <= 1
-    assert enlarged(two, -1, (100, 160), shape, 1000).times == 4
-    assert enlarged(one, -1, (100, 160), shape, 1000) is None
-    assert enlarged(None, -1, (0, 0), shape, 1000) is None
-    corner = enlarged(None, 1, (199, 319), shape, 1000)
+    assert enlarge(two, -1, (100, 160), shape, 1000).times == 4
+    assert enlarge(one, -1, (100, 160), shape, 1000) is None
+    assert enlarge(None, -1, (0, 0), shape, 1000) is None
+    corner = enlarge(None, 1, (199, 319), shape, 1000)
     assert corner.top + corner.rows == 200 and corner.left + corner.cols == 320
-    assert corner.moved(10**6, -(10**6), shape) == Crop(
+    assert corner.move(10**6, -(10**6), shape) == Crop(
         200 - corner.rows, 0, corner.rows, corner.cols, 4
     )
     most = two
     for _ in range(9):
-        most = enlarged(most, 1, (3, 3), shape, 1000)
+        most = enlarge(most, 1, (3, 3), shape, 1000)
     assert most.times == 16
-    small = enlarged(None, 1, (1, 1), (2, 3), 4000)  # enlarged farther than ENLARGED goes
+    small = enlarge(None, 1, (1, 1), (2, 3), 4000)  # enlarged farther than ENLARGED goes
     assert small is None
-    low = enlarged(None, 1, (1000, 2000), (2160, 3840), 1000)
+    low = enlarge(None, 1, (1000, 2000), (2160, 3840), 1000)
     assert (low.times, low.cols) == (1, 1000)
 
 
@@ -158,7 +158,7 @@ def test_scenes_that_move_are_those_of_a_video():
         scene = next(scenes.between(number, number + 1))
         assert np.array_equal(
             producer.picture(STATE, number).codes,
-            gs.Simulator(STATE.built(), device="opencl")(scene, frame=number).rgb,
+            gs.Simulator(STATE.build(), device="opencl")(scene, frame=number).rgb,
         )
         assert np.array_equal(
             producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes

@@ -259,7 +259,7 @@ def test_saved_files_make_the_same_camera(tmp_path):
     }
     state = State("phone", changes)
     (tmp_path / "camera.toml").write_text(state.toml())
-    saved, own = open_camera(tmp_path / "camera.toml"), state.built()
+    saved, own = open_camera(tmp_path / "camera.toml"), state.build()
     assert digest(saved) == digest(own) and saved.optics.wavefront.zernike[7] == 0.2
     # files that a camera names are found from anywhere
     (tmp_path / "qe.csv").write_text("wavelength_nm,Y\n400,0.5\n700,0.6\n")
@@ -366,7 +366,7 @@ def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
         (["flat", "--port", "0"], "--port"),
         (["flat", "--f-number", "2", "--camera", "none"], "unknown camera 'none'"),
         (["flat", "--host", "198.51.100.7"], "a free port of an address of this machine"),
-        (["flat", "--iso", "800"], "the gain of the page's slider"),
+        (["flat", "--iso", "800"], "--iso: the preview sets the gain with its slider"),
     ],
 )
 def test_what_cannot_be_shown_is_said_in_a_line(asked, words, capsys):

@@ -1,9 +1,10 @@
 """Least squares for learned filters: normal equations gathered frame by frame, solved with a ridge.
 
-For every noise level, level, position and class the wanted codes t (outputs, n) are predicted from the sums s (G, n) of
-the groups of taps: W = argmin |W s - t|^2 + lambda |W - W_0|^2, where W_0 are the filters of all classes of that
-position together (Lansel & Wandell 2011; the ridge towards W_0 is Hoerl & Kennard 1970 about a prior). Between levels
-filters are interpolated linearly, so a sample counts for the two nearest, by the weights it is interpolated with.
+For every noise level, level, position and class the wanted codes t (outputs, n) are predicted from
+the sums s (G, n) of the groups of taps: W = argmin |W s - t|^2 + lambda |W - W_0|^2. W_0 are the
+filters of all classes of that position together (Lansel & Wandell 2011; the ridge towards W_0 is
+Hoerl & Kennard 1970 about a prior). Between levels filters are interpolated linearly, so a sample
+counts for the two nearest, by the weights it is interpolated with.
 """
 
 import numpy as np
@@ -34,12 +35,20 @@ class NormalEquations:
         border: int = 0,
         weight: float = 1.0,
     ):
-        """Count one frame.
+        """Add one frame.
 
-        raw: mosaic, shape (rows, cols) [DN], whole numbers or not. wanted: planes, 1 = white, shape (outputs, rows,
-        cols). code: the frame's black level, scale, noise and domain. number: which noise level of the layout it is for
-        (its own sigma should be near `layout.noise[number]`). phase: how the frame's mosaic begins, as in
-        `learned`; None: as the table's. border: pixels at each side that do not count. Raises BadData, UnknownName.
+        Args:
+            raw: Mosaic, shape (rows, cols) [DN], whole numbers or not.
+            wanted: Planes, 1 = white, shape (outputs, rows, cols).
+            code: Black level, scale, noise and domain of the frame.
+            number: Noise level of the layout for the frame, whose sigma should be near
+                `layout.noise[number]`.
+            phase: Start of the frame's mosaic, as in `learned`. None: as the table's.
+            border: Pixels at each side that do not count.
+            weight: Weight of the frame.
+
+        Raises:
+            BadData, UnknownName: If the frame does not fit the layout.
         """
         layout = self.layout
         raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
@@ -97,14 +106,21 @@ class NormalEquations:
     def solve(
         self, ridge: float = 1e-5, preserve: bool = False, exchanges=(), provenance: str = ""
     ) -> FilterTable:
-        """The table that fits the frames counted so far.
+        """Return the table that fits the frames added so far.
 
-        ridge: lambda in units of the mean variance of a term in a class (of an average class of that position).
-        preserve: whether every filter shall keep flat fields of any colour; outputs are named as the channels then.
-        exchanges: pairs of letters, channels that play the same part: data and filters are then shared between them,
-            ("R", "B") say. Mirror images and transposes of the mosaic that are the mosaic again always share.
-        An output that is the pixel's own channel, and equals the sample in all the frames, stays the sample.
-        Raises BadData for a noise level or position whose frames do not determine its filters.
+        An output of the pixel's own channel that equals the sample in all frames stays the sample.
+
+        Args:
+            ridge: lambda in units of the mean variance of a term in a class (of an average class of that
+                position).
+            preserve: Whether every filter keeps flat fields of any colour; outputs are then named as
+                channels.
+            exchanges: Pairs of letters of equivalent channels, for example ("R", "B"), which share data and
+                filters. Mirror images and transposes that map the mosaic to itself always share.
+            provenance: Text of the table about its training.
+
+        Raises:
+            BadData: If the frames do not determine the filters of a noise level or position.
         """
         layout = self.layout
         if preserve and not set(layout.outputs) <= set(layout.channels):
@@ -129,10 +145,10 @@ class NormalEquations:
                 shared(part, maps, axes, self.constant)
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
             )
-            filters[number] = self._solved(a, b, c, ridge, preserve, constraints, number)
+            filters[number] = self._solve_position(a, b, c, ridge, preserve, constraints, number)
         filters = (
             np.rint(filters * 2.0**40) / 2.0**40
-        )  # so that sums over mirror images are exact, and equal
+        )  # makes sums over mirror images exact, and equal
         filters = np.stack([shared(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
         return FilterTable(
@@ -142,7 +158,7 @@ class NormalEquations:
             provenance,
         )
 
-    def _solved(self, a, b, c, ridge, preserve, constraints, number):
+    def _solve_position(self, a, b, c, ridge, preserve, constraints, number):
         layout = self.layout
         terms = a.shape[-1]
         letters = "".join(layout.mosaic)
@@ -161,11 +177,13 @@ class NormalEquations:
                 )
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
-            everywhere = solved(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
+            everywhere = solve_ridge(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
             for at in range(len(layout.levels)):
-                level = solved(a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit)
+                level = solve_ridge(
+                    a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit
+                )
                 for k in range(layout.classes):
-                    out[at, p, k] = solved(a[at, p, k], b[at, p, k], unit, level, limit).T
+                    out[at, p, k] = solve_ridge(a[at, p, k], b[at, p, k], unit, level, limit).T
             for o in [
                 o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None
             ]:
@@ -176,14 +194,14 @@ class NormalEquations:
         return out
 
     def _own(self):
-        """The group that is the pixel's own sample alone, None if there is no such."""
+        """Return the group that has only the pixel's own sample, or None."""
         layout = self.layout
         at = layout.groups[(layout.taps == 0).all(axis=1)]
         return at[0] if len(at) == 1 and (layout.groups == at[0]).sum() == 1 else None
 
 
-def solved(a, b, ridge, prior, limit):
-    """W (terms, outputs) with (A + ridge I) W = B + ridge prior, and, if there is a limit (C, d), C W = d."""
+def solve_ridge(a, b, ridge, prior, limit):
+    """Solve (A + ridge I) W = B + ridge prior for W (terms, outputs), with C W = d for a limit."""
     a = a + ridge * np.eye(len(a))
     b = b if prior is None else b + ridge * prior
     if limit is None:
@@ -195,7 +213,7 @@ def solved(a, b, ridge, prior, limit):
 
 
 def flat_sums(layout: Layout, constant=False):
-    """What a flat field of 1 in one channel gives in each term, shape (P, channels, terms)."""
+    """Return the terms of a flat field of 1 in one channel, shape (P, channels, terms)."""
     rows, cols = layout.period
     letters = np.array([list(text) for text in layout.mosaic])
     out = np.zeros((layout.positions, len(layout.channels), layout.shape[-1] + constant))
@@ -207,9 +225,12 @@ def flat_sums(layout: Layout, constant=False):
 
 
 def symmetries(layout: Layout, exchanges=()):
-    """Mirror images, transposes and shifts of the mosaic that are the mosaic again, perhaps with channels exchanged.
+    """Return mirror images, transposes and shifts that map the mosaic to itself.
 
-    Returns a list of (positions (P,), classes (K,), groups (G,), outputs): where each of them comes to lie.
+    They may exchange channels.
+
+    Returns a list of (positions (P,), classes (K,), groups (G,), outputs): the new index of each of
+    them.
     """
     rows, cols = layout.period
     letters = np.array([list(text) for text in layout.mosaic])
@@ -256,9 +277,10 @@ def symmetries(layout: Layout, exchanges=()):
 
 
 def shared(values, maps, axes, constant=False):
-    """The mean of values and of all their mirror images turned back.
+    """Return the mean of values and of all their mirror images, turned back.
 
-    values: shape (.., P, K, *axes) with one axis before; axes: "g" for groups (and the constant), "o" for outputs.
+    values: shape (.., P, K, *axes) with one axis before; axes: "g" for groups (and the constant),
+    "o" for outputs.
     """
     out = np.zeros_like(values)
     for places, classes, groups, outputs in maps:

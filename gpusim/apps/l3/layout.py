@@ -1,11 +1,12 @@
-"""Which samples a filter sees and how pixels are classed, for any mosaic: choices that measured well."""
+"""Samples of a filter and classes of pixels for any mosaic, chosen by measurements."""
 
 import numpy as np
 
 from gpusim.domain.learned import LARGEST_SUM, Layout
 
 RATIOS = (10, 16, 32)  # eighths: 7 directions
-# Mean contrast between the 5 strengths, relative to white: of clean pictures, and as multiples of the code's noise.
+# Mean contrast between the 5 strengths, relative to white: of clean pictures, and as multiples of
+# the code's noise.
 CLEAN = np.array((1.0, 2.8, 7.0, 17.0)) / 255
 NOISY = np.array((0.8, 0.9, 1.05, 1.6))
 HAMILTON_ADAMS = (1, -2, 1, 0, -1, 2, -1)
@@ -18,13 +19,13 @@ def layout(
 ) -> Layout:
     """Return the layout for a mosaic.
 
-    mosaic: one period, a text per row. outputs, domain, noise, levels: as in `Layout`. radius: taps are the samples
-    with |dy| + |dx| <= radius [pixel], 4 by default and 5 for periods above 4. box: as in `Layout`, at least half a
-    period by default.
-    Periods of 1 and 2: taps that are mirror images of each other share their weight, since the mosaic is its own mirror
-    image. Period 2 x 2: contrast is that of Hamilton & Adams' colour differences, between -1 and +1 pixel, and detail
-    the second difference of samples of one colour. Others: contrast is the difference of samples a period apart, the
-    nearest of the same colour everywhere. Raises BadData.
+    mosaic: one period, a text per row. outputs, domain, noise, levels: as in `Layout`. radius: taps
+    are the samples with |dy| + |dx| <= radius [pixel], 4 by default and 5 for periods above 4. box:
+    as in `Layout`, at least half a period by default. Periods of 1 and 2: taps that are mirror
+    images of each other share their weight, since the mosaic is its own mirror image. Period 2 x 2:
+    contrast is Hamilton & Adams' colour difference, between -1 and +1 pixel, and detail the second
+    difference of samples of one colour. Others: contrast is the difference of samples a period
+    apart, the nearest of the same colour everywhere. Raises BadData.
     """
     rows, cols = len(mosaic), len(mosaic[0])
     longest = max(rows, cols)

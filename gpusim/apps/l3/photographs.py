@@ -1,9 +1,10 @@
-"""Filters for Bayer mosaics, trained on photographs: encoded pictures as they are, linear light with noise.
+"""Filters for Bayer mosaics, trained on photographs: encoded pictures, and linear light with noise.
 
-At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and blurred copies of
-it; at the others it is its linear light, counted in electrons with shot and read noise, on variance-stabilised codes.
-Both are nearly the same code, so that filters may be interpolated between all levels. Filters keep flat fields exactly,
-red and blue play the same part, and mirror images count as further photographs.
+At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and
+blurred copies of it; at the others it is its linear light, counted in electrons with shot and read
+noise, on variance-stabilised codes. Both are nearly the same code, so filters can be interpolated
+between all levels. Filters keep flat fields exactly, red and blue play the same part, and mirror
+images count as further photographs.
 """
 
 import datetime
@@ -33,14 +34,15 @@ SIGMAS = (
 READ = 2.0  # [e-]
 BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
 NOISY_BLURS = (0.0, 0.8, 2.0)
-BLURRED = 0.25  # what a blurred frame counts, against 1 of a sharp one
+BLURRED = 0.25  # weight of a blurred frame, against 1 of a sharp one
 BORDER = 4  # pixels that do not count, next to mirrored ones
 
 
 def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
     """The normal equations of photographs, an iterable of (rows, cols, 3) numbers 0 .. 255 in sRGB.
 
-    seed: of the noise. blurs: standard deviations of the copies, 0 for the photograph itself [pixel].
+    seed: of the noise. blurs: standard deviations of the copies, 0 for the photograph itself
+    [pixel].
     """
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     random = np.random.default_rng(seed)
@@ -53,7 +55,7 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
                     code, wanted = Code("linear", 0.0, 1 / 255), encoded(soft)
                     raw = sampled(255 * wanted)
                 elif blur in NOISY_BLURS:
-                    code, wanted = counted(sigma), soft
+                    code, wanted = electron_code(sigma), soft
                     raw = random.poisson(sampled(wanted) / code.scale) + random.normal(
                         0, READ, wanted.shape[1:]
                     )
@@ -64,7 +66,7 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
 
 
 def train(folders, path):
-    """Write the table trained on all .png photographs of some folders; half of each folder's come with seed 1, 2."""
+    """Write the table trained on all .png files of some folders, half of each with seed 1, half with 2."""
     pictures = [sorted(Path(folder).glob("[!.]*.png")) for folder in folders]
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     for half in (0, 1):
@@ -85,7 +87,7 @@ def _rgb(file):
 
 
 def provenance(names) -> str:
-    """What a table of these photographs is made from, as JSON."""
+    """Return the provenance of a table of these photographs, as JSON."""
     return json.dumps(
         {
             "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",
@@ -107,7 +109,7 @@ def table(found: NormalEquations, text: str) -> FilterTable:
     return found.solve(preserve=True, exchanges=(("R", "B"),), provenance=text)
 
 
-def counted(sigma):
+def electron_code(sigma):
     """The code of electrons, as many at white as make the noise `sigma` of it."""
     offset = Code("root", 0.0, 1.0, (1.0, READ)).offset
     white = (0.5 / sigma + np.sqrt(offset)) ** 2 - offset

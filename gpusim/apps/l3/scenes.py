@@ -1,4 +1,4 @@
-"""Scenes that filters are trained on: measured reflectances in shapes of every size, light and shade."""
+"""Training scenes of filters: measured reflectances in shapes of every size, light and shade."""
 
 from dataclasses import replace
 
@@ -17,12 +17,13 @@ SIZE = 96  # [pixel]
 
 
 def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE) -> list[Scene]:
-    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`; they depend on `seed` alone.
+    """Return `count` scenes of size x size pixels, white at 100 cd m-2 in `light`.
 
-    Each has three parts, one over the other. Leaves: overlapping discs of the measured reflectances (dead leaves, the
-    statistics of natural scenes at every scale). Strokes: thin straight lines of other surfaces, a third of the scene
-    having dark ones on grey, as print has. Patches: grey and coloured ramps, and gratings up to the finest that the
-    pixels resolve. Over all of it lie shade, smooth over a factor of 8, and texture at the scale of pixels.
+    They depend only on `seed`. Each has three layers. Leaves: overlapping discs of the measured reflectances
+    (dead leaves, the statistics of natural scenes at every scale). Strokes: thin straight lines of
+    other surfaces, a third of the scene having dark ones on grey, as print has. Patches: grey and
+    coloured ramps, and gratings up to the finest that the pixels resolve. Over all of it lie shade,
+    smooth over a factor of 8, and texture at the scale of pixels.
     Raises OutOfRange.
     """
     if count < 1 or size < 32:
@@ -86,7 +87,7 @@ def _strokes(ids, shading, random, grey):
 
 
 def _patches(ids, shading, random, grey):
-    """Squares of a sixth of the scene: ramps, flat fields, gratings and slanted edges; half of them grey."""
+    """Return squares of a sixth of the scene: ramps, flat fields, gratings, edges; half of them grey."""
     n = len(ids)
     side = n // 6
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
@@ -109,14 +110,15 @@ def _patches(ids, shading, random, grey):
 
 
 def _shade(shape, random):
-    """Light that falls unevenly, times a texture; both depend on places alone."""
+    """Return uneven light times a texture; both depend only on the place."""
     from scipy.ndimage import gaussian_filter
 
     def field(sigma):
         values = gaussian_filter(random.standard_normal(shape), sigma, mode="wrap")
         return values / values.std()
 
-    # in patches, most of it faint: filters take what all scenes have for detail, and leave such noise as it is
+    # in patches, most of it faint: filters treat a feature of all scenes as detail, and would keep
+    # such noise
     texture = (
         0.15
         * random.random() ** 3

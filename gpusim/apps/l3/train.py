@@ -33,17 +33,16 @@ GENERATED = 30  # scenes
 STEPS = 8  # strengths of light for every scene
 WINDOW = 192  # [pixel] of larger scenes, at another place for each strength
 SMALLEST = 32  # [pixel] scene along a side
-TIME = 0.01  # [s] of cameras that expose automatically; it matters for dark current alone
-DARKEST = (
-    10.0  # white over the noise of a dark pixel where light is weakest; and electrons at least
-)
-# Code levels, relative to white, above which channels saturate one after the other; below them filters change slowly.
+TIME = 0.01  # [s] of cameras that expose automatically; it matters only for dark current
+DARKEST = 10.0  # white over the noise of a dark pixel in the weakest light; and least electrons
+# Code levels, relative to white, above which channels saturate one after the other; below them
+# filters change slowly.
 BRIGHT_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 LEVEL_STEP = 3.2  # between dark levels
 RIDGE = 3e-5
-# Mean contrast between the strengths, relative to white: of clean pictures, and as multiples of the code's noise for
-# Hamilton & Adams' colour differences, weights of norm sqrt(3/4). Flat fields have 0.7 of it: the first are narrow, so
-# that what is flat is told from faint texture.
+# Mean contrast between the strengths, relative to white: of clean pictures, and as multiples of the
+# code's noise for Hamilton & Adams' colour differences, weights of norm sqrt(3/4). Flat fields have
+# 0.7 of it: the first classes are narrow, to distinguish flat areas from faint texture.
 CLEAN = np.array((0.3, 0.91, 2.33, 5.16, 10.8, 22.1)) / 255
 NOISY = np.array((0.8, 0.95, 1.23, 1.6, 2.5, 4.5))
 
@@ -60,21 +59,31 @@ def train(
     device="auto",
     progress=iter,
 ) -> FilterTable:
-    """Learn filters for the camera's mosaic, noise and blur at once from simulated frames.
+    """Return filters for the camera's mosaic, noise and blur, learned from simulated frames.
 
-    scenes: more to train on, each in its own light. light: in which the camera sees the generated scenes, and for which
-        colours are right.
-    luminances: of white [cd m-2], a pair (lowest, highest) or a longer list, at the camera's exposure time; None: from
-        where white is as strong as `DARKEST` times the noise to where every channel saturates.
-    generated: how many scenes of `training_scenes` are made, from `seed`, which names the noise too.
-    outputs: "channels": red, green and blue of the camera (or its first three) as they would be without noise and
-        blur, and if it were colorimetric: the colour matrix of `processor.color` takes them to true XYZ. "xyz": that,
-        without a matrix. Filters work on square roots, whose mixtures are not the roots of mixtures: channels come out
-        nearer to the truth where filters overlap much.
-    progress: wraps the iteration over frames, as tqdm does.
-    The frames' XYZ are those of `wanted_colors`, for the processor's target light.
-    Raises BadData (singular training set, unknown light), OutOfRange, UnknownName.
-    Source: Farrell & Wandell, section 7 and Figure 13; Tian, Lansel, Farrell & Wandell 2014, Proc. SPIE 9023, 90230K.
+    Args:
+        camera: Camera that the filters are for.
+        scenes: Scenes to train on in addition to the generated ones, each in its own light.
+        light: Light on the generated scenes, for which colours are right.
+        luminances: Luminance of white [cd m-2], a pair (lowest, highest) or a longer list, at the
+            camera's exposure time. None: from white at `DARKEST` times the noise to saturation of
+            every channel.
+        generated: Number of scenes of `training_scenes`.
+        outputs: "channels": red, green and blue of the camera (or its first three) without noise and
+            blur, as if it were colorimetric: the colour matrix of `processor.color` takes them to true
+            XYZ. "xyz": XYZ without a matrix. Filters work on square roots, whose mixtures are not the
+            roots of mixtures: channels are more accurate if filters overlap much.
+        seed: Seed of the generated scenes and of the noise.
+        device: Name of the device, or a Device.
+        progress: Function around the iteration over frames, for example tqdm.
+
+    Raises:
+        BadData: If the training set is singular, or a light is unknown.
+        OutOfRange, UnknownName: If an argument is wrong.
+
+    Source:
+        Farrell & Wandell, section 7 and Figure 13; Tian, Lansel, Farrell & Wandell 2014, Proc. SPIE
+        9023, 90230K.
     """
     if outputs not in OUTPUTS:
         raise UnknownName("outputs", outputs, OUTPUTS)
@@ -131,10 +140,11 @@ def train(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pair:
-    """A simulated frame and what filters should make of it.
+    """A simulated frame and the ideal output of filters.
 
-    raw: (rows, cols) [DN]. wanted: (3, rows, cols), 1 = white level. white: what a perfect diffuser gives in the output
-    that sees it best (XYZ: the Y of white is that of the best channel), 1 = white level.
+    raw: (rows, cols) [DN]. wanted: (3, rows, cols), 1 = white level. white: level of a perfect
+    diffuser in the most sensitive output (XYZ: the Y of white is the level of the best channel), 1
+    = white level.
     """
 
     raw: np.ndarray
@@ -145,10 +155,11 @@ class Pair:
 def simulated_pairs(
     camera: Camera, scenes, strengths, letters, matrix, *, seed: int = 0, device="auto"
 ) -> Iterator[Pair]:
-    """Every scene at every strength of light, each with noise of its own.
+    """Yield every scene at every strength of light, each with independent noise.
 
-    camera: see `training_camera`. strengths: (scenes, steps), of the light, as electrons that white gives the channel
-    that sees it best over those of saturation. letters, matrix: outputs, and what makes them of XYZ.
+    camera: see `training_camera`. strengths: (scenes, steps), strength of the light: electrons of
+    white in the most sensitive channel over the electrons of saturation. letters, matrix: outputs,
+    and their matrix from XYZ.
     """
     sensor = camera.sensor
     simulator = Simulator(camera, device=device)
@@ -180,14 +191,15 @@ def simulated_pairs(
 
 
 def wanted_colors(scene: Scene, target: str = "D65") -> np.ndarray:
-    """CIE XYZ of every pixel of a scene as if lit by `target`, white Y = 1; shape (3, rows, cols).
+    """Return CIE XYZ of every pixel of a scene lit by `target`, white Y = 1; shape (3, rows, cols).
 
-    A pixel is the mean over its square of the scene as it is in front of the lens: filters sharpen as far as noise
-    allows. Raises BadData where the scene's reflectances are not known apart from its light.
+    A pixel is the mean over its square of the scene as it is in front of the lens: filters sharpen
+    as far as noise allows. Raises BadData if the scene's reflectances are not known separately from
+    its light.
     """
     if not scene.light_is_known:
         raise BadData(
-            f"{scene.name}: radiance in an unknown light, which cannot be lit anew; wanted reflectances and "
+            f"{scene.name}: radiance in an unknown light, which cannot be replaced; wanted reflectances and "
             "their light, as charts and photographs have them"
         )
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
@@ -195,10 +207,10 @@ def wanted_colors(scene: Scene, target: str = "D65") -> np.ndarray:
 
 
 def training_camera(camera: Camera) -> Camera:
-    """The camera as filters see it: on the axis, all pixels sound, their grid about the middle.
+    """Return the camera as filters see it: on the axis, without defects, the grid centred.
 
-    Distortion and fall-off are no local matter, and other stages correct them and defects. Raises OutOfRange for what
-    has no mosaic of three channels, and for binned sensors.
+    Distortion and fall-off are not local, and other stages correct them and defects. Raises
+    OutOfRange for a camera without a mosaic of three channels, and for binned sensors.
     """
     optics, sensor = camera.optics, camera.sensor
     if sensor.stacked or len(sensor.channels) < 3:
@@ -227,7 +239,7 @@ def training_camera(camera: Camera) -> Camera:
 
 
 def frame_code(camera: Camera) -> Code:
-    """How the camera's digital numbers are coded for its filters, as when they are used."""
+    """Return the code of the camera's digital numbers for its filters, as in use."""
     sensor = camera.sensor
     noise = Developer(camera, open_device("numpy")).noise
     return Code(
@@ -239,10 +251,10 @@ def frame_code(camera: Camera) -> Code:
 
 
 def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], np.ndarray]:
-    """Letters of three of the camera's channels, and the matrix (3, 3) from XYZ in the target light to them.
+    """Return letters of three channels, and the matrix (3, 3) from XYZ in the target light to them.
 
-    Red, green and blue if there are, else the first three. The matrix is the inverse of that which takes them to XYZ
-    as `processor.color` says, so that it gives white 1 in the channel that sees it best.
+    Red, green and blue if there are, else the first three. The matrix is the inverse of the matrix
+    from them to XYZ as `processor.color` says, so white is 1 in the most sensitive channel.
     """
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
@@ -259,10 +271,10 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
 
 
 def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
-    """What the filters see, for a mosaic, and the levels of light between which they change.
+    """Return the layout of a mosaic's filters, with their levels of light.
 
-    lowest: white over saturation where light is weakest. Larger periods have filters for more positions, and fewer
-    samples for each: fewer taps and classes then.
+    lowest: white over saturation in the weakest light. Larger periods have filters for more
+    positions, and fewer samples for each: fewer taps and classes then.
     """
     positions = len(mosaic) * len(mosaic[0])
     dark = 0.03 * lowest
@@ -313,7 +325,7 @@ def _strengths(camera, light, luminances, scenes, seed):
         lowest, highest = each.min(), each.max()
         if len(each) != 2:
             return lowest, highest, np.tile(each, (scenes, 1))
-    # Anywhere in each of the steps, so that all scenes together meet every level.
+    # Anywhere in each step: all scenes together meet every level.
     places = (np.arange(STEPS) + np.random.default_rng((seed, 2)).random((scenes, STEPS))) / STEPS
     return lowest, highest, lowest * (highest / lowest) ** places
 

@@ -1,1 +1,1 @@
-"""Data sets for machine learning: noisy frames of photographs with the light that they are of; `gpusim pairs`."""
+"""Data sets for machine learning: noisy and clean frames of photographs; `gpusim pairs`."""

@@ -1,4 +1,4 @@
-"""Noisy frames of photographs, and the light that they are of."""
+"""Noisy frames of photographs, and the same frames without noise."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -17,15 +17,24 @@ from gpusim.io.frame.images import png_bytes
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
-READ = 2  # photographs that are opened before they are needed
+READ = 2  # photographs that are opened ahead
 
 
 class Pairs:
-    """Pairs of photographs before a camera, `each` of every photograph.
+    """Noisy and clean frames of photographs.
 
-    opened: the scene of a path and of what was drawn for it ("light", "luminance"). Each pair is made of its own
-    photograph, numbers and noise alone: which others are made by the same run does not matter. plan: of all pairs, see
-    `Simulator`; without it each has its own, whose name is told.
+    Each pair depends only on its photograph, its number and the seed, whichever others the run
+    makes.
+
+    Args:
+        simulator: Camera and device.
+        photographs: Files of the photographs.
+        opened: Function from a path and the drawn values to a scene.
+        variety: Settings that are drawn for each pair.
+        each: Pairs per photograph.
+        seed: Seed of the noise and of the variety.
+        pictures: Whether pairs have display codes.
+        plan: Plan of all pairs, see `Simulator`. None: each pair has its own.
     """
 
     def __init__(
@@ -51,18 +60,21 @@ class Pairs:
     def __len__(self):
         return self._each * len(self._photographs)
 
-    def made(self, numbers: range) -> Iterator[tuple[str, dict[str, bytes]]]:
-        """Key and files of pairs, by suffix: see `gpusim pairs --help`. Raises what `Simulator.frames` does."""
+    def files(self, numbers: range) -> Iterator[tuple[str, dict[str, bytes]]]:
+        """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
+
+        Raises as `Simulator.frames` does.
+        """
         with closing(ahead(map(self._read, numbers), READ)) as arriving:
             for number, scene, values in arriving:
                 yield f"{number:08d}", self._files(number, scene, values)
 
     def _read(self, number):
-        values = self._variety.drawn(self._seed, number)
+        values = self._variety.draw(self._seed, number)
         return number, self._opened(self._photographs[number // self._each], values), values
 
     def pair(self, number: int) -> dict:
-        """Raw values, the light that they are of, codes if there are pictures, and what is told of them."""
+        """Return raw values, clean values, codes (with pictures), and a record of the settings."""
         return self._pair(*self._read(number))
 
     def _files(self, number, scene, values):
@@ -70,7 +82,7 @@ class Pairs:
         files = {"raw.npy": npy(pair["raw"]), "clean.npy": npy(pair["clean"])}
         if "rgb" in pair:
             files["rgb.png"] = png_bytes(pair["rgb"], self._simulator.camera.display)
-        return files | {"json": (json.dumps(pair["told"], sort_keys=True) + "\n").encode()}
+        return files | {"json": (json.dumps(pair["record"], sort_keys=True) + "\n").encode()}
 
     def _pair(self, number, scene, values):
         simulator = self._simulator
@@ -85,7 +97,7 @@ class Pairs:
             pair["rgb"] = np.array(
                 simulator.device.numpy(program.codes(seed=self._seed, frame=number))
             )
-        told = {
+        record = {
             "photograph": self._photographs[number // self._each].name,
             "camera": simulator.camera.name,
             "seed": self._seed,
@@ -102,12 +114,15 @@ class Pairs:
             "predicted_rms": account.total.rms,
         }
         if simulator.tolerance is not None:
-            told["verdict"] = account.verdict(simulator.tolerance).as_dict()
-        return pair | {"told": told}
+            record["verdict"] = account.verdict(simulator.tolerance).as_dict()
+        return pair | {"record": record}
 
 
 def gain_of(camera: Camera, speed: float | None) -> float:
-    """Analog gain beside the sensor's for a speed, 1 for None. Raises OutOfRange below the base speed."""
+    """Return the analog gain, in addition to the sensor's, for an ISO speed; 1 for None.
+
+    Raises OutOfRange.
+    """
     return (
         1.0 if speed is None else gain_for_speed(camera.sensor, speed) / camera.sensor.analog_gain
     )

@@ -1,6 +1,7 @@
-"""Samples in tar files as WebDataset reads them: the files of a sample follow one another, and have its key.
+"""Samples in tar files for WebDataset: the files of a sample are adjacent and start with its key.
 
-A file is complete or not there, and the same bytes whoever makes it: it holds no time and no owner.
+A file is complete or does not exist. It holds no time and no owner, so every run writes the same
+bytes.
 """
 
 import io
@@ -27,7 +28,7 @@ def write_shard(path: Path, samples: Iterable[tuple[str, dict[str, bytes]]]):
 
 
 def npy(array) -> bytes:
-    """An array as a .npy file."""
+    """Return an array as the bytes of a .npy file."""
     file = io.BytesIO()
     np.save(file, np.ascontiguousarray(array), allow_pickle=False)
     return file.getvalue()

@@ -1,6 +1,7 @@
-"""Live preview: move a slider, see the camera change; `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
+"""Live preview with sliders: `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
 
-The package is itself the function: whoever imports one of its modules has the package at `gpusim.apps.preview`.
+The package is callable, because an import of one of its modules sets `gpusim.apps.preview` to the
+package.
 """
 
 import sys
@@ -12,12 +13,19 @@ class _Function(ModuleType):
     """A package that can be called."""
 
     def __call__(self, scene, camera, *, device="auto", tolerance: str | None = "1e-3"):
-        """A widget for Jupyter: sliders, and a picture of the scene that follows them.
+        """Return a widget for Jupyter: sliders, and a picture of the scene that follows them.
 
-        scene: a Scene, or what `open_scene` takes. camera: a built-in one's name, a camera file, or a Camera. device: a
-        name for `open_device`, or a Device. tolerance: of `gpusim.apps.preview.controls.TOLERANCES`; None is "exact".
-        Returns a `gpusim.apps.preview.notebook.Preview`. Raises GpusimError: without ipywidgets and simplejpeg,
-        for a scene, a camera, a device or a tolerance that there is not.
+        Args:
+            scene: A Scene, or the name of a chart or file.
+            camera: A Camera, the name of a built-in camera, or a camera file.
+            device: Name of the device, or a Device.
+            tolerance: One of `gpusim.apps.preview.controls.TOLERANCES`. None: "exact".
+
+        Returns:
+            A `gpusim.apps.preview.notebook.Preview`.
+
+        Raises:
+            GpusimError: If ipywidgets or simplejpeg is not installed, or an argument is unknown.
         """
         from gpusim.domain.errors import Missing
 
@@ -28,9 +36,9 @@ class _Function(ModuleType):
             raise Missing(
                 f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'"
             ) from None
-        from gpusim.apps.preview.notebook import opened
+        from gpusim.apps.preview.notebook import open_widget
 
-        return opened(scene, camera, device, tolerance)
+        return open_widget(scene, camera, device, tolerance)
 
 
 sys.modules[__name__].__class__ = _Function

@@ -1,4 +1,4 @@
-"""What the preview's page lets one change: keys of a camera file, with their ranges and in their groups."""
+"""Controls of the preview's page: keys of a camera file, with their ranges and groups."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -38,10 +38,17 @@ VIEWS = ("rendered", "raw", "electrons", "noise")
 class Control:
     """One key of a camera file.
 
-    section, key: of the file; item: of its list, or None. label, unit: for the page. low, high: of a slider, whose
-    places are even in the logarithm where `is_log`. choices: in place of a slider. off: what stands for "not there",
-    which a switch beside the slider sets. default: where neither file nor class has one. named: choice -> what the file
-    has for it; None, the first one's: what it had.
+    Attributes:
+        section: Section of the file.
+        key: Key of the section.
+        item: Index in the key's list, or None.
+        label, unit: Texts of the page.
+        low, high: Ends of the slider.
+        is_log: Whether the slider is even in the logarithm.
+        choices: Choices in place of a slider.
+        off: Value for "none", which a switch next to the slider sets.
+        default: Value if neither the file nor the class has one.
+        named: Choice -> value in the file. None, of the first choice: the file's own value.
     """
 
     section: str
@@ -60,13 +67,14 @@ class Control:
 
     @property
     def name(self) -> str:
-        """Of the control, for links and tests."""
+        """Name of the control, for links and tests."""
         return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
 
     def check(self, value):
-        """Raise BadData, OutOfRange for what neither a slider nor a number typed beside it sets.
+        """Raise BadData or OutOfRange for a value that the control cannot set.
 
-        Numbers may lie beyond a slider's ends, but not far: pictures of what is far beyond take minutes.
+        A typed number may lie a little beyond the slider's ends. Far beyond, a picture would take
+        minutes.
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
@@ -96,7 +104,8 @@ def _noise(key, label, high, unit, low):
     return Control("noise", key, label, low, high, unit, is_log=True, off=0.0, default=0.0)
 
 
-# Places in Noll's order of aberrations that are the same all over the field; those that vary take seconds to plan
+# Places in Noll's order of aberrations that are the same all over the field; those that vary take
+# seconds to plan
 ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
 GROUPS: dict[str, tuple[Control, ...]] = {
     "Exposure": (

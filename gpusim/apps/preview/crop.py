@@ -1,4 +1,4 @@
-"""Which part of the frame the page shows, enlarged by whole numbers: without loss."""
+"""Part of the frame that the page shows, enlarged by a whole number, without loss."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,10 @@ ENLARGED = (1, 2, 4, 8, 16)  # pixels of the screen along one of the frame
 
 @dataclass(frozen=True)
 class Crop:
-    """A part of a frame. top, left, rows, cols: [pixel]. times: pixels of the screen along one of them."""
+    """Part of a frame.
+
+    top, left, rows, cols: [pixel]. times: screen pixels per pixel along each axis.
+    """
 
     top: int
     left: int
@@ -17,11 +20,11 @@ class Crop:
 
     @property
     def part(self) -> tuple[slice, slice]:
-        """Rows and columns of it."""
+        """Slices of its rows and columns."""
         return slice(self.top, self.top + self.rows), slice(self.left, self.left + self.cols)
 
-    def moved(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
-        """The same, so many pixels farther, inside a frame of this shape."""
+    def move(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
+        """Return the crop moved by some pixels, inside a frame of this shape."""
         top, left = (
             min(max(place, 0), n - own)
             for place, n, own in zip(
@@ -31,12 +34,13 @@ class Crop:
         return replace(self, top=top, left=left)
 
 
-def enlarged(
+def enlarge(
     crop: Crop | None, step: int, at: tuple[int, int], shape: tuple[int, int], width: int
 ) -> Crop | None:
-    """The next larger (step 1) or smaller (-1) picture around a pixel; None: all of the frame.
+    """Return the next larger (step 1) or smaller (-1) crop around a pixel; None: the whole frame.
 
-    at: row and column that stay where they are. shape: of the frame. width: of the picture on the screen [pixel].
+    at: row and column that stay in place. shape: of the frame. width: of the picture on the screen
+    [pixel].
     """
     rows, cols = shape
     known = [times for times in ENLARGED if times * cols > width]
@@ -49,4 +53,4 @@ def enlarged(
     own = crop or Crop(0, 0, rows, cols, 0)
     share = ((at[0] - own.top) / own.rows, (at[1] - own.left) / own.cols)
     corner = Crop(0, 0, high, wide, times)
-    return corner.moved(round(at[0] - share[0] * high), round(at[1] - share[1] * wide), shape)
+    return corner.move(round(at[0] - share[0] * high), round(at[1] - share[1] * wide), shape)

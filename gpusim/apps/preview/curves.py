@@ -1,10 +1,10 @@
-"""Curves beside the picture, as SVG: what `gpusim.apps.preview.measures` tells."""
+"""Curves next to the picture, as SVG, of the values of `gpusim.apps.preview.measures`."""
 
 COLOURS = {"R": "#e05050", "G": "#40b050", "B": "#5070e0"}
 
 
 def histogram(found: dict) -> str:
-    """Counts of the electrons of each channel, from 0 to full well, as a picture for the page."""
+    """Return a picture of the histogram of electrons by channel, from 0 to full well."""
     counts = {letter: [count**0.5 for count in bins] for letter, bins in found["counts"].items()}
     most = max((max(bins) for bins in counts.values()), default=0.0) or 1.0
     lines = []
@@ -28,7 +28,7 @@ def histogram(found: dict) -> str:
 
 
 def response(found: dict) -> str:
-    """The frequency response of an edge, from 0 to 1 cycle/pixel, as a picture for the page."""
+    """Return a picture of the frequency response of an edge, from 0 to 1 cycle/pixel."""
     most = max(1.0, *found["response"])
     points = " ".join(
         f"{400 * f:.1f},{80 - 76 * r / most:.1f}"

@@ -1,4 +1,4 @@
-"""Who may talk to the preview: pages of its own address alone."""
+"""Access to the preview: only pages of its own address."""
 
 from urllib.parse import urlsplit
 
@@ -6,17 +6,18 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class Guard:
-    """Refuses pages of other origins, websockets too, and other host names: names that were bound to this address.
+    """Refuses pages and websockets of other origins, and other host names of this address.
 
-    inner: the application. hosts: names by which it may be called, whatever the port, which may be another machine's
-    that is forwarded.
+    Args:
+        inner: The application.
+        hosts: Allowed host names; any port, because it may be forwarded from another machine.
     """
 
     def __init__(self, inner, hosts=LOOPBACK):
         self._inner, self._hosts = inner, {*hosts}
 
     async def __call__(self, scope, receive, send):
-        """As an ASGI application."""
+        """Handle a request, as an ASGI application."""
         if scope["type"] in ("http", "websocket") and not self._is_own(scope):
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})

@@ -1,10 +1,10 @@
-"""What is known of a picture, in lines: for the page and for notebooks."""
+"""Lines of text about a picture, for the page and for notebooks."""
 
 from gpusim.domain.account import SHOWN
 
 
 def of_exposure(facts: dict) -> str:
-    """Exposure, gain and predicted error of a Picture's facts, in a line."""
+    """Return a line with exposure, gain and predicted error of a Picture's facts."""
     verdict = "" if facts["verdict"] is None else f" ({SHOWN[facts['verdict']]})"
     return f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  " + (
         "draft: its error is not predicted"
@@ -15,5 +15,5 @@ def of_exposure(facts: dict) -> str:
 
 
 def of_plan(facts: dict) -> str:
-    """What was left out, in a line."""
+    """Return a line with the effects that the plan leaves out."""
     return f"left out: {'; '.join(facts['left out']) or 'nothing'}"

@@ -1,4 +1,4 @@
-"""What the page tells of a picture beside it: light, edges, colours, and how far the electrons are from the truth."""
+"""Measurements next to a picture on the page: light, edges, and the error of the electrons."""
 
 from math import log10
 
@@ -17,10 +17,11 @@ SPAN = 4.0  # root mean squares of the error from grey to full colour
 
 
 def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
-    """Histogram of mean electrons, and what a pixel has.
+    """Return the histogram of mean electrons, and the electrons of one pixel.
 
-    mean: (rows, cols), or of stacked pixels (C, rows, cols) [e-]. at: row and column, or None.
-    Returns counts of some of the pixels, in BINS from 0 to `full well`, of each channel's letter.
+    mean: (rows, cols), or of stacked pixels (C, rows, cols) [e-]. at: row and column, or None. The
+    histogram counts some of the pixels, in BINS from 0 to `full well`, by the letters of the
+    channels.
     """
     sensor = program.exposure.camera.sensor
     full = float(sensor.saturation)
@@ -50,10 +51,11 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
 
 
 def edge(linear, part: tuple[slice, slice]) -> dict:
-    """Spatial frequency response of a part of a picture, or why it has none.
+    """Return the spatial frequency response of a part of a picture, or the reason why it has none.
 
-    linear: display RGB (rows, cols, 3). Returns lists of frequencies [cycle/pixel] and responses up to 1 cycle/pixel,
-    `mtf50` [cycle/pixel] and the edge's angle [degree]; or `why` alone.
+    linear: display RGB (rows, cols, 3). The result has lists of frequencies [cycle/pixel] and
+    responses up to 1 cycle/pixel, `mtf50` [cycle/pixel] and the edge's angle [degree]; or only
+    `why`.
     """
     values = np.asarray(linear, np.float64)[part] @ LUMINANCE
     try:
@@ -71,7 +73,7 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
 
 
 def error_map(mean, truth) -> np.ndarray:
-    """Codes (rows, cols, 3) of electrons less their truth: grey is none, red is too much, SPAN rms is full colour."""
+    """Return codes (rows, cols, 3) of an error: grey 0, red too many electrons, full colour at SPAN."""
     wrong = np.asarray(mean, np.float64) - truth
     wrong = wrong if wrong.ndim == 2 else wrong.mean(axis=0)
     part = np.clip(wrong / max(SPAN * np.sqrt(np.mean(wrong**2)), 1e-300), -1, 1)
@@ -83,7 +85,7 @@ def error_map(mean, truth) -> np.ndarray:
 
 
 def _some(sensor: Sensor, values):
-    """Channels' letters, and values of some of their pixels."""
+    """Return the channels' letters, and values of some of their pixels."""
     if values.ndim == 3:
         step = max(1, values[0].size // SOME)
         return zip(sensor.channels, values.reshape(len(values), -1)[:, ::step], strict=True)
@@ -105,5 +107,5 @@ def _some(sensor: Sensor, values):
 
 
 def on_host(device: Device, array) -> np.ndarray:
-    """A copy of an array of the device."""
+    """Return a host copy of an array of the device."""
     return np.array(device.numpy(array))

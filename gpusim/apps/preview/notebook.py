@@ -1,4 +1,4 @@
-"""The preview in Jupyter: the page's controls and its picture, as a widget."""
+"""The preview in Jupyter: controls and picture as a widget."""
 
 import asyncio
 import atexit
@@ -53,8 +53,8 @@ COUNTED_EACH = 0.5  # [s] between histograms, while a slider is moved
 LUMINANCE = Control("scene", "luminance", "white", 0.1, 1e5, "cd/m2", is_log=True)
 
 
-def opened(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
-    """What `gs.preview` gives."""
+def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
+    """Return the widget of `gs.preview`."""
     tolerance = "exact" if tolerance is None else str(tolerance)
     if tolerance not in TOLERANCES:
         raise UnknownName("tolerance of a preview", tolerance, TOLERANCES)
@@ -68,17 +68,18 @@ def opened(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Pre
     else:
         state = State(str(camera), tolerance=tolerance, is_live=False)
         table = camera_table(state.camera)[1]
-        state.built()  # what is wrong is said here
+        state.build()  # raises errors here
     device = open_device(device) if isinstance(device, str) else device
     return Preview(Producer(Still(scene, 1), device), state, table)
 
 
 class Preview(HBox):
-    """A picture, and the controls that change it.
+    """A picture, and the controls that change it. `close` ends it.
 
-    controls: name -> field, of all of `CONTROLS` and of "view", "tolerance", "light", "luminance", "seed" and "frame":
-    a Number, or a widget with a `value`. image: an ipywidgets.Image; a JPEG while a control is moved, then a PNG.
-    `close` ends it.
+    Attributes:
+        controls: Name -> field, of all of `CONTROLS` and of "view", "tolerance", "light",
+            "luminance", "seed" and "frame": a Number, or a widget with a `value`.
+        image: An ipywidgets.Image: a JPEG while a control moves, then a PNG.
     """
 
     def __init__(self, producer: Producer, state: State, table: dict):
@@ -102,20 +103,23 @@ class Preview(HBox):
 
     @property
     def camera(self) -> Camera:
-        """The camera with these settings. Raises GpusimError where it cannot be."""
-        return self.state.built()
+        """The camera with these settings. Raises GpusimError if there is none."""
+        return self.state.build()
 
     def frame(self) -> Frame:
-        """The frame that a Simulator of `camera` makes, with this seed and number. Raises GpusimError."""
+        """Return the frame of a Simulator of `camera`, with this seed and number.
+
+        Raises GpusimError.
+        """
         return DEVICE.submit(self._producer.frame, self.state, self.state.frame).result()
 
     @property
     def is_settled(self) -> bool:
-        """Whether what is shown, or said, is of the present settings, and final."""
+        """Whether the picture or message belongs to the present settings, and is final."""
         return self._answered == self._asked
 
     def close(self):
-        """Make no more pictures."""
+        """Stop making pictures."""
         self._serving.cancel()
         super().close()
 
@@ -138,7 +142,7 @@ class Preview(HBox):
 
     def _right(self):
         groups = [
-            VBox([self._made(control) for control in controls]) for controls in GROUPS.values()
+            VBox([self._make(control) for control in controls]) for controls in GROUPS.values()
         ]
         light = self._choice("light", "light", (OWN, *LIGHTS))
         luminance = self.controls["luminance"] = Number(
@@ -153,7 +157,7 @@ class Preview(HBox):
             layout=Layout(flex="0 1 420px"),
         )
 
-    def _made(self, control):
+    def _make(self, control):
         if control.choices:
             return self._choice(control.name, control.label, control.choices)
         number = Number(control, control.off is not None, partial(self._turn, control.name))
@@ -176,7 +180,7 @@ class Preview(HBox):
         field.observe(lambda change: self._turn(name, change.new), "value")
         return field
 
-    # what a control does
+    # actions of the controls
 
     def _turn(self, name, value, is_slid=False):
         if self._setting:
@@ -221,10 +225,10 @@ class Preview(HBox):
         finally:
             self._setting = False
 
-    # what is shown, in the thread of the session
+    # output, in the thread of the session
 
     async def _show(self, version, kind, data):
-        """Show an answer to a version of the settings: a picture's bytes, or why there is none."""
+        """Show the picture of a version of the settings, or the error."""
         session = self._session
         self._error.value = (
             f'<span style="color:#d33">{escape(session.error)}</span>' if session.error else ""
@@ -249,7 +253,7 @@ class Preview(HBox):
 
     async def _count(self):
         try:
-            found = await self._session.computed(
+            found = await self._session.compute(
                 self._producer.statistics, self._session.state, self._session.shown.number
             )
         except Exception:
@@ -259,10 +263,11 @@ class Preview(HBox):
 
 
 class Number(HBox):
-    """A slider and a field for a number beside it, which takes also those beyond the slider's ends.
+    """A slider and a number field, which also takes values beyond the slider's ends.
 
-    is_switched: whether a switch sets the control to its `off`. turned: called with a new value, and whether the slider
-    was moved. slider, number: the widgets; switch: or None.
+    is_switched: whether a switch sets the control to its `off`. turned: function that is called
+    with a new value, and whether the slider was moved. slider, number, switch: the widgets; switch
+    may be None.
     """
 
     def __init__(self, control: Control, is_switched: bool, turned):
@@ -301,11 +306,11 @@ class Number(HBox):
         )
 
     def show(self, value):
-        """Put a value into it; one that is no number, or off, has it greyed out."""
+        """Show a value. A control that is off, or has no number, is greyed out."""
         control = self._control
         there = isinstance(value, int | float) and value != control.off
         if there:
-            # not the slider that is moved: what is sent to it would come after it has been moved further
+            # not the moving slider: the value would arrive after it has moved on
             if f"{value:.4g}" != f"{self.slider.value:.4g}":
                 self.slider.value = min(max(value, control.low), control.high)
             self.number.value = value
@@ -315,14 +320,17 @@ class Number(HBox):
 
 
 class _Session(Session):
-    """A session that shows what it has made. show: coroutine of version, kind and bytes, or None where `error` is."""
+    """A session that shows its pictures.
+
+    show: coroutine of version, kind and bytes (None if there is an `error`).
+    """
 
     def __init__(self, producer, state, show):
         super().__init__(producer, state)
         self._show = show
 
     async def run(self):
-        """Make pictures as they are wanted."""
+        """Make pictures on request."""
         painted: asyncio.Queue = asyncio.Queue()
 
         async def send(_):
@@ -330,15 +338,15 @@ class _Session(Session):
 
         await self.serve(send, painted.get)
 
-    async def _made(self, version, settles):
-        data = await super()._made(version, settles)
+    async def _make(self, version, settles):
+        data = await super()._make(version, settles)
         await self._show(version, PNG if settles else JPEG, data)
         return data
 
 
 @cache
 def _loop():
-    """That of the sessions of all widgets: a kernel's own stands still while a cell runs."""
+    """Return the event loop of all widgets. The loop of the kernel stops while a cell runs."""
     loop = asyncio.new_event_loop()
 
     def run():

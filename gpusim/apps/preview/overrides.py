@@ -1,4 +1,4 @@
-"""Settings of a camera that is an object, of no file."""
+"""Settings of a camera that is an object, not a file."""
 
 from dataclasses import dataclass, replace
 
@@ -11,18 +11,18 @@ from gpusim.domain.errors import BadData
 
 @dataclass(frozen=True)
 class Given(State):
-    """A State whose changes are made in the fields of `given`, all others of which stay as they are, bit for bit."""
+    """A State that overrides some fields of the camera `given` and leaves the rest unchanged."""
 
     given: Camera | None = None
 
     def table(self) -> dict:
-        """Raises BadData: there is no file."""
+        """Raise BadData: there is no file."""
         raise BadData(
             f"camera {self.camera!r} is an object without a file; wanted a camera's name or a camera file"
         )
 
-    def built(self) -> Camera:
-        """The camera. Raises GpusimError."""
+    def build(self) -> Camera:
+        """Return the camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
         table = self.changed({"optics": {"zernike_waves": _lists(camera.optics.wavefront.zernike)}})
@@ -41,7 +41,7 @@ class Given(State):
 
 
 def table_of(camera: Camera) -> dict:
-    """What a camera file would have for the controls, to 12 digits: to be shown, not to be built of."""
+    """Return the values of the controls as in a camera file, to 12 digits, for display only."""
     parts = {
         "optics": camera.optics,
         "sensor": camera.sensor,

@@ -1,6 +1,5 @@
-"""The preview's page: controls, the picture, and what is known of it."""
+"""The preview's page: controls, the picture and its data."""
 
-import secrets
 import tempfile
 import time
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any
 
 from nicegui import app, run, ui
 
+from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.controls import (
     CONTROLS,
     GROUPS,
@@ -21,22 +21,21 @@ from gpusim.apps.preview.controls import (
     VIEWS,
     Control,
 )
-from gpusim.apps.preview.crop import enlarged
 from gpusim.apps.preview.curves import histogram, response
 from gpusim.apps.preview.labels import of_exposure, of_plan
 from gpusim.apps.preview.measures import SPAN
 from gpusim.apps.preview.session import Session
+from gpusim.apps.preview.sessions import Sessions
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
-LEFT = 600.0  # [s] that a session without a page is kept
-MOST_SESSIONS = 16  # each holds its scene on the device
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
 QUIET = "text-sm text-neutral-300 font-mono"
 FORMATS = (".png", ".dng", ".exr", ".npz")
-# A control that glides to its new place has the page laid out and painted at every refresh of the screen
+# A control that glides to its new place has the page laid out and painted at every refresh of the
+# screen
 STYLE = """
 .q-slider *, .q-field, .q-field *, .q-checkbox *, .q-focus-helper {
     transition: none !important; animation: none !important;
@@ -44,74 +43,20 @@ STYLE = """
 """
 
 
-def mark(name: str) -> str:
-    """Properties of an element by which tests find it."""
-    return f'data-mark="{name}"'
-
-
-class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # where there is no NiceGUI
-    """The canvas. url: of its websocket. width, height: of the frames [pixel]."""
-
-    def __init__(self, url: str, width: int, height: int):
-        super().__init__()
-        self._props.update(url=url, width=width, height=height)
-
-
-class Sessions:
-    """Those of all clients by their tokens; what nobody has used for long goes. made: a Producer. first: State."""
-
-    def __init__(self, made, first: State):
-        self._made, self._first = made, first
-        self._known: dict[str, Session] = {}
-
-    def of(self, token: str, link: str = "") -> tuple[str, Session]:
-        """A client's, by its token, or a new one, with the settings of a link. Raises BadData."""
-        now = time.monotonic()
-        for name, session in list(self._known.items()):
-            if now - session.used > LEFT:
-                del self._known[name]
-        if token in self._known:
-            self._known[token].used = now
-            return token, self._known[token]
-        while len(self._known) >= MOST_SESSIONS:
-            del self._known[min(self._known, key=lambda name: self._known[name].used)]
-        state = State.of_link(link, self._first.camera) if link else self._first
-        token = secrets.token_urlsafe(16)
-        self._known[token] = Session(self._made(), state)
-        return token, self._known[token]
-
-    def known(self, token: str) -> Session | None:
-        """A client's, or None."""
-        return self._known.get(token)
-
-
 class Page:
-    """One client's page. title: of the scene; shape: rows and columns of its frames."""
+    """One client's page. title: title of the scene; shape: rows and columns of its frames."""
 
     def __init__(
         self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
     ):
-        self.session, self._token, self._title, self._shape, self._scene = (
-            session,
-            token,
-            title,
-            shape,
-            scene,
-        )
+        self.session, self._title, self._scene = session, title, scene
+        self._canvas = Canvas(session, token, shape)
         self._fields: dict[str, Any] = {}
         self._setting = False  # while the page follows the settings, and not they it
-        self._at: tuple[int, int] | None = None
         self._is_step = False  # whether the next change is one, whatever was before
         self._turned = ""  # the control that was moved last
-        self._refused = ""  # one beside which a reason stands
+        self._refused = ""  # the control with an error message
         self._table: dict = {}
-        self._width = shape[1]  # of the picture on the screen [pixel]
-        self._held: tuple | None = (
-            None  # where the button went down: row and column of the canvas, and the crop then
-        )
-        self._edge: tuple[slice, slice] | None = (
-            None  # the part of the picture whose edge is measured
-        )
 
     def build(self):
         """Make the page's elements."""
@@ -141,28 +86,7 @@ class Page:
         self._follow()
 
     def _build_picture(self):
-        rows, cols = self._shape
-        with ui.element("div").classes("relative w-full"):
-            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on(
-                "size", self._on_size
-            )
-            with ui.element("div").classes(
-                "absolute inset-0"
-            ):  # of its own: the image is placed relative to itself
-                self._fields["overlay"] = (
-                    ui.interactive_image(
-                        size=(cols, rows),
-                        events=["mousedown", "mousemove", "mouseup"],
-                        on_mouse=self._on_mouse,
-                    )
-                    .on(
-                        "wheel.prevent",
-                        lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1),
-                        ["deltaY"],
-                        throttle=0.1,
-                    )
-                    .props(mark("overlay"))
-                )
+        self._canvas.build()
         with ui.row().classes("w-full items-center gap-2"):
             self._fields["view"] = (
                 ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
@@ -175,10 +99,12 @@ class Page:
             ).props(mark("live"))
             self._button("undo", "undo (Ctrl+Z)", self._undo)
             self._button("redo", "redo (Ctrl+Y)", self._redo)
-            self._button("zoom_out", "smaller (-)", lambda: self._zoom(-1))
-            self._button("zoom_in", "larger, without loss (+); drag to move", lambda: self._zoom(1))
+            self._button("zoom_out", "smaller (-)", lambda: self._canvas.zoom(-1))
+            self._button(
+                "zoom_in", "larger, without loss (+); drag to move", lambda: self._canvas.zoom(1)
+            )
             self._fields["measure"] = (
-                ui.switch("edge")
+                ui.switch("edge", on_change=lambda event: self._measure(event.value))
                 .props(mark("measure"))
                 .tooltip("drag over a slanted edge: its frequency response (ISO 12233)")
             )
@@ -358,7 +284,7 @@ class Page:
                 ui.slider(
                     min=0,
                     max=PLACES,
-                    on_change=lambda event: self._slid(turned, to_value(event.value)),
+                    on_change=lambda event: self._slide(turned, to_value(event.value)),
                 )
                 .classes("grow")
                 .props(f'aria-label="{label}"')
@@ -369,18 +295,18 @@ class Page:
                 .props("dense borderless")
                 .classes("w-28 shrink-0")
                 .props(mark(f"{name} number"))
-                .on("change", lambda: self._typed(turned, number.value))
+                .on("change", lambda: self._take_number(turned, number.value))
             )
         self._fields[name] = (slider, number, is_on, to_place, control)
 
-    # what a control does
+    # actions of the controls
 
-    def _slid(self, turned, value):
+    def _slide(self, turned, value):
         if not self._setting:
             turned(value)
 
-    def _typed(self, turned, value):
-        """A number was entered: a step of its own, also beside those of the slider."""
+    def _take_number(self, turned, value):
+        """Take a typed number, as a separate step of the history."""
         self._is_step = True
         if value is not None and isfinite(value):
             turned(float(value))
@@ -408,6 +334,9 @@ class Page:
 
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
+
+    def _measure(self, is_on):
+        self._canvas.measures = is_on
 
     def _step(self, step):
         self._set(is_live=False, frame=(self.session.number + step) % self.session.producer.frames)
@@ -445,95 +374,16 @@ class Page:
         elif event.key.name in "1234" and not event.modifiers.ctrl:
             self._set(view=VIEWS[int(event.key.name) - 1])
         elif event.key.name in ("+", "-"):
-            self._zoom(1 if event.key.name == "+" else -1)
+            self._canvas.zoom(1 if event.key.name == "+" else -1)
         elif event.key.name in (",", ".") and self._is_moving:
             self._step(1 if event.key.name == "." else -1)
-
-    def _on_mouse(self, event):
-        place = event.image_y, event.image_x
-        row, col = self._at = self._seen(*place)
-        if event.type == "mousedown":
-            self._held = *place, self.session.crop
-        if self._held is None or not (event.buttons or event.type == "mouseup"):
-            self._held = None
-            return
-        y, x, crop = self._held
-        if self._fields["measure"].value:
-            top, left = self._seen(y, x)
-            self._edge = tuple(
-                slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col))
-            )
-            self._draw_edge()
-        elif crop is not None:
-            down, right = (
-                (then - now) * own / n
-                for then, now, own, n in zip(
-                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
-                )
-            )
-            self._cut(crop.moved(round(down), round(right), self._shape))
-        if event.type == "mouseup":
-            self._held = None
-
-    def _seen(self, y, x):
-        """Row and column of the frame at a place of the canvas, whose size is said to be the frame's."""
-        crop = self.session.crop
-        top, left, rows, cols = (
-            (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-        )
-        return tuple(
-            min(max(start + int(place * own / n), 0), n - 1)
-            for start, place, own, n in zip(
-                (top, left), (y, x), (rows, cols), self._shape, strict=True
-            )
-        )
-
-    def _on_size(self, event):
-        self._width = int(event.args["width"])
-
-    def _zoom(self, step):
-        self._cut(
-            enlarged(
-                self.session.crop,
-                step,
-                self._at or tuple(n // 2 for n in self._shape),
-                self._shape,
-                self._width,
-            )
-        )
-
-    def _cut(self, crop):
-        if crop != self.session.crop:
-            self.session.crop = crop
-            self._fields["picture"].style(f"image-rendering: {'pixelated' if crop else 'auto'}")
-            self.session.touch()
-            self._draw_edge()
-
-    def _draw_edge(self):
-        """The rectangle of the measured edge on the canvas, whose size is said to be the frame's."""
-        crop, shown = self.session.crop, ""
-        if self._edge is not None:
-            top, left, rows, cols = (
-                (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
-            )
-            (y, high), (x, wide) = (
-                ((part.start - start) * n / own, (part.stop - part.start) * n / own)
-                for part, start, own, n in zip(
-                    self._edge, (top, left), (rows, cols), self._shape, strict=True
-                )
-            )
-            shown = (
-                f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
-                f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>'
-            )
-        self._fields["overlay"].content = shown
 
     async def _error_map(self):
         session = self.session
         ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
         try:
-            compared = await session.computed(session.producer.error, session.state, session.number)
-            codes, error = await run.io_bound(compared)
+            compare = await session.compute(session.producer.error, session.state, session.number)
+            codes, error = await run.io_bound(compare)
         except GpusimError as error:
             ui.notify(str(error), type="negative")
             return
@@ -546,10 +396,13 @@ class Page:
             )
             ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
 
-    # what the page shows
+    # output of the page
 
     def _follow(self, only=""):
-        """Put the settings into the controls. only: the one that was moved, where no other can have changed."""
+        """Put the settings into the controls.
+
+        only: the control that moved, if no other can have changed.
+        """
         state = self.session.state
         if only in ("split", "frame"):
             return
@@ -626,10 +479,14 @@ class Page:
         session = self.session
         if session.shown is None or session.error:
             return
-        part = self._edge if self._fields["measure"].value else None
+        part = self._canvas.edge if self._canvas.measures else None
         try:
-            found = await session.computed(
-                session.producer.statistics, session.state, session.shown.number, self._at, part
+            found = await session.compute(
+                session.producer.statistics,
+                session.state,
+                session.shown.number,
+                self._canvas.at,
+                part,
             )
         except Exception:
             return  # the picture says it, also of a device that fails
@@ -652,11 +509,11 @@ class Page:
         )
         self._fields["response"].content = response(edge) if "mtf50" in edge else ""
 
-    # what is saved
+    # saved files
 
     def _save_camera(self):
         try:
-            self.session.state.built()
+            self.session.state.build()
             ui.download.content(self.session.state.toml(), "camera.toml")
         except GpusimError as error:
             ui.notify(str(error), type="negative")
@@ -665,7 +522,9 @@ class Page:
         session = self.session
         number = session.shown.number if session.shown else session.state.frame
         try:
-            data = await session.computed(_saved, session.producer, session.state, number, suffix)
+            data = await session.compute(
+                _read_saved, session.producer, session.state, number, suffix
+            )
         except GpusimError as error:
             ui.notify(str(error), type="negative")
             return
@@ -675,27 +534,27 @@ class Page:
         state = self.session.state
         with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
             ui.label("The page with these settings:")
-            ui.code(f"/?state={_quoted(state.link())}").props(mark("link"))
-            ui.label("The same on the command line, with the camera saved beside it:")
+            ui.code(f"/?state={_quote(state.link())}").props(mark("link"))
+            ui.label("The same on the command line, with the camera saved next to it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
 
 
-def _saved(producer, state, number, suffix):
+def _read_saved(producer, state, number, suffix):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"frame{suffix}"
         producer.frame(state, number).save(path)
         return path.read_bytes()
 
 
-def _quoted(text):
+def _quote(text):
     from urllib.parse import quote
 
     return quote(text, safe="")
 
 
 def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:
-    """Put the page and its websocket into NiceGUI's application. made: gives a client's Producer."""
+    """Add the page and its websocket to NiceGUI's application. made: makes a client's Producer."""
     from fastapi import WebSocket, WebSocketDisconnect
 
     sessions = Sessions(made, first)
@@ -712,13 +571,13 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
 
     @app.websocket("/picture/{token}")
     async def picture(socket: WebSocket, token: str):
-        session = sessions.known(token)
+        session = sessions.find(token)
         if session is None:
             await socket.close(1008)
             return
         await socket.accept()
 
-        async def acknowledged():
+        async def wait_for_paint():
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect
@@ -727,7 +586,7 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
                 raise WebSocketDisconnect
 
         try:
-            await session.serve(socket.send_bytes, acknowledged)
+            await session.serve(socket.send_bytes, wait_for_paint)
         except (WebSocketDisconnect, RuntimeError):
             pass  # it has gone
 

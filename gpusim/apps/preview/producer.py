@@ -1,4 +1,7 @@
-"""Pictures of a scene by a client's camera: what a slider touches is computed anew, the rest is kept."""
+"""Pictures of a scene by a client's camera.
+
+A slider recomputes only the steps that depend on it.
+"""
 
 import time
 from collections.abc import Callable
@@ -27,7 +30,10 @@ NUMBERS = 2**32  # of frames of a scene that does not move
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is shown: codes, uint8 (rows, cols, 3). number: of the frame. ms: that it took. facts: for the page."""
+    """A picture: codes, uint8 (rows, cols, 3).
+
+    number: of the frame. ms: time it took. facts: data for the page.
+    """
 
     codes: np.ndarray
     number: int
@@ -36,9 +42,9 @@ class Picture:
 
 
 class Producer:
-    """A client's pictures of scenes. Used by one thread at a time, as all that share a device.
+    """A client's pictures of scenes. One thread at a time may use all producers of a device.
 
-    period: least time between frames of scenes that move [s], 0 where they do not.
+    period: least time between frames of moving scenes [s], 0 for still ones.
     """
 
     def __init__(self, scenes: Scenes, device: Device, period: float = 0.0):
@@ -54,11 +60,14 @@ class Producer:
         self._checker: tuple = (None, None)
 
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
-        """A frame of a state. drafts: see `Program.update`. Raises what the camera, the light and the simulation do."""
+        """Return a picture of a state. drafts: see `Program.update`.
+
+        Raises as camera, light and simulation do.
+        """
         begun = time.perf_counter()
-        program = self._updated(state, number, drafts)
+        program = self._update(state, number, drafts)
         show = {
-            "rendered": self._rendered,
+            "rendered": self._render,
             "raw": self._raw,
             "electrons": self._electrons,
             "noise": self._noise,
@@ -78,7 +87,7 @@ class Producer:
             "gain": exposure.gain,
         }
         if state.other is None:
-            self._other = None  # and what it has on the device
+            self._other = None  # frees its memory on the device
         else:
             self._other = self._other or Producer(self._scenes, self._device)
             codes = _beside(
@@ -87,35 +96,40 @@ class Producer:
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
     def frame(self, state: State, number: int) -> Frame:
-        """A frame to be saved: of a simulator of its own, as `gpusim simulate` makes it. Raises as `picture`."""
-        simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
+        """Return a frame to save, from a new simulator, as of `gpusim simulate`.
+
+        Raises as `picture`.
+        """
+        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
         return next(
             simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)
         ).complete()
 
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
-        """Function that takes seconds, and any thread: map of the error of the mean electrons, and that error.
+        """Return a function that returns a map of the error of the mean electrons, and that error.
 
-        The map is codes (rows, cols, 3). It is of the frame that is saved, which no draft is. Raises as `picture`, and
-        what `Simulator` with `verify` does; the function BadData for a large frame whose blur varies over the field.
+        It takes seconds, in any thread. The map is codes (rows, cols, 3) of the frame that `frame`
+        returns. Raises as `picture` and `Simulator` with `verify` do; the function raises BadData
+        for a large frame with a blur that varies over the field.
         """
-        simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
+        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
         scene = self._scene_in(state, number)
         require_truth(simulator.camera, scene)
         exposure = simulator.expose(scene)
         exposure = replace(exposure, mean=self._on_host(exposure.mean))
 
-        def compared():
+        def compare():
             mean, truth = seen(simulator, scene, exposure)
             if mean.ndim == 1:
                 raise BadData(
-                    "error map: of so large a frame whose blur varies over the field parts alone are known"
+                    "error map: the frame is too large for the reference of a blur that varies over "
+                    "the field"
                 )
             return error_map(mean, truth), Error.between(
                 mean, truth, simulator.camera.sensor.read_sigma
             )
 
-        return compared
+        return compare
 
     def statistics(
         self,
@@ -124,11 +138,12 @@ class Producer:
         at: tuple[int, int] | None = None,
         part: tuple[slice, slice] | None = None,
     ) -> dict:
-        """What is told beside the picture: see `gpusim.apps.preview.measures`.
+        """Return the measurements next to the picture, see `gpusim.apps.preview.measures`.
 
-        at: row and column of a pixel, part: rows and columns of an edge, or None. Raises as `picture`.
+        at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as
+        `picture`.
         """
-        program = self._updated(state, number, drafts=True)
+        program = self._update(state, number, drafts=True)
         exposure = program.exposure
         found = light(program, exposure.layered(self._on_host(exposure.mean)), at)
         scene = program.scene
@@ -147,14 +162,14 @@ class Producer:
             found["difference"] = float(differences.mean())
         return found
 
-    def _updated(self, state, number, drafts):
+    def _update(self, state, number, drafts):
         last, camera = self._built
         if (
             last is None
             or camera is None
             or (last.camera, last.changes) != (state.camera, state.changes)
         ):
-            camera = state.built()
+            camera = state.build()
             self._built = state, camera
         scene = self._scene_in(state, number)
         if self._program is None or self._tolerance != state.tolerance:
@@ -173,7 +188,7 @@ class Producer:
             before = self._program.simulator.camera, self._program.scene
             try:
                 self._program.update(**changes, drafts=drafts)
-                self._program.exposure  # noqa: B018  what is wrong is said now
+                self._program.exposure  # noqa: B018  raises errors now
             except Exception:
                 self._program.update(camera=before[0], scene=before[1])
                 self._built = None, None
@@ -201,7 +216,7 @@ class Producer:
     def _on_host(self, array):
         return on_host(self._device, array)
 
-    def _rendered(self, program, seed, number):
+    def _render(self, program, seed, number):
         return self._on_host(program.codes(seed=seed, frame=number))
 
     def _raw(self, program, seed, number):
@@ -234,7 +249,7 @@ class Producer:
 
 
 def _beside(codes, others, split):
-    """One picture on the left of a line, another on its right."""
+    """Return one picture on the left of a line, and another on its right."""
     if codes.shape != others.shape:
         raise BadData(
             f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "

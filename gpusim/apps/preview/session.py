@@ -1,4 +1,7 @@
-"""A client of the preview: what it has set, and the frames on their way to it. Pictures are made while it waits."""
+"""A client of the preview: its settings, and the frames on their way to it.
+
+Pictures are made while it waits.
+"""
 
 import asyncio
 import io
@@ -16,24 +19,22 @@ from gpusim.domain.errors import GpusimError, one_line
 
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
-STILL = 0.3  # [s] without a change after which pictures are no drafts, and one that stands still is sent without loss
-COUNTED = 30  # frames of which rate and latency are told
+STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
+COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
 
-DEVICE = ThreadPoolExecutor(
-    1, "gpusim-preview"
-)  # what is on a device is used by one thread at a time
+DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # only one thread at a time uses a device
 
 
 class Session:
-    """Settings and pictures of a client. error: why the last settings make no picture, or ""."""
+    """Settings and pictures of a client. error: error of the last settings, or ""."""
 
     def __init__(self, producer: Producer, state: State):
         self.history, self.producer = History(state), producer
         self.version, self.number = 0, state.frame
         self.shown: Picture | None = None
-        self.crop: Crop | None = None  # what is shown of it; None: all
+        self.crop: Crop | None = None  # part that is shown; None: all
         self.error = ""
         self.begun: float | None = None  # when the picture that is being made was begun
         self.used = time.monotonic()
@@ -48,24 +49,24 @@ class Session:
         return self.history.state
 
     def set(self, state: State, by: str = ""):
-        """Go on with other settings; by: the slider that is moved, "" for a step of its own."""
+        """Take other settings. by: the slider that moves; "" for a separate step of the history."""
         self.history.set(state, by)
         self.touch()
 
     def touch(self):
-        """Something has changed: another picture is wanted."""
+        """Request another picture."""
         self.version += 1
         self.used = self._touched = time.monotonic()
         self._changed.set()
 
     @property
     def _moves(self) -> bool:
-        """Whether the settings have just been changed."""
+        """Return whether the settings have just changed."""
         return time.monotonic() - self._touched < STILL
 
     @property
     def rate(self) -> float:
-        """Painted frames a second, of the last ones."""
+        """Painted frames per second, of the last ones."""
         span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
         return (
             (len(self._painted) - 1) / span
@@ -78,12 +79,15 @@ class Session:
         """Median time from a frame's start to its paint [ms]."""
         return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
 
-    async def computed(self, work, *arguments):
-        """What a function of the producer gives, by the device's thread."""
+    async def compute(self, work, *arguments):
+        """Return the result of a function of the producer, called in the device's thread."""
         return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
 
     async def serve(self, send, acknowledged):
-        """Send frames as they are wanted. send: coroutine of bytes; acknowledged: coroutine that waits for a paint."""
+        """Send frames on request.
+
+        send: coroutine of bytes; acknowledged: coroutine that waits for a paint.
+        """
         begun: deque[float] = deque()
 
         async def listen():
@@ -100,9 +104,7 @@ class Session:
                 version, settles, most = self.version, False, IN_FLIGHT
                 if sent == version:
                     if not self._moves:
-                        most = (
-                            1  # noise alone is new: what is changed next is not to wait behind it
-                        )
+                        most = 1  # only the noise is new, and the next change must not wait for it
                     if self.error or not self.state.is_live:
                         if self.error or await self._changes(version, STILL):
                             await self._changes(version)
@@ -113,7 +115,7 @@ class Session:
                     ):
                         continue
                 start = time.monotonic()
-                data = await self._made(version, settles)
+                data = await self._make(version, settles)
                 while data and len(begun) >= most and self.version == version:
                     await self._change()
                 if data and len(begun) < most:  # else there are newer settings
@@ -133,7 +135,7 @@ class Session:
                 task.cancel()
 
     async def _changes(self, version, within=None):
-        """Whether the settings go on from a version, within so many seconds."""
+        """Return whether the settings change from a version within some seconds."""
         if within is not None and within <= 0:
             return self.version != version
         while self.version == version:
@@ -148,8 +150,8 @@ class Session:
         self._changed.clear()
         await self._changed.wait()
 
-    async def _made(self, version, settles):
-        """A frame's bytes; none where the settings make no picture, and the last one stays."""
+    async def _make(self, version, settles):
+        """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
         state, crop = self.state, self.crop
         if state.is_live:
             self.number = (self.number + 1) % self.producer.frames
@@ -157,9 +159,7 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.computed(
-                self._pictured, state, self.number, crop, settles
-            )
+            shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -171,7 +171,7 @@ class Session:
         self.shown, self.error = shown, ""
         return HEAD.pack(shown.number, version % 2**32, kind) + data
 
-    def _pictured(self, state, number, crop, settles):
+    def _encode(self, state, number, crop, settles):
         import simplejpeg
 
         shown = self.shown

@@ -1,4 +1,4 @@
-"""What one client of the preview has set: a camera file's table, the scene's light, and what is shown of it."""
+"""Settings of a client of the preview: changes of a camera file, the scene's light, and the view."""
 
 import json
 from dataclasses import asdict, dataclass, field, replace
@@ -19,12 +19,18 @@ LONGEST_LINK = 8192  # [character]
 
 @dataclass(frozen=True)
 class State:
-    """Settings. camera: a built-in one's name, or a file.
+    """Settings of a client.
 
-    changes: name of a control -> value in the camera file's unit. light, luminance [cd m-2]: of the scene, or None: its
-    own. tolerance: of TOLERANCES. view: of VIEWS. is_live: noise runs, and the scene where it moves. seed, frame: of
-    the noise, and the frame of a scene that moves, where they stand still. against: `camera` and `changes` of another
-    that is shown beside this one, from `split` of the width on; None: none is.
+    Attributes:
+        camera: Name of a built-in camera, or a file.
+        changes: Name of a control -> value in the camera file's unit.
+        light, luminance: Light of the scene and luminance of white [cd m-2]. None: the scene's own.
+        tolerance: One of TOLERANCES.
+        view: One of VIEWS.
+        is_live: Whether noise and moving scenes run.
+        seed, frame: Seed of the noise, and number of the frame while nothing runs.
+        against: `camera` and `changes` of a second camera, shown right of `split` of the width.
+            None: no second one.
     """
 
     camera: str
@@ -41,11 +47,11 @@ class State:
 
     @property
     def other(self) -> "State | None":
-        """The same of the other camera, where there is one."""
+        """The state of the second camera, or None."""
         return None if self.against is None else replace(self, **self.against, against=None)
 
     def value(self, control: Control, table: dict) -> Any:
-        """What a control has: set, or in the camera file, or its default."""
+        """Return the value of a control: set, of the camera file, or its default."""
         if control.name in self.changes:
             return self.changes[control.name]
         if control.named:
@@ -54,11 +60,17 @@ class State:
         return given if control.item is None else _long(given, control)[control.item]
 
     def table(self) -> dict:
-        """The camera file's table with the changes, its files named from anywhere. Raises BadFile, UnknownName."""
+        """Return the camera file's table with the changes and absolute file names.
+
+        Raises BadFile, UnknownName.
+        """
         return self.changed(anchored(*camera_table(self.camera)))
 
     def changed(self, table: dict) -> dict:
-        """A camera file's table, into which the changes are put. Raises BadData, OutOfRange for a value."""
+        """Return a camera file's table with the changes.
+
+        Raises BadData or OutOfRange for a value.
+        """
         for name, value in self.changes.items():
             control = CONTROLS[name]
             control.check(value)
@@ -72,18 +84,18 @@ class State:
                 section[control.key] = value
         return table
 
-    def built(self) -> Camera:
-        """The camera. Raises what `open_camera` does."""
+    def build(self) -> Camera:
+        """Return the camera. Raises as `open_camera` does."""
         return camera_of(camera_table(self.camera)[0], self.table())
 
     def toml(self) -> str:
-        """The camera file."""
+        """Return the text of the camera file."""
         import tomli_w
 
         return tomli_w.dumps(self.table())
 
     def command(self, scene: str, file: str = "camera.toml") -> str:
-        """The command line that makes what is shown, with the camera's file beside it."""
+        """Return the command line of the picture, with the camera's file next to it."""
         words = ["gpusim", "simulate", scene, "--camera", file]
         for option, value in (
             ("--light", self.light),
@@ -99,12 +111,12 @@ class State:
 
     @property
     def asked(self) -> str | None:
-        """The tolerance as a Simulator takes it."""
+        """Tolerance for a Simulator."""
         return None if self.tolerance == "exact" else self.tolerance
 
     @property
     def is_sound(self) -> bool:
-        """Whether all fields are of their types, and of what the page can set."""
+        """Return whether all fields have their types, and values that the page can set."""
         one, numbers, other = self.luminance, (self.seed, self.frame), self.against
         return (
             isinstance(self.camera, str)
@@ -125,7 +137,7 @@ class State:
         )
 
     def link(self) -> str:
-        """All of it as text, for an address: `State.of_link` reads it."""
+        """Return all settings as text for an address, which `State.of_link` reads."""
         return json.dumps(
             {key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
             separators=(",", ":"),
@@ -133,7 +145,10 @@ class State:
 
     @classmethod
     def of_link(cls, text: str, camera: str) -> "State":
-        """Of a link of somebody's, or of an older page. camera: where it names none. Raises BadData."""
+        """Return the state of a link, which may be of an older page. camera: if it names none.
+
+        Raises BadData.
+        """
         try:
             if len(text) > LONGEST_LINK:
                 raise ValueError
@@ -151,7 +166,7 @@ class State:
 
 
 def _long(given, control):
-    """A list with a place for a control's item."""
+    """Return a list with a place for a control's item."""
     return [*given, *control.default[len(given) :]]
 
 
@@ -159,7 +174,7 @@ _DEFAULTS = {key: value for key, value in asdict(State("")).items() if key != "c
 
 
 class History:
-    """States, one after the other, and where among them one is."""
+    """A sequence of states and the position of the present one."""
 
     def __init__(self, state: State):
         self._states, self._at, self._last = [state], 0, ("", 0.0)
@@ -170,7 +185,7 @@ class History:
         return self._states[self._at]
 
     def set(self, state: State, by: str):
-        """Go on to another state; the movements of one slider, `by` its name, are one step until it rests."""
+        """Go to another state. Movements of the slider `by` are one step until it rests."""
         last, then = self._last
         if by and by == last and monotonic() - then < REST and self._at:
             self._states[self._at :] = [state]
@@ -180,11 +195,11 @@ class History:
         self._last = by, monotonic()
 
     def undo(self) -> bool:
-        """Go a step back; whether there was one."""
+        """Go a step back. Return whether there was one."""
         return self._go(-1)
 
     def redo(self) -> bool:
-        """Go a step forth; whether there was one."""
+        """Go a step forward. Return whether there was one."""
         return self._go(1)
 
     def _go(self, step):

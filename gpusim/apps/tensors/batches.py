@@ -1,6 +1,6 @@
-"""Batches of pictures, as tensors, to frames of a camera: what loops of machine learning call.
+"""Frames of batches of pictures, as tensors, for machine learning.
 
-Not differentiable: no gradient goes through a frame, whose noise is drawn and whose values are rounded.
+Not differentiable: noise is drawn and values are rounded, so no gradient passes through a frame.
 """
 
 import sys
@@ -8,55 +8,73 @@ from collections import OrderedDict
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from gpusim.backends import Device
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.short_repr import shortened
+from gpusim.domain.tolerance import Tolerance
 from gpusim.io.scene.scenes import LIGHT, LUMINANCE
 from gpusim.pipeline.batch import one_each
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
-SHAPES = 4  # of batches whose programs are kept
-GREY = 0.18  # reflectance of the scene that plans are made for
-LIBRARIES = ("torch", "cupy")  # whose arrays are given back where they were given
-PICTURES = ("linear", "xyz", "codes")  # outputs that are RGB or XYZ of a display
+SHAPES = 4  # of batches whose programs are cached
+GREY = 0.18  # reflectance of the scene for which a plan is made
+LIBRARIES = ("torch", "cupy")  # whose arrays are returned on the device of the input
+PICTURES = ("linear", "xyz", "codes")  # outputs with channels: RGB or XYZ
 
 
 class Batch:
-    """Frames of batches of pictures by a camera on a device. Not differentiable.
+    """Computes frames of batches of pictures by a camera on a device. Not differentiable.
 
-    Channels come first in what is given and in what is made, (B, C, rows, cols), as networks take them.
-    output: a name of `gpusim.pipeline.outputs.OUTPUTS`, such as "raw", "linear" or "codes". wavelengths: of the
-    pictures' channels [nm], shape (L,); None: linear sRGB (3 channels) or grey (1). light: name for `illuminant` in
-    which the pictures are reflectances, white 1; None: of spectral ones, whose values are radiance
-    [W sr-1 m-2 nm-1]. luminance: of white in it [cd m-2]. tolerance: as for `Simulator`: a plan for each picture, which
-    takes time; without one there is one for each shape. plan: for all pictures, see `Simulator`. options: of every
-    Scene, such as border.
-    A frame depends on its picture, its settings, its number, the seed and the plan, and on nothing else of its batch:
-    any number of workers makes the same data. plans: by which the pictures of the last call were made, one for each; a
-    plan's `scene` is one. Raises as `Simulator` does, BadData, OutOfRange for the light.
+    Channels come first in input and output, (B, C, rows, cols). A frame depends only on its
+    picture, its settings, its number, the seed and the plan, not on the rest of its batch, so any
+    number of workers makes the same data.
+
+    Args:
+        camera: Camera.
+        device: Name of the device, or a Device.
+        output: Name of `gpusim.pipeline.outputs.OUTPUTS`, for example "raw", "linear" or "codes".
+        wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or
+            grey (1).
+        light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral
+            pictures are radiance [W sr-1 m-2 nm-1].
+        luminance: Luminance of white in this light [cd m-2].
+        tolerance: See `Simulator`. With one, each picture is planned, which takes time; without
+            one, each shape.
+        plan: Plan of all pictures, see `Simulator`.
+        options: Options of every Scene, for example border.
+
+    Attributes:
+        plans: Plan of each picture of the last call.
+
+    Raises:
+        BadData, OutOfRange: If the light or the wavelengths are wrong.
+        GpusimError: As `Simulator` does.
     """
 
     def __init__(
         self,
-        camera,
+        camera: Camera,
         *,
-        device="auto",
+        device: Device | str = "auto",
         output: str = "raw",
-        wavelengths=None,
+        wavelengths: ArrayLike | None = None,
         light: str | None = LIGHT,
         luminance: float = LUMINANCE,
-        tolerance=None,
+        tolerance: Tolerance | str | None = None,
         plan: Plan | None = None,
-        **options,
+        **options: Any,
     ):
         self.simulator = Simulator(camera, device=device, tolerance=tolerance)
-        self.simulator.batch(1, output)  # which knows the outputs
+        self.simulator.batch(1, output)  # refuses an unknown output
         self.output, self._options, self._plan = output, options, plan
         self.plans: list[Plan] = []
         self.wavelengths = None if wavelengths is None else np.asarray(wavelengths, np.float64)
@@ -72,16 +90,34 @@ class Batch:
         return shortened(f"Batch({self.output}, {self.simulator!r})")
 
     def __call__(
-        self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None
+        self,
+        pictures: Any,
+        *,
+        first: int = 0,
+        seed: int = 0,
+        exposure_time: Any = None,
+        gain: Any = 1.0,
+        camera: Any = None,
     ) -> Any:
-        """Frames of pictures (B, C, rows, cols), floats, not negative: (B, rows, cols) or (B, C, rows, cols).
+        """Return frames of pictures. Automatic exposure meters each picture.
 
-        They are a new array, torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's.
-        Codes are (B, 3, rows, cols) with the channels last in memory. first: number of the first picture among all, by
-        which, with the seed, its noise is drawn.
-        exposure_time [s], gain: as for `Simulator.expose`. camera: whose noise, white point, lens and other settings
-        are other ones. Each of the three may be one for every picture, too. Automatic exposure meters each picture.
-        Raises as `Simulator.frames` does, and BadData for pictures of other shapes and types.
+        Args:
+            pictures: Array (B, C, rows, cols) of NumPy, torch, cupy or Warp: floats, 0 or more.
+            first: Number of the first picture among all. With the seed it selects the noise.
+            seed: Seed of the noise.
+            exposure_time: Exposure time [s], see `Simulator.expose`, or one for each picture.
+            gain: Analog gain, see `Simulator.expose`, or one for each picture.
+            camera: Camera with other noise, white point, lens or other settings, or one for each
+                picture.
+
+        Returns:
+            A new array (B, rows, cols) or (B, C, rows, cols): torch's or cupy's on the device of
+            the pictures, or in the memory of a Warp device; else NumPy's. Codes are (B, 3, rows,
+            cols) with the channels last in memory.
+
+        Raises:
+            BadData: If the pictures have another shape or type, or negative values.
+            GpusimError: As `Simulator.frames` does.
         """
         values = described(pictures, "pictures")
         shape, channels = (
@@ -99,21 +135,21 @@ class Batch:
             )
         lowest = (
             values.min().item() if hasattr(values, "min") else 0
-        )  # only the device knows those of Warp
+        )  # Warp arrays are not read on the host
         if not lowest >= 0:
             found = "negative light" if lowest < 0 else "NaN"
             raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
         settings = {
             "camera": camera,
-            "exposure_time": _listed(exposure_time),
-            "gain": _listed(gain),
+            "exposure_time": _as_numbers(exposure_time),
+            "gain": _as_numbers(gain),
         }
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
             frames = batch(scenes, seed=seed, frame=first, **settings)
             self.plans = batch.plans
-            return self._given_back(pictures, frames)
+            return self._return_frames(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
@@ -125,13 +161,15 @@ class Batch:
             )
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
-        return self._given_back(pictures, np.concatenate(frames))
+        return self._return_frames(pictures, np.concatenate(frames))
 
-    def _given_back(self, pictures, frames):
-        made = _as(pictures, self.simulator.device, frames)
-        return moved(made, -1, 1) if self.output == "codes" else made
+    def _return_frames(self, pictures, frames):
+        """Return frames as an array of the pictures' library."""
+        made = _convert(pictures, self.simulator.device, frames)
+        return move_axis(made, -1, 1) if self.output == "codes" else made
 
     def _scene(self, values) -> Scene:
+        """Return the scene of a picture."""
         content: Content
         if self.wavelengths is not None:
             content = Cube(self.wavelengths, values)
@@ -145,7 +183,7 @@ class Batch:
         return Scene(content, self._light, name="picture", **self._options)
 
     def _batch(self, shape):
-        """Programs for batches of this shape; those of the last SHAPES are kept."""
+        """Return the programs for batches of this shape; the last SHAPES of them are cached."""
         if shape not in self._batches:
             grey = self._scene(np.full(shape[1:], GREY, np.float32))
             self._batches[shape] = self.simulator.batch(
@@ -157,30 +195,31 @@ class Batch:
         return self._batches[shape]
 
 
-def _listed(values):
-    """Numbers of another library's array as Python's, and anything else as it is."""
+def _as_numbers(values):
+    """Return the numbers of an array of any library as Python's, and other values unchanged."""
     return to_host(values, "settings").tolist() if hasattr(values, "shape") else values
 
 
-def moved(array, axis: int, to: int):
-    """An array of NumPy or of LIBRARIES with an axis in another place; a view."""
+def move_axis(array, axis: int, to: int):
+    """Return a view of an array of NumPy or LIBRARIES with an axis moved."""
     return _library_of(array).moveaxis(array, axis, to)
 
 
 def _library_of(array):
-    """The module of an array of LIBRARIES, NumPy for others."""
+    """Return the module of an array of LIBRARIES, or NumPy."""
     name = type(array).__module__.partition(".")[0]
     return sys.modules[name] if name in LIBRARIES else np
 
 
-def _as(pictures, device, frames):
-    """A copy of frames as an array of the pictures' library, on the device where it can be there."""
+def _convert(pictures, device, frames):
+    """Return a copy of frames as an array of the pictures' library, on its device if possible."""
     library = _library_of(pictures)
     if library is np:
         return np.array(device.numpy(frames))
     is_torch = library.__name__ == "torch"
     if not isinstance(frames, np.ndarray) and device.kind == "warp":
-        # a copy by this device, in its turn: what the other library copied might be late for the next batch
+        # this device copies, in order: a copy by the other library might be too late for the next
+        # batch
         return library.from_dlpack(device.reshape(device.stack([frames]), frames.shape))
     copied = np.array(device.numpy(frames))
     return library.from_numpy(copied).to(pictures.device) if is_torch else library.asarray(copied)

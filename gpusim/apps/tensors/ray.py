@@ -1,9 +1,12 @@
-"""For Ray Data: a callable class for `map_batches`, one device for each actor. Ray itself is not imported here.
+"""For Ray Data: a callable class for `map_batches`, one device for each actor.
 
-    pictures.map_batches(gpusim.apps.tensors.ray.Frames, fn_constructor_kwargs={"camera": camera, "device":
-                         "warp:cuda:0"}, batch_size=32, concurrency=4, num_gpus=1)
+Ray itself is not imported here.
 
-Each row needs its own number, by which its noise is drawn: the result does not depend on how Ray shares the rows out.
+    pictures.map_batches(gpusim.apps.tensors.ray.Frames, fn_constructor_kwargs={"camera": camera,
+                         "device": "warp:cuda:0"}, batch_size=32, concurrency=4, num_gpus=1)
+
+Each row needs its own number, which selects its noise. The result does not depend on how Ray
+distributes the rows.
 """
 
 import numpy as np
@@ -13,12 +16,22 @@ from gpusim.domain.errors import BadData
 
 
 class Frames:
-    """Rows with a picture and a number to rows with a frame, too.
+    """Adds a column of frames to rows with a picture and a number.
 
-    camera, settings: as for `gpusim.Batch`. picture, number: names of the columns: linear light (rows, cols, channels)
-    or (channels, rows, cols), as `channels_last` says, and whole numbers. frame: name of the new column, whose pictures
-    (codes, linear light, XYZ) have their channels there, too. seed: of the noise. exposure_time [s], gain: numbers, or
-    names of columns that have them. Raises as Batch does, and BadData for columns that are not there.
+    Args:
+        camera: Camera, see `gpusim.Batch`.
+        picture: Column of pictures: linear light (rows, cols, channels) or (channels, rows, cols).
+        number: Column of whole numbers, different in each row.
+        frame: New column. Its pictures (codes, linear light, XYZ) have the same order of axes.
+        seed: Seed of the noise.
+        channels_last: Whether the channels of pictures come last.
+        exposure_time: Exposure time [s], or the column that has it.
+        gain: Analog gain, or the column that has it.
+        settings: Other arguments of `gpusim.Batch`.
+
+    Raises:
+        BadData: When called with rows without these columns.
+        GpusimError: As `gpusim.Batch` does.
     """
 
     def __init__(
@@ -43,7 +56,7 @@ class Frames:
         self._settings = {"exposure_time": exposure_time, "gain": gain}
 
     def __call__(self, rows: dict) -> dict:
-        """The rows of a batch, columns by name, with their frames."""
+        """Return the rows of a batch, columns by name, with their frames."""
         pictures, numbers = self._column(rows, self._picture), self._column(rows, self._number)
         settings = {
             name: self._column(rows, value) if isinstance(value, str) else [value] * len(numbers)
@@ -62,6 +75,7 @@ class Frames:
         return rows | {self._frame: np.stack(frames)}
 
     def _column(self, rows, name):
+        """Return a column. Raises BadData."""
         if name not in rows:
             raise BadData(f"rows: no column {name!r}; there are {', '.join(map(str, rows))}")
         return rows[name]

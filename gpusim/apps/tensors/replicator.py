@@ -1,8 +1,8 @@
-"""Frames of renderers through cameras: linear HDR pictures as Replicator's writers and Isaac Lab's cameras have them.
+"""Frames of rendered linear HDR pictures, as from Replicator's writers and Isaac Lab's cameras.
 
-`Views` takes what a writer's `write` is given: a dictionary in which "HdrColor", or "HdrColor-" and the name of a view,
-has linear RGB and an alpha, float16 (rows, cols, 4), in a Warp array on the GPU, NumPy's or another library's. Nothing
-of Omniverse is needed here.
+`Views` takes the argument of a writer's `write`: a dictionary in which "HdrColor", or "HdrColor-"
+and the name of a view, is linear RGB with alpha, float16 (rows, cols, 4), in a Warp array on the
+GPU, a NumPy array or another library's. Omniverse is not needed.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from gpusim.apps.tensors.batches import PICTURES, Batch, moved
+from gpusim.apps.tensors.batches import PICTURES, Batch, move_axis
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import described
@@ -19,10 +19,15 @@ COLOUR = "HdrColor"
 
 
 class Views:
-    """Cameras behind a renderer's views.
+    """Cameras of a renderer's views.
 
-    cameras: one for all views, or a camera for the name of each. settings: as for `gpusim.Batch`, such as device and
-    output; luminance: what a value of 1 stands for [cd m-2]. Raises as Batch does.
+    Args:
+        cameras: One camera for all views, or cameras by the names of views.
+        settings: Other arguments of `gpusim.Batch`, for example device and output; luminance is the
+            luminance of the value 1 [cd m-2].
+
+    Raises:
+        GpusimError: As `gpusim.Batch` does.
     """
 
     def __init__(self, cameras: Camera | Mapping[str, Camera], **settings):
@@ -32,11 +37,19 @@ class Views:
     def __call__(
         self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None
     ) -> dict:
-        """A frame of every view in `data`, by its name ("" of a single one), as `gpusim.Batch` gives it.
+        """Return a frame of every view, by the name of the view ("" for a single one).
 
-        Pictures (codes, linear light, XYZ) are (rows, cols, 3), as the renderer's are.
-        number: of this call among all. Each view draws noise of its own, by its name. Raises BadData for data without
-        such frames and views without a camera.
+        Args:
+            data: Rendered data by name.
+            number: Number of this call among all calls.
+            seed: Seed of the noise, which differs between views according to their names.
+            exposure_time: Exposure time [s], see `gpusim.Batch`.
+
+        Returns:
+            Frames as of `gpusim.Batch`; pictures (codes, linear light, XYZ) are (rows, cols, 3).
+
+        Raises:
+            BadData: If the data has no pictures, or a view has no camera.
         """
         found = {
             key[len(COLOUR) :].lstrip("-_"): values
@@ -58,14 +71,17 @@ class Views:
             picture = channels_first(found[name])
             own = (
                 seed + crc32(name.encode())
-            ) % 2**64  # by its name alone: other views may come and go
+            ) % 2**64  # depends only on the name: other views may come and go
             made = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
-            frames[name] = moved(made, 0, -1) if batch.output in PICTURES else made
+            frames[name] = move_axis(made, 0, -1) if batch.output in PICTURES else made
         return frames
 
 
 def channels_first(frame):
-    """Linear RGB (1, 3, rows, cols) of a frame (rows, cols, 3 or 4), of the same library. Raises BadData."""
+    """Return linear RGB (1, 3, rows, cols) of a picture (rows, cols, 3 or 4), in the same library.
+
+    Raises BadData.
+    """
     values = described(frame, COLOUR)
     if len(values.shape) != 3 or values.shape[2] not in (3, 4):
         raise BadData(f"{COLOUR}: {tuple(values.shape)}, wanted (rows, cols, 4) or (rows, cols, 3)")

@@ -1,4 +1,4 @@
-"""For PyTorch: frames as a module, and pairs of photographs as data sets whose workers are processes.
+"""For PyTorch: a module that computes frames, and data sets of noisy and clean frames.
 
 Not differentiable: no gradient goes through a frame. Needs torch, which gpusim does not install.
 """
@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from gpusim.apps.pairs.pairs import Pairs
-from gpusim.apps.pairs.variety import Variety
+from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.tensors.batches import Batch
 from gpusim.domain.errors import BadData
 from gpusim.io.scene.scenes import open_scene
@@ -22,9 +22,11 @@ from gpusim.planner.plan import Plan
 
 
 class Frames(torch.nn.Module):
-    """Batches of pictures to frames: `gpusim.Batch` as a module, without parameters and without gradients.
+    """`gpusim.Batch` as a module, without parameters and without gradients.
 
-    settings: as for Batch. `forward` takes what a call of it takes.
+    Args:
+        camera: Camera.
+        settings: Other arguments of `gpusim.Batch`.
     """
 
     def __init__(self, camera, **settings):
@@ -32,19 +34,36 @@ class Frames(torch.nn.Module):
         self.batch = Batch(camera, **settings)
 
     def forward(self, pictures: torch.Tensor, **settings) -> torch.Tensor:
-        """Frames of pictures (B, C, rows, cols): see `gpusim.Batch`."""
+        """Return frames of pictures (B, C, rows, cols).
+
+        settings: as of a call of `gpusim.Batch`.
+        """
         return self.batch(pictures.detach(), **settings)
 
 
 class PairSet(Dataset):
-    """Noisy raw values of photographs and the light that they are of, as `gpusim pairs` makes them.
+    """Noisy and clean raw values of photographs, as of `gpusim pairs`.
 
-    photographs: files. camera: a Camera. vary: as for `gpusim pairs --vary`, "" for nothing. each: pairs of every
-    photograph. device, tolerance, plan: as for `Simulator`. pictures: codes beside them. options: of `open_scene`.
-    An item has "raw" (rows, cols), "clean" (rows, cols) [DN], "rgb" (3, rows, cols) if asked for, as tensors, and
-    "told". It depends on its number and the seed alone. Each process that asks for items opens the device for itself;
-    forked ones cannot where their parent has done so before: start them by "spawn" then.
-    Raises as Simulator does, and BadData for no photographs and for ranges that are none.
+    An item has the tensors "raw" (rows, cols) [DN], "clean" (rows, cols) [DN] and, with pictures,
+    "rgb" (3, rows, cols), and "record", a dictionary of its settings. It depends only on its number
+    and the seed. Each process opens the device again. Forked processes cannot do so if their parent
+    has opened it: use "spawn" then.
+
+    Args:
+        photographs: Files.
+        camera: Camera.
+        vary: Settings that are drawn for each pair, as for `gpusim pairs --vary`; "" for none.
+        each: Pairs per photograph.
+        seed: Seed of the noise and of the drawn settings.
+        device: Name of the device, see `Simulator`.
+        tolerance: Tolerance, see `Simulator`.
+        pictures: Whether items have "rgb".
+        plan: Plan of all pairs, see `Simulator`.
+        options: Options of `open_scene`.
+
+    Raises:
+        BadData: If there are no photographs, or `vary` is malformed.
+        GpusimError: As `Simulator` does.
     """
 
     def __init__(
@@ -64,19 +83,19 @@ class PairSet(Dataset):
         self._photographs = [Path(path) for path in photographs]
         if not self._photographs:
             raise BadData("photographs: none, wanted the names of some files")
-        self._made_by = camera, device, tolerance
+        self._simulator = camera, device, tolerance
         try:
             variety = Variety.parse(vary) if vary else Variety()
-        except ArgumentTypeError as error:  # of a command line's option
+        except ArgumentTypeError as error:  # as of a command line
             raise BadData(f"vary: {error}") from None
-        self._asked = variety, each, seed, pictures, plan
+        self._settings = variety, each, seed, pictures, plan
         self._options, self._pairs, self._process = options, None, 0
         Simulator(
             camera, device="numpy", tolerance=tolerance
-        )  # says what is wrong, and opens no driver: see below
+        )  # raises errors early, without opening a driver
 
     def __len__(self) -> int:
-        return len(self._photographs) * self._asked[1]
+        return len(self._photographs) * self._settings[1]
 
     def __getitem__(self, number: int) -> dict:
         if not -len(self) <= number < len(self):
@@ -92,21 +111,21 @@ class PairSet(Dataset):
         return self.__dict__ | {"_pairs": None}
 
     def _here(self):
-        """The pairs of this process: a device's context is no use in another one."""
+        """Return the pairs of this process; a device's context does not work in another one."""
         if self._pairs is None or self._process != os.getpid():
-            camera, device, tolerance = self._made_by
+            camera, device, tolerance = self._simulator
             simulator = Simulator(camera, device=device, tolerance=tolerance)
-            self._pairs = Pairs(simulator, self._photographs, self._opened, *self._asked)
+            self._pairs = Pairs(simulator, self._photographs, self._open, *self._settings)
             self._process = os.getpid()
         return self._pairs
 
-    def _opened(self, path, values):
-        drawn = {name: values[name] for name in ("light", "luminance") if name in values}
-        return open_scene(path, **(self._options | drawn))
+    def _open(self, path, values):
+        """Return the scene of a path and of drawn values."""
+        return open_scene(path, **(self._options | scene_options(values)))
 
 
 class PairStream(IterableDataset):
-    """The items of a PairSet in order, of which each worker of a loader makes its share."""
+    """Items of a PairSet in order; each worker of a loader computes its share."""
 
     def __init__(self, pairs: PairSet):
         self.pairs = pairs

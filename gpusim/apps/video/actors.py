@@ -1,10 +1,11 @@
-"""Pictures that move before the scene of a video, as a command line names them."""
+"""Pictures that move in front of the scene of a video, as given on a command line."""
 
-import argparse
 from dataclasses import dataclass
 from math import isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from gpusim.apps.video.named import read_named
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.animation import Actor
@@ -14,32 +15,27 @@ KEYS = {"at": 2, "pan": 2, "roll": 1, "zoom": 1, "zooming": 1}  # name -> number
 
 @dataclass(frozen=True)
 class Cast:
-    """A picture with alpha and its path: place at the first frame, then pan, roll, zoom and zooming as of a Motion."""
+    """A picture with alpha and its movement: place at the first frame, and fields of a Motion."""
 
     path: Path
     numbers: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> "Cast":
-        """Of a command line: `car.png,at=40:-200,pan=0:120,roll=5`."""
-        name, *parts = text.split(",")
-        found: dict[str, tuple[float, ...]] = {}
-        for part in parts:
-            key, _, value = part.partition("=")
-            try:
-                numbers = tuple(float(one) for one in value.split(":"))
-            except ValueError:
-                numbers = ()
-            if len(numbers) != KEYS.get(key) or key in found or not all(map(isfinite, numbers)):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or "
-                    "zooming=FACTOR, each once"
-                )
-            found[key] = numbers
-        return cls(Path(name), tuple(found.items()))
+        """Return the cast of `car.png,at=40:-200,pan=0:120,roll=5`. Raises ArgumentTypeError."""
+
+        def read(name, text):
+            numbers = tuple(float(one) for one in text.split(":"))
+            if len(numbers) != KEYS[name] or not all(map(isfinite, numbers)):
+                raise ValueError
+            return numbers
+
+        path, _, rest = text.partition(",")
+        wanted = "at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or zooming=FACTOR, each once"
+        return cls(Path(path), tuple(read_named(rest, read, wanted).items()) if rest else ())
 
     def actor(self) -> "Actor":
-        """The picture, and its path. Raises BadFile, OutOfRange."""
+        """Return the picture and its movement. Raises BadFile, OutOfRange."""
         from gpusim.domain.animation import Actor
         from gpusim.domain.motion import Motion
         from gpusim.io.scene.photo import read_cutout

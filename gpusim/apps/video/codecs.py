@@ -1,28 +1,32 @@
-"""Encoded videos by FFmpeg's libraries (PyAV): each segment by itself, then all in one file without encoding again.
+"""Encoded videos by FFmpeg's libraries (PyAV).
 
-The encoders' threads are set, since what they give depends on their number; x264 looks ahead at no frame, where what it
-gave differed from run to run (heights that are not whole macroblocks). x265 has threads for frames but no pool of
-workers: with one, the end of a stream now and then hangs (x265 4.2: the look-ahead's worker wakes nobody where its
-pictures were taken while it still counted as busy, and who took them waits for more for ever). Without it x265 has no
-wavefronts either: 1920 x 1080 takes 145 ms a frame on two cores, with it 98 ms.
+Segments are encoded independently, then joined without re-encoding.
 
-Colours are tagged: the display's primaries and curve, and BT.709's matrix where it is stored as luma and chroma, of
-limited range.
+The number of encoder threads is fixed, because the output depends on it. x264 uses no look-ahead:
+with it the output differed between runs (heights that are not whole macroblocks). x265 has threads
+for frames but no pool of workers: with a pool, the end of a stream sometimes hangs (x265 4.2: the
+look-ahead's worker wakes nobody if its pictures were taken while it still counted as busy, and
+their taker waits for ever). Without a pool x265 has no wavefronts either: 1920 x 1080 takes 145 ms
+a frame on two cores instead of 98 ms.
+
+Colours are tagged: the display's primaries and curve, and for luma and chroma the matrix of BT.709
+in limited range.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gpusim.color.encoding import decoding
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, Conflict, GpusimError, OutOfRange, UnknownName
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import reading
 
@@ -30,16 +34,23 @@ from gpusim.io.files import reading
 PRIMARIES = {"srgb": 1, "display-p3": 12}
 UNKNOWN, SRGB_CURVE, LINEAR, RGB, BT709 = 2, 13, 8, 0, 1
 LIMITED, FULL = 1, 2
-EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"  # of the scaler, alike on all processors
+# Equal results on all processors
+EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"
 TO_LUMA = f"{EXACT}:in_range=full:out_range=tv:out_color_matrix=bt709"
 
 
 @dataclass(frozen=True)
 class Codec:
-    """A way to encode.
+    """A codec and its settings.
 
-    encoder: its name in FFmpeg. output: of `Simulator.stream`. stored, given: formats of pixels as FFmpeg names them.
-    containers: suffixes of files that hold it. options: of the encoder; `quality` is its option for that.
+    Attributes:
+        encoder: Name of the encoder in FFmpeg.
+        output: Output of `Simulator.stream`.
+        stored: Pixel format in the file, as FFmpeg names it.
+        given: Pixel format of the frames before the conversion.
+        containers: Suffixes of files that hold it.
+        options: Options of the encoder.
+        quality: Name of the encoder's option for the quality.
     """
 
     encoder: str
@@ -51,9 +62,9 @@ class Codec:
     quality: str = ""
 
 
-LEAST_H265 = 64  # pixels along each axis: libx265 ends the process for fewer
-PART = ".nut"  # of a segment's file, which holds what any encoder gives as it is
-LOSSLESS = ("level", "3"), ("slicecrc", "1")  # of FFV1, with a checksum of each slice
+LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
+PART = ".nut"  # suffix of a segment's file, a container for any encoder
+LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
 CODECS = {
     "h264": Codec(
         "libx264",
@@ -81,7 +92,7 @@ CONTAINERS = tuple(BY_SUFFIX)
 
 
 def pyav():
-    """The package. Raises GpusimError where it is missing."""
+    """Return the package. Raises GpusimError if it is not installed."""
     try:
         import av
         import av.filter
@@ -89,15 +100,46 @@ def pyav():
         raise GpusimError(
             f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
         ) from error
-    # FFmpeg says nothing. With a level, threads of its decoders wait for Python's lock to say what is damaged, and who
-    # has the lock waits for them as a file is closed: a deadlock
+    # No log. With one, threads of the decoders wait for Python's lock to report damage, while its
+    # holder waits for them to close the file: a deadlock
     av.logging.set_level(None)
     return av
 
 
+def converter(
+    scale: str, stored: str, width: int, height: int, given: Any, time_base: Fraction
+) -> Callable:
+    """Return a function that converts frames to another pixel format.
+
+    Args:
+        scale: Options of FFmpeg's scaler.
+        stored: Pixel format of the results.
+        width: Columns of the frames.
+        height: Rows of the frames.
+        given: VideoFormat of the frames.
+        time_base: Time base of the frames [s].
+    """
+    graph = pyav().filter.Graph()
+    parts = [
+        graph.add_buffer(width=width, height=height, format=given, time_base=time_base),
+        graph.add("scale", scale),
+        graph.add("format", stored),
+        graph.add("buffersink"),
+    ]
+    for part, following in pairwise(parts):
+        part.link_to(following)
+    graph.configure()
+
+    def convert(frame):
+        graph.push(frame)
+        return graph.pull()
+
+    return convert
+
+
 @contextmanager
-def _told(path):
-    """While FFmpeg writes a file: what it refuses is a BadFile."""
+def _report_errors(path):
+    """Raise errors of FFmpeg as BadFile while it writes a file."""
     try:
         yield
     except pyav().error.FFmpegError as error:
@@ -105,7 +147,16 @@ def _told(path):
 
 
 def codec_of(path: Path, name: str | None) -> Codec:
-    """The codec of a file to be written. Raises UnknownName, OutOfRange, and GpusimError without its encoder."""
+    """Return the codec of an output file.
+
+    Args:
+        path: Path of the file.
+        name: Name of CODECS. None: the default of the suffix.
+
+    Raises:
+        UnknownName, OutOfRange: If there is no such codec, or the file cannot hold it.
+        GpusimError: If PyAV does not have its encoder.
+    """
     name = BY_SUFFIX[path.suffix.lower()] if name is None else name
     if name not in CODECS:
         raise UnknownName("codec", name, CODECS)
@@ -117,16 +168,25 @@ def codec_of(path: Path, name: str | None) -> Codec:
     if codec.encoder not in known:
         there = [other for other, one in CODECS.items() if one.encoder in known]
         raise GpusimError(
-            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has those of "
-            f"{', '.join(there) or 'none of ours'}"
+            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has encoders for "
+            f"{', '.join(there) or 'none of the codecs'}"
         )
     return codec
 
 
 class Encoder:
-    """Encodes frames into segments' files. shape: rows and columns. quality: constant rate factor, None: its default.
+    """Encodes frames into the files of segments.
 
-    Raises OutOfRange for odd sides where chroma has half of them.
+    Args:
+        codec: Codec.
+        shape: Rows and columns.
+        rate: Frames per second.
+        display: Display of the codes.
+        tone: Tone curve of the processor.
+        quality: Constant rate factor. None: the encoder's default.
+
+    Raises:
+        OutOfRange: If the codec cannot hold this size or has no quality.
     """
 
     def __init__(
@@ -152,7 +212,7 @@ class Encoder:
                 f"{LEAST_H265} columns and rows or more, or --codec h264",
             )
         if quality is not None and not codec.quality:
-            raise OutOfRange("--quality", quality, "none for ffv1, which loses nothing")
+            raise Conflict("--quality", "ffv1 is lossless", "leave it out")
         self.codec, self.rate, self._display, self._shape, self._tone = (
             codec,
             rate,
@@ -165,13 +225,18 @@ class Encoder:
         )
 
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
-        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
+        """Write a file of frames: codes and linear are (rows, cols, 3), raw is (rows, cols).
 
-        Gives the number of each that was taken; the file is there when all were. Raises BadFile.
+        Yields the number of each frame that was taken; the file exists when all were. Raises
+        BadFile.
         """
         av = pyav()
-        with _told(path), atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
-            stream, change = self._stream(container), self._changed(av)
+        with (
+            _report_errors(path),
+            atomic_path(path) as temporary,
+            av.open(str(temporary), "w") as container,
+        ):
+            stream, change = self._stream(container), self._converter(av)
             for number, values in enumerate(frames):
                 frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
                 frame.pts, frame.time_base = number, 1 / self.rate
@@ -180,20 +245,19 @@ class Encoder:
             container.mux(stream.encode(None))
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):
-        """Write one file of segments' files, each with the number of its first frame. Raises BadFile."""
-        # decoders take frames in another order than they show them, and begin so many frames before
+        """Join the files of segments, each with the number of its first frame. Raises BadFile."""
+        # decoders take frames in another order than they show them, and start this many frames
+        # earlier
         delay = max(
             (number - shown for _, part in parts for number, shown, _ in self._packets(part)),
             default=0,
         )
         with (
-            _told(path),
+            _report_errors(path),
             atomic_path(path) as temporary,
             pyav().open(str(temporary), "w") as container,
         ):
-            stream = self._stream(
-                container
-            )  # its encoder gives no frames, but what stands before them
+            stream = self._stream(container)  # its encoder yields no frames, only the header
             for first, part in parts:
                 for number, shown, packet in self._packets(part):
                     packet.time_base, packet.stream = 1 / self.rate, stream
@@ -205,7 +269,7 @@ class Encoder:
                     container.mux(packet)
 
     def _packets(self, part):
-        """Number in a segment's file, number in the order of the frames, and packet of each that is encoded."""
+        """Return storage number, display number and packet of each frame in a segment's file."""
         with reading(part, "a segment of this video"), pyav().open(str(part)) as source:
             packets = [packet for packet in source.demux(video=0) if packet.size]
             shown = [round(packet.pts * packet.time_base * self.rate) for packet in packets]
@@ -215,7 +279,7 @@ class Encoder:
             ]
 
     def _stream(self, container):
-        """A stream of this codec in a file to be written."""
+        """Return a stream of this codec in an output file."""
         rows, cols = self._shape
         stream = container.add_stream(self.codec.encoder, rate=self.rate, options=self._options)
         stream.width, stream.height, stream.pix_fmt = cols, rows, self.codec.stored
@@ -223,6 +287,7 @@ class Encoder:
         return stream
 
     def _tag(self, context):
+        """Set the tags of the colours."""
         display = self._display
         known = (
             PRIMARIES.get(display.name, UNKNOWN)
@@ -238,34 +303,15 @@ class Encoder:
             tags = known, curve, BT709, LIMITED
         context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
 
-    def _changed(self, av):
-        """From a frame of the given format to one of the stored format."""
+    def _converter(self, av):
+        """Return a function from a frame in the given format to one in the stored format."""
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
-        (rows, cols), graph = self._shape, av.filter.Graph()
-        parts = [
-            graph.add_buffer(
-                width=cols,
-                height=rows,
-                format=av.VideoFormat(self.codec.given),
-                time_base=1 / self.rate,
-            ),
-            graph.add("scale", TO_LUMA),
-            graph.add("format", self.codec.stored),
-            graph.add("buffersink"),
-        ]
-        for part, following in pairwise(parts):
-            part.link_to(following)
-        graph.configure()
-
-        def change(frame):
-            graph.push(frame)
-            return graph.pull()
-
-        return change
+        (rows, cols), given = self._shape, av.VideoFormat(self.codec.given)
+        return converter(TO_LUMA, self.codec.stored, cols, rows, given, 1 / self.rate)
 
     def _values(self, values):
-        """A frame as an array of the given format."""
+        """Return a frame as an array in the given format."""
         if self.codec.output != "linear":
             return np.ascontiguousarray(values)
         if self.codec.stored == self.codec.given:
@@ -278,7 +324,7 @@ class Encoder:
 
     @cached_property
     def _codes(self):
-        """Codes of 16 bits by the square root of the light, in which they are nearly even."""
+        """Codes of 16 bits, indexed by the square root of the light: they are nearly uniform in it."""
         codes, light = np.arange(2**14) / (2**14 - 1), np.linspace(0, 1, 2**17) ** 2
         values = np.interp(light, decoding(self._display, self._tone)(codes), codes)
         return np.rint(65535 * values).astype(np.uint16)

@@ -1,7 +1,8 @@
-"""Episodes of a LeRobot data set: each a video, and a table of what is known of its frames.
+"""Episodes of a LeRobot data set: each is a video and a table of data on its frames.
 
-The layout is version 3.0, after Hugging Face's lerobot 0.4.4 (`datasets/utils.py`, `lerobot_dataset.py`,
-`compute_stats.py`). Every episode has files of its own, as those have that LeRobot adds to a data set of before.
+The layout is version 3.0, after Hugging Face's lerobot 0.4.4 (`datasets/utils.py`,
+`lerobot_dataset.py`, `compute_stats.py`). Every episode has its own files, as episodes that LeRobot
+adds to an existing data set.
 """
 
 import json
@@ -50,7 +51,7 @@ CODES = 256
 
 
 def pyarrow():
-    """The package, with its Parquet. Raises GpusimError where it is missing."""
+    """Return the package with its Parquet module. Raises GpusimError if it is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -62,13 +63,28 @@ def pyarrow():
 
 
 class Episode(EncodedFile):
-    """An episode that is added to the data set in a folder, or its first one.
+    """A new episode of the data set in a folder.
 
-    task: what the episode shows, in words. camera: its name; the pictures are "observation.images.<camera>". shape:
-    rows and columns. rate: frames per second. The others as of EncodedFile; the codec is h264. The table has
-    `exposure_time_s` [s], analog `gain`, `predicted_rms` (relative) and `seed` of each frame beside LeRobot's columns.
-    Raises OutOfRange for a rate that is not whole, a seed that is no int64, and a rate, a size or features other than
-    those of the episodes before; BadFile for what is no data set of this version; GpusimError without pyarrow.
+    The table has `exposure_time_s` [s], analog `gain`, `predicted_rms` (relative) and `seed` of
+    each frame in addition to LeRobot's columns.
+
+    Args:
+        folder: Folder of the data set.
+        task: Task that the episode shows, in words.
+        camera: Name of the camera; the pictures are "observation.images.<camera>".
+        shape: Rows and columns.
+        rate: Frames per second.
+        seed: Seed of the noise.
+        codec: Codec: h264.
+        encoder: Encoder of the segments.
+        segments: All segments.
+        made: `frames` or `blurred_frames`.
+
+    Raises:
+        OutOfRange: If the rate is not a whole number, the seed is not an int64, or rate, size or
+            features differ from earlier episodes.
+        BadFile: If the folder has another version, or is damaged.
+        GpusimError: If pyarrow is not installed.
     """
 
     def __init__(
@@ -97,7 +113,7 @@ class Episode(EncodedFile):
         super().__init__(folder / f"episode-{self.number:06d}", codec, encoder, segments, made)
 
     def _read(self):
-        """What the data set tells of itself, and a row of each of its episodes."""
+        """Return the information on the data set, and a row for each of its episodes."""
         path = self._root / INFO
         if not path.exists():
             return NEW, []
@@ -122,7 +138,7 @@ class Episode(EncodedFile):
             raise OutOfRange(
                 f"features of an episode in {self._root}",
                 ", ".join(f"{name} {here.get(name, 'none')}" for name in others),
-                "those of the others, "
+                "the features of the others, "
                 + ", ".join(f"{name} {there.get(name, 'none')}" for name in others),
             )
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
@@ -130,27 +146,32 @@ class Episode(EncodedFile):
             rows = chain.from_iterable(
                 pyarrow().parquet.read_table(table).to_pylist() for table in tables
             )
-            # a run that was ended between two files leaves a row that the information does not have
+            # a run that ended between two files leaves a row that the information does not count
             return info, sorted(
                 (row for row in rows if row["episode_index"] < info["total_episodes"]),
                 key=lambda row: row["episode_index"],
             )
 
     @property
-    def told(self) -> str:
-        """What there is when all is done, for messages."""
+    def result(self) -> str:
+        """The finished output, for messages."""
         return f"{self._root}: episode {self.number}"
 
-    def _joined(self, path):
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """See `EncodedFile`."""
+        return self._root, self.folder
+
+    def _join(self, path):
         self._encoder.join(
             path, [(segment.start, self.part(segment)) for segment in self._segments]
         )
 
-    def _encoded(self, segment, computed):
-        """Encode a segment, and keep what is known of its frames beside it; gives each of its frames."""
+    def _encode(self, segment, computed):
+        """Encode a segment, store data on its frames next to it, and yield each frame."""
         known, counts = [], np.zeros((3, CODES), np.int64)
 
-        def noted():
+        def note_data():
             for one in computed:
                 known.append((one.exposure_time, one.gain, one.account.total.rms))
                 counts[:] += [
@@ -158,10 +179,8 @@ class Episode(EncodedFile):
                 ]
                 yield one
 
-        for one in super()._encoded(segment, noted()):
-            if (
-                one.number == segment[-1]
-            ):  # before the segment's file is there, which says that all is
+        for one in super()._encode(segment, note_data()):
+            if one.number == segment[-1]:  # before the segment's file, which marks it as complete
                 with atomic_path(self._notes(segment)) as temporary:
                     np.savez(temporary, known=known, counts=counts)
             yield one
@@ -170,9 +189,10 @@ class Episode(EncodedFile):
         return self.part(segment).with_suffix(".npz")
 
     def finish(self) -> bool:
-        """Put the episode into the data set where all segments are there. Returns whether they were. Raises BadFile.
+        """Add the episode to the data set if all segments exist. Return whether they do.
 
-        All files are complete before the first of them has its name. What says that they are there comes last.
+        All files are complete before the first one gets its name; the file that lists them comes
+        last. Raises BadFile.
         """
         if not all(self.part(segment).exists() for segment in self._segments):
             return False
@@ -230,7 +250,7 @@ class Episode(EncodedFile):
         }
         arrow = pyarrow()
         written = [
-            (_path(info["video_path"], video, video_key=self._key), self._joined),
+            (_path(info["video_path"], video, video_key=self._key), self._join),
             (_path(info["data_path"], data), table),
             (TASKS, _task_table(tasks)),
             (_path(EPISODES, episodes), arrow.Table.from_pylist([row])),
@@ -254,11 +274,11 @@ class Episode(EncodedFile):
                 os.replace(path, final)
         except OSError as error:
             raise BadFile(final, f"cannot be written: {error.strerror or error}") from error
-        self._emptied()
+        self._remove_segments()
         return True
 
     def _tasks(self):
-        """All tasks in the order of their numbers, this one included."""
+        """Return all tasks in the order of their numbers, including this one."""
         path = self._root / TASKS
         if not self._before:
             return [self._task]
@@ -272,11 +292,11 @@ class Episode(EncodedFile):
         return found if self._task in found else [*found, self._task]
 
     def _table(self, task):
-        """Table of the frames, statistics of each feature, and the number of frames."""
+        """Return the table of the frames, statistics of each feature, and the number of frames."""
         notes = []
         for segment in self._segments:
             with (
-                reading(self._notes(segment), "what is known of frames"),
+                reading(self._notes(segment), "data on frames"),
                 np.load(self._notes(segment)) as file,
             ):
                 notes.append((file["known"], file["counts"]))
@@ -337,12 +357,12 @@ def _features(key, shape, rate):
 
 
 def _kind(feature):
-    """Type and shape of a feature, such as "video 480x640x3"."""
+    """Return type and shape of a feature, for example "video 480x640x3"."""
     return f"{feature['dtype']} {'x'.join(map(str, feature['shape']))}"
 
 
 def _following(last, name, size):
-    """Numbers of a chunk, of `size` files, and of the file in it that come after those of an episode's row."""
+    """Return the next numbers of chunk and file after an episode's row. size: files per chunk."""
     return (
         divmod(last[f"{name}/chunk_index"] * size + last[f"{name}/file_index"] + 1, size)
         if last
@@ -355,7 +375,7 @@ def _path(template, place, **others):
 
 
 def _statistics(values, weights):
-    """Statistics of values (n,), each as often as its weight says."""
+    """Return weighted statistics of values (n,)."""
     there, mean = values[weights > 0], np.average(values, weights=weights)
     quantiles = np.quantile(values.astype(float), QUANTILES, weights=weights, method="inverted_cdf")
     return {
@@ -370,7 +390,7 @@ def _statistics(values, weights):
 
 
 def _together(parts):
-    """Statistics of all episodes from those of each; quantiles are their mean by count, as LeRobot has them."""
+    """Return the statistics of all episodes; quantiles are averaged by count, as in LeRobot."""
     of = {which: np.array([part[which] for part in parts]) for which in parts[-1]}
     count = of.pop("count")
 
@@ -388,8 +408,8 @@ def _together(parts):
 
 
 def _task_table(tasks):
-    """Tasks are the index of a table of pandas, which its reader takes from the metadata."""
-    told = {
+    """Return the table of tasks. Its metadata declare them as the index of a pandas table."""
+    metadata = {
         "index_columns": ["task"],
         "column_indexes": [],
         "pandas_version": "2.0.0",
@@ -408,4 +428,4 @@ def _task_table(tasks):
         ],
     }
     table = pyarrow().table({"task_index": range(len(tasks)), "task": tasks})
-    return table.replace_schema_metadata({"pandas": json.dumps(told)})
+    return table.replace_schema_metadata({"pandas": json.dumps(metadata)})

@@ -1,10 +1,9 @@
-"""Loops of a camera over the frames of a video: exposure, white balance and focus that follow the scene with a lag.
+"""Control loops of a camera in a video: exposure, white balance and focus follow the scene.
 
-What they do is found before the frames, in a pass over all scenes that takes one picture of each, and is kept with the
-video: its parts, and a run that goes on, read it.
+Their settings are computed before the frames, in a pass over all scenes that takes one picture of
+each. They are stored in the video's manifest, where shards and resumed runs read them.
 """
 
-import argparse
 import json
 from collections.abc import Callable
 from contextlib import closing
@@ -16,26 +15,32 @@ from typing import Any
 import numpy as np
 
 from gpusim.apps.video.manifest import LARGEST
+from gpusim.apps.video.named import read_named
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Scenes
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, GpusimError, OutOfRange
+from gpusim.domain.errors import BadData, Conflict, GpusimError
 from gpusim.domain.processor import WHITE_BALANCES
 from gpusim.io.files import read_text
 from gpusim.pipeline.simulator import Simulator
 
 SLOWEST = 1e4  # [s]
-READ = 2  # scenes that are ready before they are needed
+READ = 2  # scenes that are read ahead
 
 
 @dataclass(frozen=True)
 class Lags:
-    """Time constants of the loops that a camera has [s]; None: it has none.
+    """Time constants of a camera's control loops [s]; None: no such loop.
 
-    After one of them a loop has made up for 63 % of a step, as 1 - exp(-t / lag); with 0 it follows in the next frame.
-    exposure: automatic exposure, in stops. white: the white that the processor estimates, in logarithms. focus: on the
-    middle third of a scene with depth, as sensors of phase tell it without a search, in dioptres.
+    After one time constant a loop has followed 63 % of a step, 1 - exp(-t / lag); with 0 it follows
+    in the next frame.
+
+    Attributes:
+        exposure: Automatic exposure; the loop works in stops.
+        white: White balance that the processor estimates; the loop works in logarithms.
+        focus: Focus on the middle third of a scene with depth, as phase-detection sensors measure
+            it without a search; the loop works in dioptres.
     """
 
     exposure: float | None = None
@@ -44,57 +49,56 @@ class Lags:
 
     @classmethod
     def parse(cls, text: str) -> "Lags":
-        """Of a command line: `exposure=0.3,white=1,focus=0.4`."""
-        names, found = [part.name for part in fields(cls)], {}
-        for part in text.split(","):
-            name, _, value = part.partition("=")
-            try:
-                lag = float(value)
-            except ValueError:
-                lag = -1.0
-            if name not in names or name in found or not (isfinite(lag) and 0 <= lag <= SLOWEST):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: "
-                    f"{', '.join(names)}"
-                )
-            found[name] = lag
-        return cls(**found)
+        """Return the lags of `exposure=0.3,white=1,focus=0.4`. Raises ArgumentTypeError."""
+        names = [part.name for part in fields(cls)]
+
+        def read(name, text):
+            lag = float(text)
+            if name not in names or not (isfinite(lag) and 0 <= lag <= SLOWEST):
+                raise ValueError
+            return lag
+
+        wanted = f"NAME=SECONDS, 0 .. {SLOWEST:g}, each NAME once: {', '.join(names)}"
+        return cls(**read_named(text, read, wanted))
 
     def check(self, camera: Camera, ramps: Ramps):
-        """Raise OutOfRange where a loop has nothing to do: what it would set is given."""
+        """Raise Conflict if a loop has no effect, because its setting is given or fixed."""
         ramped = [name for name, _ in ramps.ranges]
         if self.exposure is not None and (
             camera.sensor.exposure_time is not None or "exposure" in ramped
         ):
-            raise OutOfRange(
-                "--lag exposure", self.exposure, "for a camera that meters: --exposure auto"
+            raise Conflict(
+                "--lag exposure",
+                "the exposure time is set",
+                "use --exposure auto and no ramp of it",
             )
         if self.focus is not None and "focus" in ramped:
-            raise OutOfRange("--lag focus", self.focus, "without a ramp of the focus")
+            raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
         if self.focus is not None and camera.optics.psf is not None:
-            raise OutOfRange(
+            raise Conflict(
                 "--lag focus",
-                self.focus,
-                "for a camera without measured point spreads, of one focus",
+                "measured point spread functions have one focus",
+                "use a camera without [optics] psf",
             )
         if self.white is not None and not camera.processor.estimates_white:
             estimates = [
                 name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
             ]
-            raise OutOfRange(
+            raise Conflict(
                 "--lag white",
-                self.white,
-                "for a processor that estimates the white: white_balance = one "
-                f"of {', '.join(estimates)} in the camera file",
+                "the processor does not estimate the white",
+                f"set white_balance in the camera file to one of {', '.join(estimates)}",
             )
 
 
 @dataclass(frozen=True)
 class Loops:
-    """What the loops have set for every frame.
+    """Settings of the loops for every frame, each a list or None.
 
-    seconds: exposure time times analog gain [s], white: camera values of white, focus: distance of what is in focus
-    [m]; each a list of all frames, or None.
+    Attributes:
+        seconds: Exposure time times analog gain [s].
+        white: Camera values of white.
+        focus: Distance of the plane in focus [m].
     """
 
     seconds: list[float] | None = None
@@ -103,9 +107,9 @@ class Loops:
 
     @classmethod
     def kept_in(cls, manifest: Path, lags: Lags, count: int) -> "Loops | None":
-        """Those of a manifest of a video of `count` frames; None if it has none, or others than `lags` has.
+        """Return the loops of a manifest, or None if it has none for these lags and `count` frames.
 
-        What is wrong with it is found with the rest.
+        Other errors of the manifest are found when the run checks it.
         """
         try:
             found = cls(
@@ -133,7 +137,7 @@ class Loops:
         return found
 
     def camera(self, camera: Camera, number: int) -> Camera:
-        """The camera of a frame."""
+        """Return the camera of a frame."""
         if self.focus is self.white is None:
             return camera
         optics, processor = camera.optics, camera.processor
@@ -144,7 +148,7 @@ class Loops:
         return replace(camera, optics=optics, processor=processor)
 
     def operation(self, camera: Camera, number: int) -> dict[str, Any]:
-        """Exposure time [s] and analog gain of a frame, as `Program.update` takes them; nothing where it meters."""
+        """Return exposure time [s] and analog gain for `Program.update`; empty if a frame meters."""
         if self.seconds is None:
             return {}
         total, longest = self.seconds[number], camera.sensor.auto_exposure.longest
@@ -156,9 +160,17 @@ NO_LOOPS = Loops()
 
 
 def follow(targets, lag: float, period: float) -> np.ndarray:
-    """What a loop sets for every frame, from where it should be in each one, shape (n, ...).
+    """Return the settings of a loop for every frame.
 
-    It begins where it should be, and sees a frame before it sets the next. lag, period: of the loop and the frames [s].
+    The loop starts at its first target, and sees a frame before it sets the next one.
+
+    Args:
+        targets: Ideal setting of every frame, shape (n, ...).
+        lag: Time constant of the loop [s].
+        period: Time between frames [s].
+
+    Returns:
+        The settings, shape (n, ...), float64.
     """
     targets = np.asarray(targets, np.float64)
     part = 1.0 if lag == 0 else 1 - exp(-period / lag)
@@ -168,7 +180,7 @@ def follow(targets, lag: float, period: float) -> np.ndarray:
     return found
 
 
-def metered(
+def meter_scenes(
     simulator: Simulator,
     scenes: Scenes,
     lags: Lags,
@@ -178,10 +190,20 @@ def metered(
     seed: int = 0,
     seen: Callable[[], Any] = int,
 ) -> Loops:
-    """The loops' settings by the light, the colours and the distances of all scenes.
+    """Return the settings of the loops for the light, colours and distances of all scenes.
 
-    period: of the frames [s]. seed: of the pictures' noise. seen: called after each of the scenes. Raises BadData for a
-    loop of focus without depth, and what frames of the scenes raise.
+    Args:
+        simulator: Camera and device.
+        scenes: Scenes of all frames.
+        lags: Time constants of the loops.
+        ramps: Settings that change over the video.
+        period: Time between frames [s].
+        seed: Seed of the noise of the metered pictures.
+        seen: Function that is called after each scene.
+
+    Raises:
+        BadData: If the focus follows a scene without depth.
+        GpusimError: As frames of the scenes do.
     """
     program: Any = None
     last = max(scenes.count - 1, 1)
@@ -219,10 +241,10 @@ def metered(
 
 
 def _distance(scene):
-    """Of what is in the middle third of a scene [m]."""
+    """Return the median distance of the middle third of a scene [m]."""
     if scene.depth is None:
         raise BadData(
-            f"{scene.name}: no depth, so that a loop of focus has nothing to follow; wanted scene.depth [m]"
+            f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
         )
     middle = tuple(slice(n // 3, n - n // 3) for n in scene.depth.shape)
     return float(np.median(scene.depth[middle]))

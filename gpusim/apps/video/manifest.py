@@ -1,37 +1,55 @@
-"""What makes a video what it is, kept beside it: a run that goes on with it, or another shard, is of the same."""
+"""Manifests: a file next to a video or data set that records everything its frames depend on.
+
+A run that resumes it, or another shard, must have the same manifest.
+"""
 
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from gpusim import __version__
+from gpusim.backends.probe import made_by
+from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadFile
 from gpusim.domain.leftovers import remove_leftovers
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import read_text
+
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-PARTS = ".parts"  # suffix of a folder of what is not complete
-SECONDS = 1.0  # after which the names of plans are kept, or at the end of a segment
+PARTS = ".parts"  # suffix of a folder of incomplete work
+SECONDS = 1.0  # between two updates of the plans in a manifest
 SHOWN = 3  # names of plans, in a message
 LARGEST = 2**26  # [byte] of a manifest
-ENDS = 2**16  # [byte] of a file that tell it from another of its size
+ENDS = 2**16  # [byte] at each end of a file that its digest covers
 
 
 @contextmanager
 def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
-    """While a video is made: its manifest is there, or is the one that was there.
+    """Write the manifest of a run, or check the existing one, while the run works.
 
-    made: plain data. outputs: what to remove for a video that begins anew. is_empty: whether nothing was written: a
-    manifest that is new then goes again when the work fails. Temporary files that killed processes left in its folder
-    are removed. Raises BadFile where it is another video's.
+    Temporary files that killed processes left in the folder are removed.
+
+    Args:
+        path: File of the manifest.
+        made: Content, as plain data.
+        outputs: Files that a new start has to remove, in words.
+        is_empty: Function that returns whether nothing was written. If so, a new manifest is
+            removed when the work fails.
+
+    Raises:
+        BadFile: If the existing manifest belongs to another run.
     """
     remove_leftovers(path.parent)
     is_new = not path.exists()
@@ -48,21 +66,20 @@ def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
 
 
 class _IsThere(Exception):
-    """Another shard was faster."""
+    """Another shard has written the manifest."""
 
 
 def _keep(path, made, outputs):
+    """Write the manifest, or check the existing one. Raises BadFile."""
     if not path.exists():
         with suppress(_IsThere), atomic_path(path) as temporary:
             temporary.write_text(json.dumps(made, indent=2) + "\n")
             try:
-                os.link(
-                    temporary, path
-                )  # the first of several shards writes it, and no other over it
+                os.link(temporary, path)  # only the first of several shards writes it
             except FileExistsError:
                 raise _IsThere from None
             except OSError:
-                pass  # a file system without links: the last one writes it
+                pass  # a file system without links: the last shard writes it
     try:
         found = json.loads(read_text(path, "a manifest of a video", LARGEST))
         others = [name for name in made if found.get(name) != made[name]]
@@ -81,20 +98,21 @@ def _keep(path, made, outputs):
         AttributeError,
         RecursionError,
     ) as error:  # RecursionError: of JSON, lists in lists
-        raise BadFile(
-            path, f"not a manifest of a video ({error}); remove it and {outputs}"
-        ) from error
+        raise BadFile(path, f"not a manifest ({error}); remove it and {outputs}") from error
     if others:
         raise BadFile(
             path,
-            f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}",
+            f"a run with other {', '.join(named)}; give -o another name, or remove it and {outputs}",
         )
 
 
 class Plans:
-    """Names of the plans that made a video's frames, kept in its manifest: "plans", by name the runs [first, last].
+    """Plans of a video's frames, in its manifest: "plans", runs [first, last] of frames by name.
 
-    Shards add theirs to one manifest. Used as a context manager, which writes them at its end.
+    Shards add theirs to one manifest. A context manager that writes them at its end.
+
+    Args:
+        path: File of the manifest.
     """
 
     def __init__(self, path: Path):
@@ -109,19 +127,19 @@ class Plans:
         self.write()
 
     def add(self, name: str, number: int, is_last: bool = False):
-        """Note the plan of a frame. is_last: of its segment: then, or after SECONDS, the manifest is written."""
-        self.runs[name] = _joined([*self.runs.get(name, ()), [number, number]])
+        """Add the plan of a frame. The manifest is updated after SECONDS and after a segment."""
+        self.runs[name] = _join_runs([*self.runs.get(name, ()), [number, number]])
         if is_last or time.monotonic() > self._written + SECONDS:
             self.write()
 
     def write(self):
-        """Put them into the manifest, if it is still there. Raises BadFile."""
+        """Add the plans to the manifest, if it still exists. Raises BadFile."""
         self._written = time.monotonic()
         with _alone(self._path.parent), suppress(FileNotFoundError, ValueError, RecursionError):
             made = json.loads(self._path.read_text(encoding="utf-8"))
             others = _plans_in(made)
             plans = others | {
-                name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()
+                name: _join_runs([*others.get(name, ()), *runs]) for name, runs in self.runs.items()
             }
             if plans != others:
                 with atomic_path(self._path) as temporary:
@@ -136,19 +154,19 @@ class Plans:
 
 
 def _plans_in(made):
-    """Return the runs of a manifest's plans by their names. Raises ValueError for anything else."""
+    """Return the runs of a manifest's plans by name. Raises ValueError if they are malformed."""
     plans = made.get("plans", {}) if isinstance(made, dict) else None
     if not isinstance(plans, dict) or not all(
         isinstance(runs, list)
         and all(isinstance(run, list) and [*map(type, run)] == [int, int] for run in runs)
         for runs in plans.values()
     ):
-        raise ValueError("plans that are no runs of frames")
+        raise ValueError("its plans are not runs of frames")
     return plans
 
 
-def _joined(runs):
-    """Runs of numbers in order, those that meet as one."""
+def _join_runs(runs):
+    """Return runs of numbers in order, with adjacent ones merged."""
     found: list[list[int]] = []
     for first, last in sorted(runs):
         if found and first <= found[-1][1] + 1:
@@ -160,7 +178,7 @@ def _joined(runs):
 
 @contextmanager
 def _alone(folder: Path):
-    """While no other process of this system is in here for the same folder, if the system can tell."""
+    """Lock a folder against other processes, if the system can."""
     if fcntl is None:
         yield
         return
@@ -174,7 +192,7 @@ def _alone(folder: Path):
 
 
 def file_digest(path) -> str:
-    """Digest of a file's size, beginning and end; "" of what is no file, such as a chart's name."""
+    """Return a digest of a file's size, beginning and end; "" for a chart."""
     path = Path(path)
     if not path.is_file():
         return ""
@@ -184,3 +202,24 @@ def file_digest(path) -> str:
         file.seek(max(path.stat().st_size - ENDS, 0))
         found.update(file.read(ENDS))
     return found.hexdigest()[:16]
+
+
+def describe_run(
+    simulator: "Simulator", files: Iterable, options: dict[str, str], **others: Any
+) -> dict[str, Any]:
+    """Return the content of a manifest: everything that the frames of a run depend on.
+
+    Args:
+        simulator: Camera and device.
+        files: Names of the files that the frames show.
+        options: Options of the command line as text, by name.
+        others: More of the manifest, as plain data.
+    """
+    return {
+        "gpusim": __version__,
+        "camera": digest(simulator.camera),
+        **others,
+        "contents of files": [file_digest(name) for name in files],
+        "options": options,
+        "device": made_by(simulator.device),
+    }

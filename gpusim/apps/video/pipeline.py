@@ -1,4 +1,4 @@
-"""Steps of a loop that go on at the same time: each in a thread of its own, a few items ahead of the next one."""
+"""Concurrent steps of a loop: each runs in its own thread, a few items ahead of the next step."""
 
 from collections.abc import Generator, Iterable
 from queue import Empty, Full, Queue
@@ -6,13 +6,13 @@ from threading import Event, Thread
 from typing import TypeVar
 
 T = TypeVar("T")
-WAIT = 0.1  # [s] until a thread that cannot go on looks whether it should end
+WAIT = 0.1  # [s] between two checks of a waiting thread whether it should end
 
 
 def ahead(items: Iterable[T], count: int) -> Generator[T, None, None]:
-    """The items, made in a thread up to `count` before they are asked for. What is raised there is raised here.
+    """Yield the items, computed by a thread up to `count` items ahead. Errors are raised here.
 
-    When this generator is closed, that thread ends after the item that it is making.
+    When this generator is closed, the thread ends after its current item.
     """
     queue: Queue = Queue(count)
     over = Event()
@@ -32,7 +32,7 @@ def ahead(items: Iterable[T], count: int) -> Generator[T, None, None]:
                 if over.is_set():
                     return
             put(None, StopIteration())
-        except BaseException as error:  # whatever it is, it is the caller's
+        except BaseException as error:  # handed to the caller
             put(None, error)
         finally:
             if isinstance(items, Generator):
@@ -43,7 +43,7 @@ def ahead(items: Iterable[T], count: int) -> Generator[T, None, None]:
     try:
         while True:
             try:
-                item, error = queue.get(timeout=WAIT)  # an interrupt is seen between two waits
+                item, error = queue.get(timeout=WAIT)  # interrupts arrive between two waits
             except Empty:
                 continue
             if isinstance(error, StopIteration):

@@ -1,11 +1,9 @@
-"""What changes evenly over a video: exposure, speed, lens and light."""
+"""Settings that change evenly over a video: exposure, ISO speed, lens and light."""
 
-import argparse
 from dataclasses import dataclass
-from math import isfinite
 from typing import TYPE_CHECKING
 
-from gpusim.domain.quantities import parse_seconds
+from gpusim.apps.video.named import read_named, read_positive
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.camera import Camera
@@ -17,43 +15,30 @@ NAMES = (*CAMERA, "light")
 
 @dataclass(frozen=True)
 class Ramps:
-    """Values at the first frame and at the last one, evenly in the logarithm between.
+    """Values at the first and at the last frame, and between them evenly in the logarithm.
 
-    ranges: name of NAMES -> (first, last): exposure time [s], ISO speed, f-number, distance of what is in focus [m],
-    and a factor of all light.
+    Attributes:
+        ranges: Name of NAMES and (first, last): exposure time [s], ISO speed, f-number, distance of
+            the plane in focus [m], and a factor of all light.
     """
 
     ranges: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> "Ramps":
-        """Of a command line: `exposure=1/500..1/30,focus=0.3..5`."""
-        found: dict[str, tuple[float, float]] = {}
-        for part in text.split(","):
-            name, _, value = part.partition("=")
-            ends = value.split("..")
-            try:
-                numbers = [parse_seconds(end) if name == "exposure" else float(end) for end in ends]
-            except (ValueError, argparse.ArgumentTypeError):
-                numbers = []
-            if (
-                name not in NAMES
-                or name in found
-                or len(numbers) != 2
-                or not all(
-                    isinstance(number, float) and isfinite(number) and number > 0
-                    for number in numbers
-                )
-            ):
-                raise argparse.ArgumentTypeError(
-                    f"{part!r}: wanted NAME=FIRST..LAST, numbers above 0, each NAME once: "
-                    f"{', '.join(NAMES)}"
-                )
-            found[name] = numbers[0], numbers[1]
-        return cls(tuple(found.items()))
+        """Return the ramps of `exposure=1/500..1/30,focus=0.3..5`. Raises ArgumentTypeError."""
+
+        def read(name, text):
+            if name not in NAMES:
+                raise ValueError
+            first, last = (read_positive(name, end) for end in text.split(".."))
+            return first, last
+
+        wanted = f"NAME=FIRST..LAST, numbers above 0, each NAME once: {', '.join(NAMES)}"
+        return cls(tuple(read_named(text, read, wanted).items()))
 
     def at(self, part: float) -> dict[str, float]:
-        """Values at a part of the video, 0 .. 1."""
+        """Return the values at a part of the video, 0 .. 1."""
         return {
             name: float(
                 min(max(first * (last / first) ** part, min(first, last)), max(first, last))
@@ -62,7 +47,7 @@ class Ramps:
         }  # a power rounds, and must not leave the range
 
     def camera(self, camera: "Camera", part: float) -> "Camera":
-        """The camera there. Raises what it does for settings that it cannot have."""
+        """Return the camera at a part of the video. Raises as `operate_camera` does."""
         values = self.at(part)
         if not any(name in CAMERA for name in values):
             return camera
@@ -77,6 +62,6 @@ class Ramps:
         )
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
-        """The scene in the light that there is then."""
+        """Return the scene in the light at a part of the video."""
         factor = self.at(part).get("light")
         return scene if factor is None else scene.brightened(factor)

@@ -1,4 +1,4 @@
-"""Which scene each frame of a video shows."""
+"""Scenes of the frames of a video."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -18,14 +18,25 @@ NUMBERED = re.compile(r"(.*?)(\d+)", re.DOTALL)
 
 
 class Scenes(Protocol):
-    """Scenes of one size. count: of the frames. is_still: whether all of them show one. names: of what is shown."""
+    """Scenes of the frames of a video, all of one size.
+
+    Attributes:
+        count: Number of frames.
+        is_still: Whether all frames show the same scene.
+        names: Names of the scenes.
+    """
 
     count: int
     is_still: bool
     names: list[str]
 
     def between(self, first: int, end: int) -> Iterator[Scene]:
-        """The scenes of the frames first .. end - 1. Raises what `open_scene` does, and BadData for another size."""
+        """Yield the scenes of the frames first .. end - 1.
+
+        Raises:
+            BadData: If a scene has another size.
+            GpusimError: As `open_scene` does.
+        """
 
 
 class Still:
@@ -42,7 +53,7 @@ class Still:
 
 
 class Files:
-    """A scene file for every frame. opened: the scene of a path, as `open_scene` gives it."""
+    """A scene file for every frame. opened: function from a path to its scene."""
 
     is_still = False
 
@@ -58,22 +69,30 @@ class Files:
 
 
 class First:
-    """The first frames of others. Raises OutOfRange where there are not so many."""
+    """The first `count` frames of other scenes. Raises OutOfRange if there are fewer."""
 
     is_still = False
 
     def __init__(self, scenes: Scenes, count: int):
         if count > scenes.count:
             raise OutOfRange(
-                "--frames", count, f"up to {scenes.count}, which {scenes.names[0]} has"
+                "--frames", count, f"up to {scenes.count}, the frames of {scenes.names[0]}"
             )
         self.count, self.names, self.between = count, scenes.names, scenes.between
 
 
 class Moving:
-    """Other scenes, `still`, before a camera that moves. rate: frames per second. Raises OutOfRange, BadData.
+    """Scenes in front of a moving camera.
 
-    flicker: of their light. actors: what moves in them.
+    Args:
+        scenes: The scenes before they move, later `still`.
+        motion: Movement of the camera.
+        rate: Frames per second.
+        flicker: Flicker of all light.
+        actors: Pictures that move in front of the scenes.
+
+    Raises:
+        BadData, OutOfRange: If the view leaves the scene.
     """
 
     is_still = False
@@ -95,7 +114,7 @@ class Moving:
         self.actors = actors
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
-            motion.at(number * self.period)  # said before the work
+            motion.at(number * self.period)  # raises before the work
 
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `Scenes`."""
@@ -107,7 +126,7 @@ class Moving:
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:
-    """Return a scene as it is. Raises BadData where it makes a frame of another size than the first."""
+    """Return a scene unchanged. Raises BadData if its frame has another size than the first one."""
     if scene.shape != shape:
         raise BadData(
             f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels, after {shape[1]}x{shape[0]} of "
@@ -117,7 +136,10 @@ def checked_size(scene: Scene, shape, name, first) -> Scene:
 
 
 def numbered_files(folder: Path) -> list[Path]:
-    """Scene files of a folder in the order of their numbers. Raises BadFile where they are of two videos, or none."""
+    """Return the scene files of a folder by number.
+
+    Raises BadFile if there are none, or two series.
+    """
     try:
         found = scene_files(folder)
     except OSError as error:
@@ -132,21 +154,21 @@ def numbered_files(folder: Path) -> list[Path]:
         if parts is None:
             raise BadFile(
                 path,
-                "its name ends in no number, so its place in the video is not known; move it away, or "
+                "its name does not end in a number, so its place in the video is unknown; move it away, or "
                 "give the files one by one",
             )
         numbers[path] = (parts[1], path.suffix), int(parts[2])
         if kind not in (None, numbers[path][0]):
             raise BadFile(
                 folder,
-                f"files of two videos: {found[0].name} and {path.name}; give one of them, such as "
+                f"files of two videos: {found[0].name} and {path.name}; give one of them, for example "
                 f"{folder / '*'.join(kind)}",
             )
     return sorted(found, key=lambda path: numbers[path][1])
 
 
 def check_numbers(paths: Sequence[Path]):
-    """Raise BadFile where the files' numbers, if all that differs are numbers, leave one out or go down."""
+    """Raise BadFile if the numbers of files that differ only by a number have a gap or go down."""
     parts = [part for path in paths if (part := NUMBERED.fullmatch(path.stem))]
     kinds = {(path.parent, path.suffix) for path in paths} | {part[1] for part in parts}
     if len(parts) < len(paths) or len(kinds) > 2:
@@ -156,11 +178,9 @@ def check_numbers(paths: Sequence[Path]):
         if number <= before:
             raise BadFile(
                 path,
-                f"number {number} comes after {before}: the order of the files is not that of their "
-                "numbers; --any-order takes them as they are given",
+                f"number {number} comes after {before}: the files are not in the order of their "
+                "numbers; --any-order keeps their order",
             )
         if number > before + 1:
             missing = f"{before + 1}" + (f" .. {number - 1}" if number > before + 2 else "")
-            raise BadFile(
-                path, f"number {missing} is missing before it; --any-order goes on without"
-            )
+            raise BadFile(path, f"number {missing} is missing before it; --any-order allows gaps")

@@ -1,36 +1,44 @@
-"""Segments of a video: each is computed by itself, so that resumed runs and shards give what one run gives.
+"""Segments of a video. Each is computed independently, so resumed runs and shards equal one run.
 
-What a loop over frames remembers, such as the light of the frame before, begins anew with every segment: from the frame
-before its first one, which is computed once more. So a segment's frames depend on the segment alone.
+The state of a loop over frames, for example the metered light, restarts with every segment: the
+frame before its first one is computed again. A segment's frames therefore depend only on the
+segment.
 """
 
 import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 from gpusim.domain.errors import OutOfRange
 
-LENGTH = 24  # frames, by default: one more in 24 is 4 % of work that is done twice
+LENGTH = 24  # frames, by default: one extra frame in 24 costs 4 %
 
 
 @dataclass(frozen=True)
 class Shard:
-    """The part `number` of `count` of a video, from 0 on: runs of neighbouring segments."""
+    """Part `number` (from 0) of `count` parts of a video: a run of neighbouring segments."""
 
     number: int = 0
     count: int = 1
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """Of `i/n` on a command line, i from 0 on."""
+        """Return the shard of the text I/N, I counted from 0. Raises ArgumentTypeError."""
         number, slash, count = text.partition("/")
         if not (slash and number.isdecimal() and count.isdecimal() and int(number) < int(count)):
-            raise argparse.ArgumentTypeError(
-                f"{text!r}: wanted I/N, I from 0 to N - 1, such as 0/4 .. 3/4"
-            )
+            raise argparse.ArgumentTypeError(f"{text!r}: wanted I/N, I from 0 to N - 1: 0/4 .. 3/4")
         return cls(int(number), int(count))
 
     def of(self, segments: list[range], option: str = "--segment") -> list[range]:
-        """Its segments. option: that sets their length. Raises OutOfRange where there are fewer of them than shards."""
+        """Return the segments of this shard.
+
+        Args:
+            segments: All segments.
+            option: Name of the option that sets their length, for the error.
+
+        Raises:
+            OutOfRange: If there are fewer segments than shards.
+        """
         if self.count > len(segments):
             raise OutOfRange(
                 "--shard",
@@ -43,5 +51,10 @@ class Shard:
 
 
 def segments_of(frames: int, length: int) -> list[range]:
-    """Segments of so many frames, the last one shorter where they do not divide evenly."""
+    """Return the segments of `frames` frames; the last one may be shorter than `length`."""
     return [range(first, min(first + length, frames)) for first in range(0, frames, length)]
+
+
+def numbered_path(path: Path, number: int, count: int) -> Path:
+    """Return the path of one of `count` numbered files: `a.png` gives a_0000.png, ..."""
+    return path.with_name(f"{path.stem}_{number:0{max(4, len(str(count - 1)))}d}{path.suffix}")

@@ -1,4 +1,4 @@
-"""Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
+"""Frames of a video, computed while the next scenes are read and the last frames are written."""
 
 import glob
 import os
@@ -19,22 +19,30 @@ from gpusim.apps.video.manifest import PARTS
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Moving, Scenes
+from gpusim.apps.video.segments import numbered_path
 from gpusim.captures.moving import expose_motion
 from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
+from gpusim.pipeline.frame import Exposure
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS = Ramps()
-READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
+READ, COMPUTED = 2, 3  # scenes and frames that are computed ahead
 
 
 @dataclass(frozen=True)
 class Made:
-    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors.
+    """A frame of a video.
 
-    exposure_time: [s]. gain: analog, beside the sensor's. plan: name of the plan that made it.
+    Attributes:
+        number: Number of the frame.
+        values: A Frame, or an array for a codec.
+        account: Predicted errors.
+        exposure_time: Exposure time [s].
+        gain: Analog gain in addition to the sensor's.
+        plan: Name of the plan.
     """
 
     number: int
@@ -44,11 +52,23 @@ class Made:
     gain: float
     plan: str = ""
 
+    @classmethod
+    def of(cls, number: int, values: Any, account: Account, exposure: Exposure) -> "Made":
+        """Return the frame of an exposure."""
+        return cls(
+            number, values, account, exposure.exposure_time, exposure.gain, exposure.plan.name
+        )
+
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
-    """The camera whose automatic exposure ends with the frame's period. Raises OutOfRange for a longer one that is set.
+    """Return the camera with automatic exposure limited to the period of a frame.
 
-    rate: frames per second.
+    Args:
+        camera: Camera of the video.
+        rate: Frames per second.
+
+    Raises:
+        OutOfRange: If the camera has a longer fixed exposure time.
     """
     sensor, longest = camera.sensor, float(1 / rate)
     if sensor.exposure_time is None:
@@ -74,18 +94,26 @@ def frames(
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
 ) -> Iterator[Made]:
-    """The frames that are wanted of each segment, in order.
+    """Yield the wanted frames of each segment, in order.
 
-    segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
-    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps, loops: of
-    all frames that `scenes` has.
+    A camera that meters exposes each frame for the light of the previous one, and the first for its
+    own.
+
+    Args:
+        simulator: Camera and device.
+        scenes: Scenes of all frames.
+        segments: For each segment its first frame, then the wanted ones.
+        seed: Seed of the noise.
+        output: Output of `Simulator.stream`. None: a Frame.
+        ramps: Settings that change over all frames.
+        loops: Settings of the camera's control loops for all frames.
     """
     program, last = None, max(scenes.count - 1, 1)
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
     for first, *wanted in segments:
         if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
             program = program or simulator.program(next(scenes.between(0, 1)))
-            yield from (_made(program, number, seed, output) for number in wanted)
+            yield from (_make_frame(program, number, seed, output) for number in wanted)
             continue
         lead = first - (meters and first > 0)
         with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
@@ -102,9 +130,9 @@ def frames(
                         {} if camera is program.simulator.camera else {"camera": camera}
                     )
                     program.update(scene=scene, **other, **operation)
-                made = _made(
+                made = _make_frame(
                     program, number, seed, output
-                )  # unwanted, too, for what the next one takes of it
+                )  # even an unwanted one: the next frame meters it
                 if number in wanted:
                     yield made
         if program is not None:
@@ -121,7 +149,10 @@ def blurred_frames(
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
 ) -> Iterator[Made]:
-    """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
+    """Yield frames with motion blur, rolling shutter and flicker; see `frames`.
+
+    Each frame meters its first view.
+    """
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
@@ -138,69 +169,65 @@ def blurred_frames(
                 flicker=scenes.flicker,
                 **loops.operation(camera, number),
             )
-            told = (
-                exposure.plan.account.at(exposure.exposure_time),
-                exposure.exposure_time,
-                exposure.gain,
-                exposure.plan.name,
-            )
+            values: Any
             if output is None:
-                yield Made(
-                    number,
-                    next(simulator.shoot(exposure, seed=seed, first=number)).complete(),
-                    *told,
-                )
-                continue
-            values = simulator.draw(exposure, seed=seed, frame=number)
-            if output != "raw":
-                values = (
-                    simulator.codes(values, exposure)
-                    if output == "codes"
-                    else simulator.develop(values, exposure)[0]
-                )
-            yield Made(number, _on_host(simulator, values, output), *told)
+                values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
+            else:
+                values = simulator.draw(exposure, seed=seed, frame=number)
+                if output == "codes":
+                    values = simulator.codes(values, exposure)
+                elif output != "raw":
+                    values = simulator.develop(values, exposure)[0]
+                values = _on_host(simulator, values, output)
+            account = exposure.plan.account.at(exposure.exposure_time)
+            yield Made.of(number, values, account, exposure)
 
 
-def _made(program, number, seed, output):
+def _make_frame(program, number, seed, output):
+    """Return a frame of a program."""
     account, exposure = program.account, program.shots.exposure
-    told = account, exposure.exposure_time, exposure.gain, exposure.plan.name
     if output is None:
-        return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
-    values = program.output(output, seed=seed, frame=number)
-    return Made(number, _on_host(program.simulator, values, output), *told)
+        values = program.frame(seed=seed, frame=number).complete()
+    else:
+        values = program.output(output, seed=seed, frame=number)
+        values = _on_host(program.simulator, values, output)
+    return Made.of(number, values, account, exposure)
 
 
 def _on_host(simulator, values, output):
-    """A copy of an output; linear light (rows, cols, 3), as codes are."""
+    """Return a host copy of an output, with the channels of linear light last."""
     copied = np.array(simulator.device.numpy(values))
     return np.moveaxis(copied, 0, -1) if output == "linear" else copied
 
 
 class NumberedFiles:
-    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on.
+    """A file for every frame: `a.png` gives a_0000.png, ...
 
-    made: `frames` or `blurred_frames`.
+    Args:
+        path: Path of the output; its suffix sets the format.
+        count: Number of frames.
+        made: `frames` or `blurred_frames`.
     """
 
+    folders = ()
+
     def __init__(self, path: Path, count: int, made: Callable = frames):
-        self._path, self._digits, self._made = path, max(4, len(str(count - 1))), made
+        self._path, self._count, self._made = path, count, made
 
     @property
     def words(self) -> str:
-        """What is written, for messages."""
+        """The output in words, for messages."""
         return f"the files {self.name(0).name} ..."
 
     def is_empty(self) -> bool:
-        """Whether nothing was written yet."""
+        """Return whether nothing was written yet."""
         return not any(
             self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}")
         )
 
     def name(self, number: int) -> Path:
-        """Of a frame."""
-        return self._path.with_name(
-            f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}"
-        )
+        """Return the path of a frame."""
+        return numbered_path(self._path, number, self._count)
 
     def write(
         self,
@@ -210,7 +237,10 @@ class NumberedFiles:
         seed: int = 0,
         loops: Loops = NO_LOOPS,
     ) -> Iterator[Made]:
-        """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
+        """Write the missing frames of the segments; yield each written one.
+
+        Raises as `Frame.save` does.
+        """
         missing = [
             [segment.start, *(number for number in segment if not self.name(number).exists())]
             for segment in segments
@@ -228,21 +258,29 @@ class NumberedFiles:
             for one in computed:
                 writing[pool.submit(one.values.save, self.name(one.number))] = one
                 while len(writing) > workers:
-                    yield from _written(writing, wait(writing, return_when=FIRST_COMPLETED).done)
-            yield from _written(writing, wait(writing).done)
+                    yield from _finish_tasks(
+                        writing, wait(writing, return_when=FIRST_COMPLETED).done
+                    )
+            yield from _finish_tasks(writing, wait(writing).done)
 
 
-def _written(writing, done):
+def _finish_tasks(writing, done):
+    """Yield the frames of finished tasks, in order."""
     for task in sorted(done, key=lambda task: writing[task].number):
         one = writing.pop(task)
-        task.result()  # raises what was wrong
+        task.result()  # raises the error of the task
         yield one
 
 
 class EncodedFile:
-    """A file of all frames, made of a file for each segment, in a folder beside it until all are there.
+    """A video file. Until it is complete, a folder next to it holds a file for each segment.
 
-    made: `frames` or `blurred_frames`.
+    Args:
+        path: Path of the video.
+        codec: Codec.
+        encoder: Encoder of the segments.
+        segments: All segments.
+        made: `frames` or `blurred_frames`.
     """
 
     def __init__(
@@ -264,20 +302,25 @@ class EncodedFile:
 
     @property
     def words(self) -> str:
-        """What is written, for messages."""
+        """The output in words, for messages."""
         return f"the folder {self.folder}"
 
     @property
-    def told(self) -> str:
-        """What there is when all is done, for messages."""
+    def result(self) -> str:
+        """The finished output, for messages."""
         return str(self.path)
 
     def is_empty(self) -> bool:
-        """Whether nothing was written yet."""
+        """Return whether nothing was written yet."""
         return not any(self.folder.glob(f"*{PART}"))
 
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders that the output needs, in the order of their creation."""
+        return (self.folder,)
+
     def part(self, segment: range) -> Path:
-        """The file of a segment."""
+        """Return the file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
     def write(
@@ -288,7 +331,7 @@ class EncodedFile:
         seed: int = 0,
         loops: Loops = NO_LOOPS,
     ) -> Iterator[Made]:
-        """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
+        """Encode the missing segments; yield each encoded frame. Raises BadFile."""
         missing = [segment for segment in segments if not self.part(segment).exists()]
         made = self._made(
             simulator,
@@ -300,10 +343,10 @@ class EncodedFile:
         )
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
-                yield from self._encoded(segment, computed)
+                yield from self._encode(segment, computed)
 
-    def _encoded(self, segment, computed):
-        """Encode a segment; gives each of its frames when it was taken."""
+    def _encode(self, segment, computed):
+        """Encode a segment; yield each of its frames."""
         taken: list[Made] = []
 
         def values():
@@ -315,16 +358,16 @@ class EncodedFile:
             yield taken[number]
 
     def finish(self) -> bool:
-        """Join the segments where all are there, and remove them. Returns whether they were."""
+        """Join the segments and remove them, if all exist. Return whether they did."""
         parts = [(segment.start, self.part(segment)) for segment in self._segments]
         if not all(part.exists() for _, part in parts):
             return False
         self._encoder.join(self.path, parts)
-        self._emptied()
+        self._remove_segments()
         return True
 
-    def _emptied(self):
-        """Remove the segments."""
+    def _remove_segments(self):
+        """Remove the files of the segments and their folder."""
         for path in self.folder.iterdir():
             path.unlink()
         self.folder.rmdir()

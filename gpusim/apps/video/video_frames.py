@@ -1,9 +1,11 @@
-"""Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV): its frames as reflectances, as photographs are.
+"""Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV).
 
-What a code stands for follows the tags of the file (ITU-T H.273): BT.709 and BT.601 (the inverse of the camera's curve,
-BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67), the last two with white at the 203 cd/m2
-and 75 % of ITU-R BT.2408. A matrix or range that is not tagged is taken as players do: BT.709 from 576 rows on, else
-BT.601, and limited range.
+Frames become reflectances, as photographs do.
+
+The tags of the file (ITU-T H.273) set the meaning of its codes: BT.709 and BT.601 (the inverse of
+the camera's curve, BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67),
+the last two with white at the 203 cd/m2 and 75 % of ITU-R BT.2408. Without a tag the matrix and
+range are chosen as players do: BT.709 from 576 rows, else BT.601, and limited range.
 """
 
 import re
@@ -17,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.apps.video.codecs import EXACT, pyav
+from gpusim.apps.video.codecs import EXACT, converter, pyav
 from gpusim.apps.video.scenes import checked_size
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES, Display
 from gpusim.domain.errors import BadFile, UnknownName
@@ -51,17 +53,23 @@ LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
 GAP, MOST_LATE = (
     Fraction(3, 2),
     16,
-)  # frames between neighbours; and that may be stored after one they are shown before
+)  # frames between neighbours; frames by which storage order may lag behind display order
 STRICT = {
     "err_detect": "crccheck+explode"
-}  # of decoders: what they find damaged is refused, not concealed
-PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # of the largest light, and of the largest code
+}  # decoders raise errors for damage instead of concealing it
+PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # relative to the largest light and the largest code
 
 
 class Film:
-    """Frames of a video file. transfer: of TRANSFERS, in place of the file's tag. options: of `gpusim.picture`.
+    """Frames of a video file.
 
-    Raises BadFile, UnknownName.
+    Args:
+        path: Path of the file.
+        transfer: Transfer function of TRANSFERS in place of the file's tag.
+        options: Options of `gpusim.picture`.
+
+    Raises:
+        BadFile, UnknownName: If the file is not a video or has unknown tags.
     """
 
     is_still = False
@@ -71,7 +79,7 @@ class Film:
         if transfer is not None and transfer not in TRANSFERS.values():
             raise UnknownName("transfer function", transfer, set(TRANSFERS.values()))
         self._av = pyav()
-        open_file(path).close()  # a folder or a pipe is refused
+        open_file(path).close()  # refuses a folder or a pipe
         with self._reading(), self._av.open(str(path)) as container:
             if not container.streams.video:
                 raise BadFile(path, "has no pictures; wanted a video")
@@ -84,7 +92,7 @@ class Film:
                 context.color_range,
             )
             self._format, rows = context.pix_fmt or "", context.height
-            self.count = stream.frames or self._counted(container, stream)
+            self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:
             raise BadFile(path, "has no frames")
         self._read_tags(tags, transfer, rows)
@@ -92,32 +100,36 @@ class Film:
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
 
-    def _counted(self, container, stream):
-        """The number of frames of a file that does not say it. Raises BadFile where the last ones are missing."""
-        shown, end = [], Fraction(0)  # when the frames are, and when the last one ends [s]
+    def _count_frames(self, container, stream):
+        """Return the number of frames of a file without that entry.
+
+        Raises BadFile if the last ones are missing.
+        """
+        shown, end = [], Fraction(0)  # times of the frames, and end of the last one [s]
         for packet in container.demux(stream):
             if packet.size:
                 shown.append((packet.pts or 0) * stream.time_base)
                 end = max(end, shown[-1] + (packet.duration or 0) * stream.time_base)
         length = LENGTH.fullmatch(
             stream.metadata.get("DURATION", "")
-        )  # of this stream, as Matroska has it
+        )  # of this stream, in Matroska
         if length:
-            told = sum(
+            duration = sum(
                 Fraction(part) * unit
                 for part, unit in zip(length.groups(), (3600, 60, 1), strict=True)
             )
         else:  # of the file: sound may be longer
-            told = (
+            duration = (
                 Fraction(container.duration or 0, 1_000_000)
                 if len(container.streams) == 1
                 else Fraction(0)
             )
         rate = stream.average_rate or Fraction(0)
-        # times are whole milliseconds there; the last frame may have no length of its own
-        if (told - end) * rate > Fraction(3, 4):
+        # these times are whole milliseconds, and the last frame may have no duration
+        if (duration - end) * rate > Fraction(3, 4):
             raise BadFile(
-                self.path, f"ends at {float(end):.3f} of its {float(told):.3f} s: it is truncated"
+                self.path,
+                f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated",
             )
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
@@ -125,13 +137,14 @@ class Film:
         return len(shown)
 
     def _read_tags(self, tags, transfer, rows):
+        """Set the meaning of codes from the tags. Raises BadFile."""
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
             raise BadFile(
                 self.path,
-                f"its transfer function is {tag}, so what its codes stand for is not "
-                f"known; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}",
+                f"its transfer function is {tag}, so the meaning of its codes is "
+                f"unknown; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}",
             )
         if primaries not in (*UNTAGGED, *PRIMARIES):
             raise BadFile(
@@ -162,7 +175,7 @@ class Film:
 
     def _scene(self, number):
         if self._at is None or self._at[0] > number:
-            self._at = 0, self._decoded()
+            self._at = 0, self._decode()
         begun, decoded = self._at
         with self._reading():
             for at, frame in enumerate(decoded, begun):
@@ -174,48 +187,41 @@ class Film:
                 raise BadFile(
                     self.path, f"ends before its frame {number} of {self.count}: it is truncated"
                 )
-        scene = self._lifted(codes)
+        scene = self._lift(codes)
         return checked_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
         )
 
     @contextmanager
     def _reading(self):
-        """While the file is read: what FFmpeg says of it is a BadFile."""
+        """Raise errors of FFmpeg as BadFile."""
         with reading(self.path, "a video"):
             try:
                 yield
             except self._av.error.FFmpegError as error:
                 raise BadFile(self.path, f"not a video, or truncated ({error.strerror})") from error
 
-    def _decoded(self):
+    def _decode(self):
         with self._av.open(str(self.path)) as container:
             context = container.streams.video[0].codec_context
             context.thread_type, context.options = "AUTO", STRICT
             yield from container.decode(video=0)
 
     def _codes(self, frame):
-        """RGB of a decoded frame, uint8 (rows, cols, 3), or uint16 of more than 8 bits."""
+        """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
-        graph = self._av.filter.Graph()
-        parts = [
-            graph.add_buffer(
-                width=frame.width,
-                height=frame.height,
-                format=frame.format,
-                time_base=frame.time_base,
-            ),
-            graph.add("scale", f"{EXACT}:{self._scale}"),
-            graph.add("format", "rgb48le" if deep else "rgb24"),
-            graph.add("buffersink"),
-        ]
-        for part, following in pairwise(parts):
-            part.link_to(following)
-        graph.configure()
-        graph.push(frame)
-        return graph.pull().to_ndarray()
+        convert = converter(
+            f"{EXACT}:{self._scale}",
+            "rgb48le" if deep else "rgb24",
+            frame.width,
+            frame.height,
+            frame.format,
+            frame.time_base,
+        )
+        return convert(frame).to_ndarray()
 
-    def _lifted(self, codes):
+    def _lift(self, codes):
+        """Return the scene of RGB codes."""
         curve = light_of(self._transfer, 65535 if codes.dtype == np.uint16 else 255)
         scene = picture(codes, curve=curve, **self._options)
         if self._primaries == PRIMARIES[1]:
@@ -224,12 +230,12 @@ class Film:
         light = np.tensordot(to_srgb.astype(np.float32), np.moveaxis(curve[codes], -1, 0), 1)
         return replace(
             scene, content=lift(np.maximum(light, 0))
-        )  # what sRGB cannot show is taken to its edge
+        )  # colours outside sRGB are clipped
 
 
 @cache
 def light_of(transfer: str, most: int) -> np.ndarray:
-    """Light of every code 0 .. most, white 1, float32. transfer: of TRANSFERS."""
+    """Return the light of every code 0 .. most, white 1, float32. transfer: of TRANSFERS."""
     code = np.arange(most + 1) / most
     if transfer == "bt709":
         light = np.where(code < 0.081, code / 4.5, ((code + 0.099) / 1.099) ** (1 / 0.45))

@@ -1,0 +1,141 @@
+"""The picture on the preview's page: zoom, dragging, and the rectangle of a measured edge."""
+
+from typing import Any
+
+from nicegui import ui
+
+from gpusim.apps.preview.crop import enlarge
+from gpusim.apps.preview.session import Session
+
+
+def mark(name: str) -> str:
+    """Return the properties of an element by which tests find it."""
+    return f'data-mark="{name}"'
+
+
+class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # without NiceGUI
+    """The canvas. url: address of its websocket. width, height: size of the frames [pixel]."""
+
+    def __init__(self, url: str, width: int, height: int):
+        super().__init__()
+        self._props.update(url=url, width=width, height=height)
+
+
+class Canvas:
+    """The picture of a session.
+
+    Args:
+        session: Session of the client.
+        token: Token of the session, for the address of the websocket.
+        shape: Rows and columns of the frames.
+
+    Attributes:
+        at: Row and column of the frame under the pointer, or None.
+        edge: Rows and columns of the part whose edge is measured, or None.
+        measures: Whether dragging selects an edge instead of moving the picture.
+    """
+
+    def __init__(self, session: Session, token: str, shape: tuple[int, int]):
+        self.session, self._token, self._shape = session, token, shape
+        self.at: tuple[int, int] | None = None
+        self.edge: tuple[slice, slice] | None = None
+        self.measures = False
+        self._width = shape[1]  # of the picture on the screen [pixel]
+        self._held: tuple | None = None  # start of a drag: row, column of the canvas, and the crop
+
+    def build(self) -> None:
+        """Make the elements."""
+        rows, cols = self._shape
+        with ui.element("div").classes("relative w-full"):
+            self._picture: Any = Picture(f"/picture/{self._token}", cols, rows).on(
+                "size", self._on_size
+            )
+            # separate, because the image is positioned relative to itself
+            with ui.element("div").classes("absolute inset-0"):
+                self._overlay: Any = (
+                    ui.interactive_image(
+                        size=(cols, rows),
+                        events=["mousedown", "mousemove", "mouseup"],
+                        on_mouse=self._on_mouse,
+                    )
+                    .on(
+                        "wheel.prevent",
+                        lambda event: self.zoom(1 if event.args["deltaY"] < 0 else -1),
+                        ["deltaY"],
+                        throttle=0.1,
+                    )
+                    .props(mark("overlay"))
+                )
+
+    def _on_mouse(self, event):
+        place = event.image_y, event.image_x
+        row, col = self.at = self._find_pixel(*place)
+        if event.type == "mousedown":
+            self._held = *place, self.session.crop
+        if self._held is None or not (event.buttons or event.type == "mouseup"):
+            self._held = None
+            return
+        y, x, crop = self._held
+        if self.measures:
+            top, left = self._find_pixel(y, x)
+            self.edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
+            self._draw_edge()
+        elif crop is not None:
+            down, right = (
+                (then - now) * own / n
+                for then, now, own, n in zip(
+                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
+                )
+            )
+            self._set_crop(crop.move(round(down), round(right), self._shape))
+        if event.type == "mouseup":
+            self._held = None
+
+    def _find_pixel(self, y, x):
+        """Return row and column of the frame at a place of the canvas, in units of the whole frame."""
+        corner, size = self._window()
+        return tuple(
+            min(max(start + int(place * own / n), 0), n - 1)
+            for start, place, own, n in zip(corner, (y, x), size, self._shape, strict=True)
+        )
+
+    def _window(self):
+        """Return the corner and the size of the part of the frame that is shown."""
+        crop = self.session.crop
+        return ((crop.top, crop.left), (crop.rows, crop.cols)) if crop else ((0, 0), self._shape)
+
+    def _on_size(self, event):
+        self._width = int(event.args["width"])
+
+    def zoom(self, step: int) -> None:
+        """Enlarge (step 1) or shrink (-1) the picture around the pointer."""
+        self._set_crop(
+            enlarge(
+                self.session.crop,
+                step,
+                self.at or (self._shape[0] // 2, self._shape[1] // 2),
+                self._shape,
+                self._width,
+            )
+        )
+
+    def _set_crop(self, crop):
+        if crop != self.session.crop:
+            self.session.crop = crop
+            self._picture.style(f"image-rendering: {'pixelated' if crop else 'auto'}")
+            self.session.touch()
+            self._draw_edge()
+
+    def _draw_edge(self):
+        """Draw the rectangle of the measured edge on the canvas, in units of the whole frame."""
+        shown = ""
+        if self.edge is not None:
+            (y, high), (x, wide) = (
+                ((part.start - start) * n / own, (part.stop - part.start) * n / own)
+                for part, start, own, n in zip(self.edge, *self._window(), self._shape, strict=True)
+            )
+            shown = (
+                f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
+                f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>'
+            )
+        self._overlay.content = shown

@@ -1,0 +1,305 @@
+"""`gpusim verify`, `bench` and `devices`: errors and speed of the stages of every device."""
+
+import json
+from dataclasses import dataclass
+
+from gpusim.cli.options import Options, option, size, write_json
+from gpusim.domain.errors import UnknownName
+
+VERIFY = {"help": "compare every stage with its float64 reference; status 1 on any failure"}
+BENCH = {"help": "speed of every stage, with its error"}
+DEVICES = {"help": "list the devices, their copy speed, and why a device is unusable"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRequest(Options):
+    """Options of commands about the stages of devices."""
+
+    device: str = option(default="all", help="as for simulate, or all (default: all)")
+    stage: list[str] | tuple = option(
+        default=(),
+        action="append",
+        metavar="AREA.NAME",
+        help="may be repeated (default: all stages)",
+    )
+    json: str | None = option(metavar="FILE", help="also write the rows to a JSON file")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifyRequest(StageRequest):
+    """Options of `gpusim verify`."""
+
+    hard: bool = option(
+        default=False,
+        action="store_true",
+        help="run the 30 hard cases instead of the stages: the limit of each, and the result",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRequest(StageRequest):
+    """Options of `gpusim bench`."""
+
+    size: tuple[int, int] | None = option(
+        type=size,
+        metavar="COLSxROWS",
+        help="size of the frame (default: 1920x1080), or of the chart of --pareto (default: "
+        "480x320)",
+    )
+    pareto: str | None = option(
+        metavar="SCENE", help="run a scene with all plans instead: time against true error"
+    )
+    camera: str = option(default="phone", help="camera of --pareto (default: phone)")
+    out: str | None = option(
+        "-o", "--out", metavar="OUT.png", help="figure of --pareto (needs matplotlib)"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DevicesRequest(Options):
+    """Options of `gpusim devices`."""
+
+    json: bool = option(default=False, action="store_true", help="print JSON")
+
+
+def verify(request: VerifyRequest) -> int:
+    """Run `gpusim verify`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status: 1 if a case fails, or if there is none.
+
+    Raises:
+        GpusimError: If an option is wrong.
+    """
+    from gpusim.io.atomic import check_output
+    from gpusim.judge.verify import verify_devices
+
+    check_output(request.json)
+    if request.hard:
+        request.refuse("stage", "--hard runs cases instead of stages", "leave one of them out")
+    device, stages = request.device, _check_stages(request.stage)
+    request.refuse_unread("verify")
+    show = _hard_line if request.hard else _stage_line
+    rows = []
+    for row in _hard_rows(device) if request.hard else verify_devices(device, stages):
+        rows.append(row)
+        print(show(row), flush=True)
+    failed = sum(not row["ok"] for row in rows)
+    print(f"{len(rows) - failed} passed, {failed} failed")
+    _write_rows(request.json, rows)
+    return 1 if failed or not rows else 0
+
+
+def _hard_rows(name):
+    """Yield a row per hard case of every device of this name, also for those that do not open."""
+    from gpusim.judge.hard import hard
+
+    devices, broken = _open_devices(name)
+    yield from map(_as_hard, broken)
+    for device in devices:
+        yield from hard(device)
+
+
+def _stage_line(row):
+    """Return a line of a stage's case."""
+    return (
+        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
+        f"(tolerance {row['tolerance']:8.2e})  {row['case']}"
+        + ("" if row["ok"] else f": {row['why']}")
+    )
+
+
+def _hard_line(row):
+    """Return a line of a hard case."""
+    return (
+        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['number']:2d} {row['name']}: {row['asked']} | "
+        f"got {row['got']:.2g} of {row['limit']:.2g}: {row['why']}"
+    )
+
+
+def _as_hard(row):
+    """Return the row of a device that does not open as a hard case has it."""
+    return {
+        "number": 0,
+        "name": "(open)",
+        "device": row["device"],
+        "asked": "the device opens",
+        "got": float("inf"),
+        "limit": 0.0,
+        "ok": False,
+        "why": row["why"],
+    }
+
+
+def bench(request: BenchRequest) -> int:
+    """Run `gpusim bench`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status: 1 if a stage fails, or if there is none.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
+    if request.pareto is not None:
+        return _pareto(request)
+    from gpusim.data.charts import checked_size
+    from gpusim.io.atomic import check_output
+    from gpusim.judge import bench as judge
+
+    for name in ("camera", "out"):
+        request.refuse(name, "only --pareto uses it", "leave it out, or add --pareto SCENE")
+    check_output(request.json)
+    size = checked_size(request.size or (1920, 1080))[::-1]
+    rows: list[dict] = []
+    stages = _check_stages(request.stage)
+    devices, broken = _open_devices(request.device)
+    request.refuse_unread("bench")
+    print(
+        f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p25':>9s} {'p50':>9s} {'p75':>9s} {'GB/s':>7s} "
+        f"{'GFLOP/s':>8s} {'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}"
+    )
+    for device in devices:
+        for row in judge.bench(device, stages, size):
+            rows.append(row)
+            print(_speed_line(row), flush=True)
+    for row in broken:
+        rows.append({"stage": row["stage"], "device": row["device"], "failed": row["why"]})
+        print(f"{row['device']:10s} no speed: {row['why']}")
+    _write_rows(request.json, rows)
+    return 1 if any("failed" in row for row in rows) or not rows else 0
+
+
+def _speed_line(row):
+    """Return a line of a stage's speed."""
+    if "failed" in row:
+        return (
+            f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}"
+        )
+    rate, ratio = (
+        f"{'-':>8s}" if value is None else f"{value:8.1f}"
+        for value in (row["gflops"], row["ratio_to_floor"])
+    )
+    return (
+        f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p25']:9.3f} "
+        f"{row['ms_p50']:9.3f} {row['ms_p75']:9.3f} {row['gbps']:7.1f} {rate} {ratio} {row['build_ms']:9.1f} "
+        f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}"
+    )
+
+
+def _pareto(request):
+    """Run `gpusim bench --pareto`."""
+    from gpusim.backends import open_device
+    from gpusim.data.charts import CHARTS
+    from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.io.camera.cameras import open_camera
+    from gpusim.io.scene.scenes import open_scene
+    from gpusim.judge.pareto import draw, pareto
+
+    request.refuse("stage", "--pareto times whole frames", "leave one of them out")
+    for path in (request.json, request.out):
+        check_output(path)
+    size = request.size or ((480, 320) if request.pareto in CHARTS else None)
+    camera, scene = open_camera(request.camera), open_scene(request.pareto, size=size)
+    device, rows = open_device("auto" if request.device == "all" else request.device), []
+    request.refuse_unread("bench --pareto")
+    heads = ("ms", "frame ms", "true rms", "predicted", "99.9 %", "largest")
+    print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
+    for row in pareto(camera, scene, device):
+        rows.append(row)
+        ms, error = (
+            f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}"
+            for key in ("predicted_ms", "predicted")
+        )
+        print(
+            f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error} {row['p999_sigma']:9.2g} "
+            f"{row['max_sigma']:9.2g}  {row['words']}"
+        )
+    _write_rows(request.json, rows)
+    if request.out:
+        with atomic_path(request.out) as temporary:
+            draw(
+                rows,
+                temporary,
+                f"{scene.name} {scene.shape[1]}x{scene.shape[0]} by {camera.name} on {device.name}",
+            )
+    return 0
+
+
+def list_devices(request: DevicesRequest) -> int:
+    """Run `gpusim devices`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status.
+    """
+    from gpusim.backends.probe import devices
+
+    entries = devices(refresh=True)
+    if request.json:
+        print(json.dumps(entries, indent=2))
+        return 0
+    for entry in entries:
+        if entry["error"]:
+            print(f"{entry['name']:12s} unusable: {entry['error']}")
+            continue
+        kinds = "fp64" if entry["fp64"] else "no fp64"
+        kinds += ", fp16" if entry["fp16"] else ", no fp16"
+        print(
+            f"{entry['name']:12s} {entry['device']}; {entry['driver']} ({entry['version']}); {entry['units']} units, "
+            f"{kinds}; {entry['memory'] / 2**30:.1f} GiB; copy {entry['copy_gbps']:.1f} GB/s"
+        )
+    return 0
+
+
+def _open_devices(name):
+    """Return the named device, or all of them for "all", and a failed row for each unusable one."""
+    from gpusim.backends import open_device
+    from gpusim.backends.probe import devices
+
+    if name != "all":
+        return [open_device(name)], []
+    entries = [entry for entry in devices() if entry["name"] != "numpy"]
+    broken = [
+        {
+            "stage": "(open)",
+            "device": entry["name"],
+            "case": "(failed to open)",
+            "max_error": float("inf"),
+            "tolerance": 0.0,
+            "ok": False,
+            "why": entry["error"],
+        }
+        for entry in entries
+        if entry["error"]
+    ]
+    return [open_device(entry["name"]) for entry in entries if not entry["error"]], broken
+
+
+def _check_stages(names):
+    """Return the names of stages, of all if there are none. Raises UnknownName."""
+    from gpusim.kernels.stage import stage_names
+
+    known = stage_names()
+    for name in names:
+        if name not in known:
+            raise UnknownName("stage", name, known)
+    return names or known
+
+
+def _write_rows(path, rows):
+    """Write rows to a JSON file, if there is a path. JSON has no infinity: it becomes null."""
+    write_json(
+        path,
+        [
+            {key: None if value == float("inf") else value for key, value in row.items()}
+            for row in rows
+        ],
+    )

@@ -1,0 +1,141 @@
+"""`gpusim simulate`: frames of one scene, in files, and their report."""
+
+import functools
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gpusim.apps.video.segments import numbered_path
+from gpusim.cli.options import Request, option, whole, write_json
+from gpusim.domain.errors import BadFile
+
+WITHOUT_PICTURE = (".dng", ".npz")  # files that no setting of the picture changes
+TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateRequest(Request):
+    """Options of `gpusim simulate`."""
+
+    seed: int = option(
+        default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"
+    )
+    frames: int = option(
+        default=1,
+        type=whole(1, 10**6),
+        metavar="N",
+        help="number of noisy frames, written to numbered files (default: 1)",
+    )
+    out: list[str] | tuple = option(
+        "-o",
+        "--out",
+        default=(),
+        action="append",
+        metavar="OUT",
+        help="file: .png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be "
+        "repeated",
+    )
+    bits: int | None = option(
+        type=int,
+        choices=(8, 16, 32),
+        help="bits per value of .png (8, 16), .tif (8, 16, or 32 for linear floats) and .exr (16, "
+        "32) (default: 8, 16 and 32)",
+    )
+    report: str | None = option(
+        metavar="FILE.json", help="file of the report: models, times and errors"
+    )
+    verify: bool = option(
+        default=False,
+        action="store_true",
+        help="also compute the float64 reference, and report the true error",
+    )
+
+    def check_outputs(self) -> list[Callable[[int], Path]]:
+        """Return a function from a frame's number to its path for each output.
+
+        Raises:
+            BadFile: If a file cannot be written, is given twice, or is the scene or the camera.
+            Conflict: If an option has no effect on these outputs.
+        """
+        from gpusim.io.atomic import check_output
+
+        outputs = [_number_files(path, self.frames) for path in self.out]
+        first = [output(0) for output in outputs]
+        if not self.out:
+            self.refuse("bits", "no file is written", "add -o OUT")
+        if all(path.suffix.lower() in WITHOUT_PICTURE for path in first):
+            self.refuse("bits", "these files have one format of numbers")
+            self.refuse("scaling", "no picture is written", "add -o with .png, .tif or .exr")
+        folder = functools.cache(os.path.realpath)
+
+        def place(path):
+            return os.path.normcase(Path(folder(path.parent), path.name))
+
+        report = [Path(self.report)] if self.report is not None else []
+        for path in (*first, *report):
+            check_output(path)
+        taken = {
+            place(Path(name)): "is read" for name in (self.scene, self.camera) if Path(name).suffix
+        }
+        frames = (output(number) for output in outputs for number in range(self.frames))
+        for path in (*report, *frames):
+            here = place(path)
+            if here in taken:
+                raise BadFile(
+                    path,
+                    f"{taken[here]}, and would be overwritten; give each -o and --report its own name",
+                )
+            taken[here] = "is given twice"
+        return outputs
+
+
+def simulate(request: SimulateRequest) -> int:
+    """Run `gpusim simulate`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status: 1 if a frame does not meet the tolerance.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
+    from gpusim.io.frame.frames import check_format
+
+    outputs = request.check_outputs()  # before the work
+    camera, scene = request.open_camera(), request.open_scene()
+    simulator = request.open_simulator(camera)
+    for path in request.out:
+        check_format(path, replace(camera, sensor=simulator.readout.output), request.bits)
+    frames = simulator.frames(scene, request.frames, seed=request.seed, verify=request.verify)
+    request.refuse_unread("simulate")
+    if request.frames > 1:
+        from tqdm import tqdm
+
+        frames = tqdm(frames, total=request.frames, unit="frame", disable=None)
+    reports = []
+    for number, frame in enumerate(frames):
+        for output in outputs:
+            frame.save(output(number), bits=request.bits)
+        reports.append(frame.report)
+        if request.frames == 1:
+            print(frame.report)
+    if request.frames > 1:
+        print(reports[0])
+        print(
+            f"  {len(reports)} frames; median of those after the first "
+            f"{sorted(report.ms for report in reports[1:])[(len(reports) - 1) // 2]:.2f} ms"
+        )
+    plain = [report.as_dict() for report in reports]
+    write_json(request.report, plain[0] if request.frames == 1 else plain)
+    return 1 if any(report.meets_tolerance is False for report in reports) else 0
+
+
+def _number_files(path, count):
+    """Return a function from a frame's number to its path: `a.png`, or `a_0000.png`, ..."""
+    from gpusim.io.frame.frames import frame_format
+
+    frame_format(path)
+    return lambda number: Path(path) if count == 1 else numbered_path(Path(path), number, count)

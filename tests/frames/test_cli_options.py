@@ -1,0 +1,501 @@
+"""Every option of every command changes the result, or is refused in one line.
+
+Each command runs on tiny scenes, without an option and with it, and the outcomes are compared: exit status, printed
+text without times, and files without manifests. A row names the arguments before an option and the option's own; no
+option of any command is without a row.
+"""
+
+import json
+import re
+import shlex
+import shutil
+from dataclasses import fields, replace
+from hashlib import sha256
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gpusim as gs
+from gpusim.cli.look import PANELS
+from gpusim.cli.main import COMMANDS, main
+from gpusim.domain.digest import digest
+
+TIMES = re.compile(r"[0-9.e+-]+ (ms|s|pairs/s|frames/s)\b")
+ON = "--camera phone --device numpy"
+CHART = f"colorchecker {ON} --size 24x16"
+PHOTO = f"photo.png {ON}"
+SEVERAL = f"in_1.png in_2.png in_3.png {ON}"
+PLANES = f"planes.npy {ON} --wavelengths 450,550,650 --exposure .01"
+SPACE = f"depth.exr {ON}"
+
+# Options of a scene, its camera and the planner: a name, the arguments before it, and its own
+SCENE = {
+    "camera": (CHART, "--camera mono"),
+    "device": (CHART, "--device warp:cpu"),
+    "tolerance": (CHART, "--tolerance preview"),
+    "guaranteed": (f"{CHART} --tolerance 1e-2", "--guaranteed"),
+    "strict": (f"slanted-edge {ON} --size 96x64 --tolerance 1e-7", "--strict"),
+    "size": (CHART, "--size 32x24"),
+    "samples_per_pixel": (CHART, "--samples-per-pixel 2"),
+    "light": (CHART, "--light A"),
+    "luminance": (f"{CHART} --exposure 1/60", "--luminance 5"),
+    "border": (CHART, "--border zero"),
+    "exposure": (CHART, "--exposure 1/500"),
+    "iso": (CHART, "--iso 400"),
+    "f_number": (CHART, "--f-number 8"),
+    "focus": (CHART, "--focus 0.3"),
+    "scaling": (f"{CHART} --exposure 1/500", "--scaling normalised"),
+    "band": (f"named.exr {ON} --band green=540", "--band red=630"),
+    "wavelengths": (PLANES, "--wavelengths 460,560,660"),
+    "kind": (PLANES, "--kind radiance"),
+    "scale": (PLANES, "--scale 2"),
+    "fov": (f"{SPACE} --depth ray --fov 30", "--fov 60"),
+    "depth": (f"{SPACE} --focus 0.5", "--depth none"),
+}
+MOVING = {
+    "frames": (PHOTO, "--frames 3"),
+    "fps": (f"{PHOTO} --frames 2 --pan 0,20", "--fps 10"),
+    "pan": (f"{PHOTO} --frames 2", "--pan 0,90"),
+    "roll": (f"{PHOTO} --frames 2", "--roll 90"),
+    "zoom": (PHOTO, "--zoom 1.3"),
+    "zooming": (f"{PHOTO} --frames 2", "--zooming 4"),
+    "shake": (f"{PHOTO} --frames 2", "--shake 3"),
+    "actor": (PHOTO, "--actor actor.png"),
+    "transfer": (f"film.mkv {ON}", "--transfer srgb"),
+    "any_order": (f"in_2.png in_1.png {ON}", "--any-order"),
+}
+
+
+def after(rows, text):
+    """The rows with more arguments before the option."""
+    return {name: (f"{base} {text}", option) for name, (base, option) in rows.items()}
+
+
+ROWS = {
+    "simulate": after(SCENE, "-o out.npz -o out.png --report report.json")
+    | {
+        "seed": (f"{CHART} -o out.npz", "--seed 5"),
+        "frames": (f"{CHART} -o out.npz", "--frames 2"),
+        "out": (CHART, "-o out.npz"),
+        "bits": (f"{CHART} -o out.png", "--bits 16"),
+        "report": (CHART, "--report report.json"),
+        "verify": (CHART, "--verify"),
+    },
+    "plan": SCENE
+    | {
+        "exposure": (f"{CHART} --tolerance video", "--exposure 1/500"),
+        "iso": (f"{CHART} --tolerance video", "--iso 400"),
+        "scale": (f"{PLANES} --tolerance video", "--scale 2"),
+        "json": (CHART, "--json plan.json"),
+    },
+    "video": after(SCENE | MOVING, "-o out.npz")
+    | {
+        "scaling": (f"{CHART} --exposure 1/500 -o out.png", "--scaling normalised"),
+        "out": (f"{CHART} -o out.npz", "-o out.png"),
+        "lerobot": (f"{CHART} -o folder.png", "--lerobot look"),
+        "seed": (f"{CHART} -o out.npz", "--seed 5"),
+        "blur": (f"{PHOTO} --frames 2 --pan 0,400 -o out.npz", "--blur"),
+        "ramp": (f"{PHOTO} --frames 2 -o out.npz", "--ramp exposure=1/500..1/30"),
+        "lag": (f"{SEVERAL} --fps 5 -o out.npz", "--lag exposure=1"),
+        "flicker": (f"{PHOTO} --exposure 1/500 -o out.npz", "--flicker 100"),
+        "pwm": (f"{PHOTO} --exposure 1/500 -o out.npz", "--pwm 200,.3"),
+        "codec": (f"{CHART} -o out.mkv", "--codec ffv1-linear"),
+        "quality": (f"{CHART} -o out.mkv", "--quality 40"),
+        "shard": (f"{PHOTO} --frames 4 --segment 2 -o out.npz", "--shard 1/2"),
+        "segment": (f"{PHOTO} --frames 4 --shard 0/2 --segment 3 -o out.npz", "--segment 1"),
+    },
+    "pairs": after(SCENE, "-o out")
+    | {
+        "scaling": (f"{CHART} --exposure 1/500 --pictures -o out", "--scaling normalised"),
+        "out": (f"{CHART} -o out", "-o other"),
+        "vary": (f"{CHART} -o out", "--vary exposure=1/200..1/20"),
+        "each": (f"{CHART} -o out", "--each 2"),
+        "seed": (f"{CHART} -o out", "--seed 5"),
+        "pictures": (f"{CHART} -o out", "--pictures"),
+        "in_shard": (f"{CHART} --each 3 -o out", "--in-shard 2"),
+        "shard": (f"{CHART} --each 3 --in-shard 2 -o out", "--shard 1/2"),
+    },
+    "preview": SCENE
+    | MOVING
+    | {
+        "frames": (f"{PHOTO} --frames 2 --pan 0,20", "--frames 3"),
+        "port": (CHART, "--port 8089"),
+        "host": (CHART, "--host 0.0.0.0"),
+    },
+    "train-l3": {
+        "camera": ("--camera phone -o out.npz", "--camera machine-vision"),
+        "out": ("--camera phone -o out.npz", "-o other.npz"),
+        "light": ("--camera phone -o out.npz", "--light A"),
+        "luminance": ("--camera phone -o out.npz", "--luminance 1..10"),
+        "generated": ("--camera phone -o out.npz", "--generated 3"),
+        "outputs": ("--camera phone -o out.npz", "--outputs xyz"),
+        "seed": ("--camera phone -o out.npz", "--seed 5"),
+        "device": ("--camera phone -o out.npz", "--device numpy"),
+    },
+    "verify": {
+        "device": ("--device numpy", "--device warp:cpu"),
+        "stage": ("--device numpy", "--stage sensor.noise"),
+        "json": ("--device numpy", "--json rows.json"),
+        "hard": ("--device numpy", "--hard"),
+    },
+    "bench": {
+        "device": ("--device numpy", "--device warp:cpu"),
+        "stage": ("--device numpy", "--stage sensor.noise"),
+        "json": ("--device numpy", "--json rows.json"),
+        "size": ("--device numpy", "--size 64x48"),
+        "pareto": ("--device numpy", "--pareto colorchecker"),
+        "camera": ("--device numpy --pareto colorchecker", "--camera mono"),
+        "out": ("--device numpy --pareto colorchecker", "-o out.png"),
+    },
+    "devices": {"json": ("", "--json")},
+}
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory):
+    """A folder of the scenes that the rows name."""
+    import OpenEXR
+
+    folder = tmp_path_factory.mktemp("inputs")
+    random = np.random.default_rng(1)
+    codes = np.uint8(255 * random.random((6, 9, 3))).repeat(4, 0).repeat(4, 1)
+    for name, picture in (
+        ("photo", codes),
+        ("in_1", codes),
+        ("in_2", codes // 3),
+        ("in_3", codes // 2),
+    ):
+        Image.fromarray(picture).save(folder / f"{name}.png")
+    cutout = np.full((8, 8, 4), 255, np.uint8)
+    Image.fromarray(cutout).save(folder / "actor.png")
+    np.save(folder / "planes.npy", random.random((3, 16, 24), np.float32))
+    OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
+        {"green": np.ones((16, 24), np.float32), "red": random.random((16, 24), np.float32)},
+    ).write(str(folder / "named.exr"))
+    scene = gs.chart("deadleaves", size=(24, 16))
+    depth = np.linspace(0.5, 4, 16 * 24, dtype=np.float32).reshape(16, 24)
+    gs.save_scene(replace(scene, depth=depth), folder / "depth.exr")
+    film = "-o film.mkv --codec ffv1-linear --frames 2 --pan 0,90".split()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(["video", *shlex.split(PHOTO), *film]) == 0
+    return folder
+
+
+KNOWN: dict = {}  # outcomes, of arguments before an option most of all
+
+
+@pytest.fixture
+def outcome(inputs, tmp_path, monkeypatch, capsys):
+    """Function from a command line to what it does: status, text without times, digests of files."""
+    record(monkeypatch)
+
+    def run(command, text):
+        if (command, text) in KNOWN:
+            return KNOWN[command, text]
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        shutil.copytree(inputs, folder)
+        monkeypatch.chdir(folder)
+        capsys.readouterr()
+        try:
+            status = main([command, *shlex.split(text)])
+        except SystemExit as stop:
+            status = stop.code
+        said = capsys.readouterr()
+        files = {
+            str(path.relative_to(folder)): content(path)
+            for path in sorted(folder.rglob("*"))
+            if path.is_file() and not (inputs / path.relative_to(folder)).exists()
+        }
+        errors = "" if status == 0 else said.err
+        KNOWN[command, text] = status, TIMES.sub("", said.out), errors, files
+        return KNOWN[command, text]
+
+    return run
+
+
+def content(path):
+    """Digest of a file: of the figures of a report without times, of nothing of a manifest."""
+    if path.name in ("video.json", "out_video.json", "pairs.json"):
+        return ""
+    if path.name in ("report.json", "plan.json"):
+        return json.dumps(untimed(json.loads(path.read_text())))
+    if path.suffix == ".npz" and path.stat().st_size:
+        with np.load(path, allow_pickle=True) as file:
+            return sha256(b"".join(np.asarray(file[name]).tobytes() for name in file)).hexdigest()
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def untimed(data):
+    """Plain data without times."""
+    if isinstance(data, dict):
+        return {name: untimed(one) for name, one in data.items() if "ms" not in name}
+    return [untimed(one) for one in data] if isinstance(data, list) else data
+
+
+def record(monkeypatch):
+    """Put functions that print their arguments in place of servers, trainings and long judgements."""
+    import gpusim.apps.l3.train
+    import gpusim.io.camera.learned
+    import gpusim.judge.bench
+    import gpusim.judge.hard
+    import gpusim.judge.pareto
+    import gpusim.judge.verify
+
+    def said(*values):
+        return " ".join(
+            one.name if hasattr(one, "name") else str(one) for one in values if not callable(one)
+        )
+
+    def trained(camera, scenes, *, progress, **options):
+        layout = SimpleNamespace(shape=(0, 1, 2, 3, 4, 5), mosaic=("RG",), outputs=("R",))
+        return SimpleNamespace(layout=layout, provenance=said(camera, *scenes, options))
+
+    def verified(device, stages):
+        row = {"ok": True, "stage": "all", "max_error": 0.0, "tolerance": 0.0}
+        yield row | {"device": device.name, "case": said(*stages)}
+
+    def verified_by_name(name, stages):
+        yield from verified(SimpleNamespace(name=name), stages)
+
+    def hard(device):
+        row = {"ok": True, "number": 1, "name": "hard", "asked": "", "got": 0.0, "limit": 1.0}
+        yield row | {"device": device.name, "why": ""}
+
+    def timed(device, stages, size):
+        yield {"device": device.name, "stage": "all", "failed": said(*stages, size)}
+
+    def traded(camera, scene, device):
+        row = dict.fromkeys(
+            ("ms", "predicted_ms", "rms", "predicted", "p999_sigma", "max_sigma"), 1
+        )
+        yield row | {"point": "a", "words": said(camera, scene, device)}
+
+    for module, name, function in (
+        (gpusim.apps.l3.train, "train", trained),
+        (gpusim.io.camera.learned, "write_table", lambda path, _: Path(path).write_text("")),
+        (gpusim.judge.verify, "verify", verified),
+        (gpusim.judge.verify, "verify_devices", verified_by_name),
+        (gpusim.judge.hard, "hard", hard),
+        (gpusim.judge.bench, "bench", timed),
+        (gpusim.judge.pareto, "pareto", traded),
+        (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
+    ):
+        monkeypatch.setattr(module, name, function, raising=False)
+    if pytest.importorskip("nicegui", reason="pip install gpusim[preview]"):
+        import nicegui
+
+        import gpusim.apps.preview.page
+
+        def mounted(producer, state, name, shape, title):
+            made = producer()
+            shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
+            print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
+            print(*(digest(scene) for scene in shown))
+
+        monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
+        monkeypatch.setattr(nicegui.ui, "run", lambda **options: print(options))
+        monkeypatch.setattr(nicegui.app, "add_middleware", lambda *_, **options: print(options))
+
+
+REFUSED = {
+    "plan": {"scaling": (CHART, "--scaling normalised")},
+    "preview": {
+        "iso": (CHART, "--iso 400"),
+        "guaranteed": (f"{CHART} --tolerance 1e-2", "--guaranteed"),
+        "strict": (f"{CHART} --tolerance 1e-2", "--strict"),
+    },
+}
+CONFLICTS = [  # a command line and the option that has no effect in it
+    ("simulate", CHART, "--guaranteed"),
+    ("simulate", CHART, "--strict"),
+    ("simulate", CHART, "--bits 16"),
+    ("simulate", f"{CHART} -o out.npz", "--bits 16"),
+    ("simulate", f"{CHART} -o out.dng", "--scaling normalised"),
+    ("simulate", CHART, "--scaling normalised"),
+    ("video", f"{PHOTO} -o out.npz", "--scaling normalised"),
+    ("video", f"{PHOTO} -o out.mkv --codec ffv1-raw", "--scaling normalised"),
+    ("video", f"{PHOTO} -o out.png", "--blur"),
+    ("video", f"{PHOTO} -o out.png --zoom 2", "--blur"),
+    ("video", f"{PHOTO} -o out.png", "--pan 0,20"),
+    ("video", f"{PHOTO} -o out.png", "--roll 5"),
+    ("video", f"{PHOTO} -o out.png", "--zooming 1.1"),
+    ("video", f"{PHOTO} -o out.png", "--ramp light=1..2"),
+    ("video", f"{PHOTO} -o out.png", "--lag exposure=1"),
+    ("video", f"{PHOTO} -o out.png", "--any-order"),
+    ("video", f"{PHOTO} -o out.png", "--transfer srgb"),
+    ("video", f"{PHOTO} -o out.png", "--codec h264"),
+    ("video", f"{PHOTO} -o out.png", "--quality 20"),
+    ("video", f"{PHOTO} -o out.png --flicker 100", "--pwm 100,.5"),
+    ("video", f"{SEVERAL} -o out.png", "--frames 2"),
+    ("video", f"{PHOTO} -o out.png --frames 2 --ramp exposure=1/99..1/50", "--exposure 1/60"),
+    ("video", f"{PHOTO} -o out.png --frames 2 --ramp iso=100..200 --exposure .01", "--iso 100"),
+    ("video", f"{PHOTO} -o out.png --frames 2 --ramp f-number=2..4", "--f-number 2"),
+    ("video", f"{PHOTO} -o out.png --frames 2 --ramp focus=1..2", "--focus 1"),
+    ("video", f"depth.exr {ON} -o out.png --frames 2 --lag focus=1", "--focus 1"),
+    ("video", f"{SEVERAL} -o out.png --exposure .01", "--lag exposure=1"),
+    ("video", f"{CHART} -o out.mkv --codec ffv1-raw", "--quality 20"),
+    ("video", f"{PHOTO} -o out --lerobot look", "--codec h265"),
+    ("video", f"{PHOTO} -o out --lerobot look --frames 2 --segment 1", "--shard 0/2"),
+    *(
+        ("video", f"film.mkv {ON} -o out.png", option)
+        for option in (
+            "--size 24x16",
+            "--band red=600",
+            "--wavelengths 450,550",
+            "--kind radiance",
+            "--scale 2",
+            "--fov 30",
+            "--depth none",
+        )
+    ),
+    ("pairs", f"{CHART} -o out", "--scaling normalised"),
+    ("pairs", f"{CHART} -o out --vary exposure=1/99..1/50", "--exposure 1/60"),
+    ("pairs", f"{CHART} -o out --vary iso=100..200", "--iso 100"),
+    ("pairs", f"{CHART} -o out --vary light=A|D65", "--light A"),
+    ("pairs", f"{CHART} -o out --vary luminance=1..2", "--luminance 1"),
+    ("pairs", f"{CHART} -o out", "--vary iso=100..200"),
+    ("preview", PHOTO, "--frames 2"),
+    ("preview", PHOTO, "--fps 10"),
+    ("preview", PHOTO, "--pan 0,20"),
+    ("verify", "--device numpy --hard", "--stage sensor.noise"),
+    ("bench", "--device numpy", "--camera phone"),
+    ("bench", "--device numpy", "-o out.png"),
+    ("bench", "--device numpy --pareto colorchecker", "--stage sensor.noise"),
+]
+LONG = {"-o": "--out"}
+
+
+def test_every_option_has_a_row():
+    for command, (options, _, _) in COMMANDS.items():
+        names = {part.name for part in fields(options) if not part.metadata["positional"]}
+        assert command == "look" or names == ROWS[command].keys(), command
+
+
+# In a manifest separately (camera, device, files, codec, task), or without an effect on any frame
+RECORDED = set("scene camera device exposure iso f_number focus scaling out shard strict".split())
+RECORDED_BY = {
+    "video": {"frames", "any_order", "codec", "quality", "lerobot"},
+    "pairs": {"vary"},
+}
+
+
+@pytest.mark.parametrize("command", RECORDED_BY)
+def test_a_manifest_has_every_option(command):
+    """A new option is part of it, unless it is named here."""
+    options = COMMANDS[command][0]
+    names = {part.name for part in fields(options)}
+    request = options(scene=["flat"], camera="phone", out="a.png", light="A")
+    assert names - request.key().keys() == RECORDED | RECORDED_BY[command]
+    assert request.key()["light"] == "A" and request.is_given("light")
+    assert not request.is_given("seed")
+
+
+def is_slow(command, name):
+    """Whether a row runs only with the slow tests: options that `simulate` and `plan` share."""
+    return command in ("plan", "video", "pairs") and name in SCENE
+
+
+EFFECTS = [
+    pytest.param(command, name, *row, marks=[pytest.mark.slow] * is_slow(command, name))
+    for command, rows in ROWS.items()
+    for name, row in rows.items()
+    if name not in REFUSED.get(command, ())
+]
+
+
+@pytest.mark.parametrize(("command", "name", "base", "option"), EFFECTS)
+def test_an_option_has_an_effect(command, name, base, option, outcome):
+    assert outcome(command, base) != outcome(command, f"{base} {option}")
+
+
+@pytest.mark.parametrize(
+    ("command", "base", "option"),
+    [
+        *CONFLICTS,
+        *((command, *row) for command, rows in REFUSED.items() for row in rows.values()),
+    ],
+)
+def test_an_option_without_effect_is_refused(command, base, option, outcome):
+    status, said, error, files = outcome(command, f"{base} {option}")
+    flag = option.split()[0]
+    assert (status, said, files) == (2, "", {})
+    assert error.startswith(f"gpusim: {LONG.get(flag, flag)}") and error.count("\n") == 1
+    assert error.count("; ") == 1
+
+
+# ---- panels of `look`
+
+OF_LENS = {"f_number", "focus"}
+OF_SENSOR = OF_LENS | {"exposure", "iso"}
+OF_CONTENT = set("size samples_per_pixel light luminance band wavelengths kind scale".split())
+OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "camera"}
+OF_FRAME = OF_SCENE | OF_SENSOR | {"seed", "device", "tolerance", "guaranteed", "strict"}
+USED = {
+    "scene": OF_CONTENT,
+    "spectra": OF_CONTENT | {"at"},
+    "oi": OF_SCENE | OF_LENS | {"device"},
+    "psf": OF_LENS | {"of", "camera"},
+    "mtf": OF_LENS | {"of", "camera"},
+    "camera": OF_LENS | {"iso", "camera"},
+    "raw": OF_FRAME,
+    "picture": OF_FRAME | {"scaling"},
+    "noise": OF_FRAME,
+    "ptc": {"iso", "seed", "device", "camera"},
+    "snr": {"exposure", "iso", "light", "camera"},
+    "sfr": OF_FRAME,
+    "colors": OF_FRAME | {"scaling"},
+    "error": OF_FRAME - {"seed"},
+    "plan": OF_FRAME - {"seed"},
+}
+OWN = {
+    "seed": (CHART, "--seed 5"),
+    "at": (CHART, "--at 3,4"),
+    "of": ("--camera phone", "--of 500"),
+}
+ALWAYS = {"what", "out"}
+PLOTS = [
+    (panel, part.name)
+    for panel in PANELS
+    for part in fields(COMMANDS["look"][0])
+    if not part.metadata["positional"] and part.name not in ALWAYS
+]
+
+
+def looked(panel, name):
+    """Arguments of a panel before an option, and the option's."""
+    base, option = (SCENE | OWN)[name]
+    if not USED[panel] & {"size"}:
+        base = re.sub(r"^\w[\w.-]* | --size \S+| --device \S+", "", base)
+    if "device" not in USED[panel]:
+        base = base.replace(" --device numpy", "")
+    if "exposure" not in USED[panel]:
+        base = re.sub(r" --exposure \S+", "", base)
+    if panel in ("scene", "spectra"):
+        base = base.replace(" --camera phone", "")
+    if panel == "sfr":
+        base = base.replace("colorchecker", "slanted-edge").replace("24x16", "64x48")
+    return f"{base} --what {panel} -o look.png", option
+
+
+# A device changes no pixel of a plot: that it is used is only seen by the options that are refused
+@pytest.mark.parametrize(
+    ("panel", "name"), [row for row in PLOTS if row[1] in USED[row[0]] and row[1] != "device"]
+)
+@pytest.mark.slow
+def test_an_option_of_a_plot_has_an_effect(panel, name, outcome):
+    base, option = looked(panel, name)
+    assert outcome("look", base) != outcome("look", f"{base} {option}")
+
+
+@pytest.mark.parametrize("panel", PANELS)
+def test_an_option_that_a_plot_does_not_use_is_refused(panel, outcome):
+    for name in (name for one, name in PLOTS if one == panel and name not in USED[panel]):
+        base, option = looked(panel, name)
+        status, _, error, files = outcome("look", f"{base} {option}")
+        assert (status, files) == (2, {}) and error.count("\n") == 1, name
+        assert f": look --what {panel} does not use it; leave it out" in error, name

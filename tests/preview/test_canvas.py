@@ -1,0 +1,51 @@
+"""The picture of the preview's page without a browser: zoom, dragging, and the rectangle of an edge."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
+
+from gpusim.apps.preview.canvas import Canvas
+
+SHAPE = 60, 90
+
+
+def canvas():
+    """A canvas whose elements only remember their content."""
+    touched = []
+    session = SimpleNamespace(crop=None, touch=lambda: touched.append(1))
+    made = Canvas(session, "token", SHAPE)
+    made._picture = SimpleNamespace(style=lambda text: None)
+    made._overlay = SimpleNamespace(content="")
+    return made, touched
+
+
+def mouse(made, kind, row, col, buttons=1):
+    made._on_mouse(SimpleNamespace(image_y=row, image_x=col, type=kind, buttons=buttons))
+
+
+def test_a_zoomed_picture_is_dragged():
+    made, touched = canvas()
+    made._on_size(SimpleNamespace(args={"width": 180}))
+    mouse(made, "mousemove", 30.0, 45.0, buttons=0)
+    assert made.at == (30, 45)
+    made.zoom(1)
+    first = made.session.crop
+    assert first.rows < SHAPE[0] and len(touched) == 1
+    mouse(made, "mousedown", 30.0, 45.0)
+    mouse(made, "mousemove", 20.0, 45.0)
+    second = made.session.crop
+    assert second == first.move(round(10 * first.rows / SHAPE[0]), 0, SHAPE) != first
+    mouse(made, "mouseup", 20.0, 45.0)
+    made.zoom(-1)
+    assert made.session.crop is None
+
+
+def test_an_edge_is_selected_in_pixels_of_the_frame():
+    made, _ = canvas()
+    made.measures = True
+    mouse(made, "mousedown", 10.0, 50.0)
+    mouse(made, "mousemove", 30.0, 20.0)
+    assert made.edge == (slice(10, 31), slice(20, 51))
+    assert 'x="20.0" y="10.0" width="31.0" height="21.0"' in made._overlay.content
