@@ -36,12 +36,11 @@ class Pupil:
             raise OutOfRange(
                 "optics.pupil.blades", self.blades, "0 (a circle) or 3 <= blades <= 64"
             )
-        inner = np.cos(np.pi / self.blades) if self.blades else 1.0
-        if not 0 <= self.obscuration < inner:
+        if not 0 <= self.obscuration < self.inner_radius:
             raise OutOfRange(
                 "optics.pupil.obscuration",
                 self.obscuration,
-                f"0 <= obscuration < {inner:.4g}, the radius of the circle that fits in",
+                f"0 <= obscuration < {self.inner_radius:.4g}, the radius of the circle that fits in",
             )
         if not np.isfinite(self.rotation):
             raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
@@ -51,6 +50,41 @@ class Pupil:
         """Open area over that of the circumscribed circle [1]: the share of a full circle's light that passes."""
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
+
+    @property
+    def is_clear_circle(self) -> bool:
+        """Whether it is a circle without an obstruction."""
+        return not (self.blades or self.obscuration)
+
+    @property
+    def sides(self) -> np.ndarray:
+        """Directions of the normals of its straight sides [rad], from x towards y; empty for a circle."""
+        n = self.blades
+        return self.rotation + (2 * np.arange(n) + 1) * np.pi / max(n, 1)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Directions of its corners [rad], from x towards y; empty for a circle."""
+        n = self.blades
+        return self.rotation + 2 * np.pi * np.arange(n) / max(n, 1)
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the largest circle that fits into its outline: the distance of straight sides [1]."""
+        return float(np.cos(np.pi / self.blades)) if self.blades else 1.0
+
+    @property
+    def outline(self) -> float:
+        """Length of its outer edge over the radius [1]."""
+        return 2 * self.blades * np.sin(np.pi / self.blades) if self.blades else 2 * np.pi
+
+    @property
+    def cutoff(self) -> tuple[int, float]:
+        """Sides and inner radius of the polygon beyond which its transfer function is 0; 0 sides: a circle."""
+        n = self.blades
+        if n % 2 == 0:
+            return n, self.inner_radius
+        return 2 * n, (1 + self.inner_radius) / 2  # a polygon and its mirror image, halfway
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
             LEAST[fast] + int(degree(turn.max(), form) / 2)
             for turn in turning(s[few], angle[few], form)
         )
-        if pupil.blades or pupil.obscuration:
+        if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
             across = LEAST[fast] + int(
                 (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
@@ -224,12 +224,10 @@ def _rows(pupil, s, angle, nodes):
 
 def _faces(pupil, angle):
     """Sides of the pupil, seen along the frequencies: their normals' two parts and their distance from the middle."""
-    if not pupil.blades:
+    if not pupil.sides.size:
         return None
-    normal = (
-        pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
-    )
-    return np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
+    normal = pupil.sides - angle[:, None]
+    return np.cos(normal), np.sin(normal), pupil.inner_radius
 
 
 def _chord(faces, index, v, t):
@@ -257,11 +255,7 @@ def _panels(pupil, s, angle, faces):
                 across = np.sqrt(1 - ((4 * column**2 + 1 - hole**2) / (4 * column)) ** 2)
             kinks += [-across, across]
     else:
-        corners = np.sort(
-            np.sin(
-                pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades - angle[:, None]
-            )
-        )
+        corners = np.sort(np.sin(pupil.corners - angle[:, None]))
         left, right = _chord(faces, np.arange(len(s)), corners, None)
         width = right - left - 2 * column  # linear between the corners
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -50,7 +50,7 @@ def polar_table(outline: Pupil, waves, error=None):
         scaled.tobytes(),
         scaled.shape,
         range_,
-        error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR),
+        error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR),
     )
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
@@ -62,12 +62,12 @@ def polar_table(outline: Pupil, waves, error=None):
 def _rays(outline, values, shape, range_, error):
     """The same of the wavefronts that make those of all wavelengths, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
-    sides, _ = cutoff_polygon(outline)
-    sectors = max(1, 2 * outline.blades)
+    sides, _ = outline.cutoff
+    sectors = max(1, 2 * outline.sides.size)
     # of one sector, rays may be few where they are all the same
     per_sector = 8 if symmetric(outline, scaled) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
     length = 192 + ceil(48 * range_)
-    first = outline.rotation + np.pi / outline.blades if sides else 0.0
+    first = float(outline.sides[0]) if sides else 0.0
     series = None if sides else expansion(outline, scaled)
     strongest = np.argmax((scaled**2).sum(axis=(1, 2)))
     # one wavefront finds how many nodes it takes, all of them are held against it
@@ -100,7 +100,7 @@ def _rays(outline, values, shape, range_, error):
 
 def _polygon_rays(outline, waves, s, first, turn, per_sector):
     """O of a polygon at `s` of each ray's cut-off, (bands, rays, n)."""
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
     rays = np.arange(len(turn) - 1)
@@ -138,11 +138,3 @@ def _finer(count, rest, error, order=4.0):
         if rest <= error
         else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
     )
-
-
-def cutoff_polygon(outline):
-    """Sides and inner radius of the polygon beyond which O is 0; no sides for the unit circle."""
-    n = outline.blades
-    if n % 2 == 0:
-        return n, float(np.cos(np.pi / n)) if n else 1.0
-    return 2 * n, (1 + float(np.cos(np.pi / n))) / 2  # a polygon and its mirror image, halfway

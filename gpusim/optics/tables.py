@@ -15,7 +15,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
 from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
 from gpusim.optics.psf import psf_tables
-from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
+from gpusim.optics.rays import polar_table, radial_table
 from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
@@ -192,13 +192,13 @@ def _spline_radial(outline, wave):
 
 
 def _spline_polar(outline, wave):
-    table, *rays = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
+    table, *rays = polar_table(outline, wave, POLYGON if outline.sides.size else TABLE)
     return _through_rays(outline, table[0], *rays)
 
 
 def _through_rays(outline, table, first, sectors):
     """Splines through a table (rays, n), see `polar_table`."""
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     size = (table.shape[0] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
     parts = table.real, table.imag

@@ -25,7 +25,7 @@ import numpy as np
 
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
 from gpusim.kernels.stage import Case, stage
-from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
+from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
 
@@ -94,7 +94,7 @@ def pupil(
         )
         return tables
     table, angle, sectors = polar_table(outline, waves)
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     table = device.array(np.stack([table.real, table.imag], axis=-1))
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))
