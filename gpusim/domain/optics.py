@@ -236,7 +236,7 @@ class Optics:
         """Whether the blur on the axis is even along rows and columns because it is the same at every angle."""
         return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
 
-    @property
+    @cached_property
     def has_mirror(self) -> bool:
         """Whether the blur at a field point is the mirror image of that at the point on the other side of the axis."""
         odd = [
@@ -256,6 +256,10 @@ class Optics:
         if self.psf is not None:
             return self.psf.heights is not None or self.psf.grid is not None
         return bool(self.wavefront.heights) or any(self.wavefront.seidel[1:])
+
+    def without_blur(self) -> "Optics":
+        """Return the same lens without blur."""
+        return replace(self, model="none", psf=None)
 
     def on_axis(self) -> "Optics":
         """The lens whose blur everywhere is that of this one on the axis."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyvander
 
 from gpusim.domain.optics import Optics
-from gpusim.optics.lens import tail_of
+from gpusim.domain.pupil import Pupil
 
 RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
 LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
@@ -69,24 +69,30 @@ def _sum(ratio, power):
     return 1 / (ratio**power - 1)
 
 
-def tail(optics: Optics, q, waves, aperture) -> np.ndarray:
+def edge_tail(pupil: Pupil) -> float:
+    """Return the energy per square sample times r^3 / q that a pupil's edges spread far from a point."""
+    edges = pupil.outline + 2 * np.pi * pupil.obscuration
+    return float(edges / (np.pi * pupil.area) / (2 * np.pi**3))
+
+
+def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
     """t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
 
     q: wavelength times f-number in samples, shape (L,). waves: wavefronts of the wavelengths, as `Optics.waves` gives
     them. aperture: height and width over which a sample integrates, and of what else spreads the light a little,
     as the variance along both axes [sample^2] (see `variance`).
 
-    t_3 is q times `tail_of`. Each point of the pupil's rim spreads its light about the place where its ray lands, b
+    t_3 is q times `edge_tail`. Each point of the pupil's rim spreads its light about the place where its ray lands, b
     from the image: the tail is t_3 (r^2 + b^2) / (r (r^2 - b^2)^2) = t_3 (r^-3 + 3 b^2 r^-5 + 5 b^4 r^-7 + ...). A
     blur by a variance v along an axis adds v / 4 of the Laplacian's mean, 9 r^-5.
     """
-    q, rims = np.asarray(q, np.float64), _rims(optics)
-    cusp = tail_of(optics) * q
+    q, rims = np.asarray(q, np.float64), _rims(pupil)
+    cusp = edge_tail(pupil) * q
     squares = np.tensordot(
         [_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0)
     )
     spread = 9 / 4 * sum(aperture)
-    third = 9 / (16 * pi**4) * _third(optics) * q**3
+    third = 9 / (16 * pi**4) * _third(pupil) * q**3
     return np.stack(
         [cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1
     )
@@ -104,15 +110,15 @@ def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
     return first, second
 
 
-def _rims(optics):
+def _rims(pupil):
     """Radii of the pupil's rims, and the part that each has of their lengths."""
-    inner = optics.pupil.obscuration
+    inner = pupil.obscuration
     return [(1.0, 1 / (1 + inner)), *([(inner, inner / (1 + inner))] if inner else [])]
 
 
-def _third(optics):
+def _third(pupil):
     """Factor of |s|^3 in the transfer function of a round pupil in focus."""
-    inner = optics.pupil.obscuration
+    inner = pupil.obscuration
     return 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
 
 

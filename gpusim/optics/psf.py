@@ -34,14 +34,7 @@ def psf_tables(
     Raises OutOfRange with the figures when the samples are too coarse, the spread larger than the period, or energies
     of pixels are displaced by parts of a pixel.
     """
-    wavelengths = np.asarray(wavelengths, np.float64)
-    known = spread.wavelengths
-    if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
-        raise OutOfRange(
-            "wavelengths",
-            f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
-            f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm",
-        )
+    between = _between(spread, wavelengths)
     ratio = spread.spacing / pitch
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
         raise OutOfRange(
@@ -78,10 +71,7 @@ def psf_tables(
         )
     )
     own = np.stack([left @ one @ right.T for one in values])
-    share = np.interp(wavelengths, known, np.arange(len(known)))
-    low = np.minimum(share.astype(int), max(len(known) - 2, 0))
-    high = np.minimum(low + 1, len(known) - 1)
-    rest = (share - low)[:, None, None]
+    low, high, rest = between
     tables = own[low] * (1 - rest) + own[high] * rest
     for i in {0, rows // 2} if rows % 2 == 0 else {0}:  # what is its own opposite is real
         for j in {0, cols // 2} if cols % 2 == 0 else {0}:
@@ -106,3 +96,29 @@ def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
             -2j * np.pi * np.outer(f, places)
         )
     return total
+
+
+def spread_at(spread: PointSpread, wavelengths, place=(0.0, 0.0)) -> np.ndarray:
+    """Return point spreads at `wavelengths` [nm] and a field point, shape (L, rows, cols).
+
+    Between its wavelengths the spread is linear. Raises OutOfRange beyond them.
+    """
+    low, high, rest = _between(spread, wavelengths)
+    values = spread.at(*place)
+    return values[low] * (1 - rest) + values[high] * rest
+
+
+def _between(spread, wavelengths):
+    """Indices of the known wavelengths on both sides of each one, and the share of the upper. Raises OutOfRange."""
+    known, wavelengths = spread.wavelengths, np.asarray(wavelengths, np.float64)
+    if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
+        raise OutOfRange(
+            "wavelengths",
+            f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
+            f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm",
+        )
+    share = np.interp(wavelengths, known, np.arange(len(known)))
+    low = np.minimum(share.astype(int), max(len(known) - 2, 0))
+    high = np.minimum(low + 1, len(known) - 1)
+    rest = (share - low)[:, None, None]
+    return low, high, rest

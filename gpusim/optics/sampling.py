@@ -15,7 +15,7 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.optics.lens import wavelength_nodes
 from gpusim.optics.outside import border_indices
-from gpusim.optics.planned_tables import Tables
+from gpusim.optics.tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
 AREA = 2  # of a polynomial that takes the picture as constant over each cell

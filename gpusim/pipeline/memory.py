@@ -11,6 +11,7 @@ from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
 from gpusim.optics.fusion import row_pairs
+from gpusim.optics.lens import lens_of
 from gpusim.optics.splines import axes
 from gpusim.pipeline.reading import looked_at_there
 from gpusim.planner.plan import Plan
@@ -108,7 +109,8 @@ def _tables(plan):
 
 
 def _table(plan):
-    parts = 1 if plan.camera.optics.is_symmetric and not any(plan.camera.sensor.displacement) else 4
+    lens = lens_of(plan.camera)
+    parts = 1 if lens.symmetry.is_round and not any(lens.displacement) else 4
     return 4 * parts * (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
 
 

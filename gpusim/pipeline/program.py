@@ -16,6 +16,7 @@ from gpusim.domain.short_repr import shortened
 from gpusim.kernels.sensor.chip import retime as retime_chip
 from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Kept, One, same
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.metering import chosen, light_of, metered, metered_by
@@ -204,7 +205,7 @@ class Program:
             or not same(drafted_by(by), drafted_by(camera))
         ):
             return None
-        if camera.optics.is_symmetric and same(by.optics, camera.optics):
+        if lens_of(camera).symmetry.is_round and same(by.optics, camera.optics):
             return None
         return self.before.kept("draft", (One(plan), One(camera)), lambda: drafted(plan, camera))
 

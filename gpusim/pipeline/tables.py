@@ -12,15 +12,45 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.lens import spread_radius, wavelength_nodes
-from gpusim.optics.psf import psf_tables
-from gpusim.optics.tables import pupil as folded_pupil
-from gpusim.optics.tables import transfer_tables
+from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.tables import exact_tables, transfer_tables
 from gpusim.pipeline.cache import Kept
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
+
+
+class _OnDevice:
+    """Makes transfer tables on a device: see `gpusim.optics.lens.Stages`."""
+
+    whole = True
+
+    def __init__(self, device):
+        self._device = device
+
+    def airy(self, q, aperture, rows, cols):
+        """See `Stages`."""
+        return airy(self._device.array(q), aperture, rows, cols, device=self._device)
+
+    def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
+        """See `Stages`."""
+        return pupil(
+            outline,
+            waves,
+            self._device.array(q),
+            aperture,
+            rows,
+            cols,
+            device=self._device,
+            spots=spots,
+            diffuser=diffuser,
+            displacement=displacement,
+        )
+
+    def given(self, tables):
+        """See `Stages`."""
+        return tables if self._device.kind == "numpy" else self._device.array(tables)
 
 
 class LensTables:
@@ -29,7 +59,7 @@ class LensTables:
     def __init__(self, camera: Camera, device: Device, kept: Kept):
         self.camera, self.device, self._kept = camera, device, kept
         sensor = camera.sensor
-        self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
+        self._made_of = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
 
     def grid(self, samples_per_pixel):
         """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
@@ -77,13 +107,12 @@ class LensTables:
         """
         if (
             self.device.is_gpu
-            or self.camera.optics.is_symmetric
+            or (lens := self._lens(plan)).symmetry.is_round
             or plan.far is not None
             or plan.transfers is None
         ):
             return 0
-        pitch = self.grid(plan.scene.samples_per_pixel)[0]
-        wide = 4 * spread_radius(self.camera.optics, plan.scene.wavelengths, pitch)
+        wide = 4 * lens.spread(plan.scene.wavelengths)
         short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
         return short if 2 * short <= min(plan.period) else 0
 
@@ -111,7 +140,7 @@ class LensTables:
         far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
         return (
             *far,
-            self._lens,
+            self._made_of,
             plan.q,
             self.grid(plan.scene.samples_per_pixel),
             plan.period,
@@ -119,47 +148,24 @@ class LensTables:
             plan.transfers,
         )
 
-    def bands(self, q, pitch, aperture, rows, cols, device, distance=None):
-        """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
+    def _lens(self, plan):
+        """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
+        ratio = plan.scene.samples_per_pixel
+        displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
+        pitch, aperture = self.grid(ratio)
+        return open_lens(self.camera.optics, pitch, aperture, displacement=displacement)
 
-        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their height and width
-        [sample], displaced from the samples where these are the pixels'. distance: of the object [m], that in focus if
-        not given.
+    def all_bands(self, plan: Plan, distance: float | None = None):
+        """Return transfer tables of every wavelength of a plan, as the stages take them.
+
+        Args:
+            plan: A plan with blur.
+            distance: Distance of the object [m]; None: the plane in focus.
+
+        Returns:
+            Quarters if the blur is round, else halves: see `gpusim.optics.lens.Lens.tables`.
         """
-        optics, sensor = self.camera.optics, self.camera.sensor
-        displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
-        if optics.psf is not None:
-            tables = psf_tables(
-                optics.psf,
-                q * pitch / optics.working_f_number * 1e9,
-                pitch,
-                aperture,
-                rows,
-                cols,
-                finest=float(q.min()) * pitch / 2,
-                displacement=displacement,
-            )
-            return tables if device.kind == "numpy" else device.array(tables)
-        if optics.is_ideal and distance is None and not any(displacement):
-            return airy(device.array(q), aperture, rows, cols, device=device)
-        waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
-        return pupil(
-            optics.pupil,
-            waves,
-            device.array(q),
-            aperture,
-            rows,
-            cols,
-            device=device,
-            spots=tuple(length / pitch for length in optics.birefringence),
-            diffuser=optics.diffuser / pitch,
-            displacement=displacement,
-        )
-
-    def all_bands(self, plan: Plan, distance=None):
-        """Transfer tables of every wavelength of a plan, as the stages take them."""
-        (pitch, aperture), (rows, cols) = self.grid(plan.scene.samples_per_pixel), plan.period
-        return self.bands(plan.q, pitch, aperture, rows, cols, self.device, distance)
+        return self._lens(plan).tables(plan.q, *plan.period, _OnDevice(self.device), distance)
 
     def at_distance(self, plan: Plan, kernel: int):
         """Tables of the plan's planes, and of white in its channels, for what is at the distance of one of its kernels.
@@ -188,23 +194,10 @@ class LensTables:
 
     def _flat(self, plan: Plan, distance: float) -> np.ndarray:
         """Return what a flat field of 1 at `distance` gives if every sample is a point of light of 1, shape (L,)."""
-        pitch, aperture = self.grid(plan.scene.samples_per_pixel)
-        if min(aperture) == 1:
+        lens = self._lens(plan)
+        if min(lens.aperture) == 1:
             return np.ones(len(plan.q))
-        optics, displacement = self.camera.optics, self.camera.sensor.displacement
-        waves = optics.waves(plan.q * pitch / optics.working_f_number * 1e9, distance=distance)
-        tables = folded_pupil(
-            optics.pupil,
-            waves,
-            plan.q,
-            aperture,
-            1,
-            1,
-            tuple(length / pitch for length in optics.birefringence),
-            optics.diffuser / pitch,
-            displacement,
-        )
-        return tables[:, 0, 0]
+        return exact_tables(lens, plan.q, 1, 1, distance)[:, 0, 0]
 
     def deviation(self, plan: Plan) -> float:
         """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
@@ -215,14 +208,8 @@ class LensTables:
 
         def deviation():
             # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
-            tables = transfer_tables(
-                self.camera.optics,
-                sensor.pixel_pitch / 4,
-                4 * q,
-                tuple(4 * side for side in aperture),
-                32,
-                32,
-            )
+            pitch, sides = sensor.pixel_pitch / 4, tuple(4 * side for side in aperture)
+            tables = transfer_tables(self.camera.optics, pitch, 4 * q, sides, 32, 32)
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
                 tables = np.ascontiguousarray(tables).view(complex)
             light = plan.weights.sum(axis=0)
@@ -232,7 +219,7 @@ class LensTables:
             ]
             return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
 
-        return self._kept("deviation", (self._lens, q, plan.weights), deviation)
+        return self._kept("deviation", (self._made_of, q, plan.weights), deviation)
 
     def combined(self, plan, bands):
         """Transfer tables of the plan's planes from those of its wavelengths."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.field import image_error
-from gpusim.optics.lens import PupilLens, wavelength_nodes
+from gpusim.optics.lens import Lens, wavelength_nodes
 
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
 SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
@@ -22,18 +22,14 @@ class Differences:
 
     lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
     shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
-    RMS of a natural image that the end of the kernels may cost. axis: where the optical axis meets the planes, from
-    their middle, (rows, cols) [pixel]. Raises OutOfRange where no size of SIZES is enough.
+    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where no size of SIZES is enough.
     """
 
-    def __init__(self, lens, wavelengths, mix, shape, corner, error, axis=(0.0, 0.0)):
+    def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error):
         self.lens, self.shape, self.corner = lens, shape, corner
-        self.middle = (np.array(shape) - 1) / 2 + axis
+        self.middle = (np.array(shape) - 1) / 2 + lens.axis
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
-        self.mirrored = (
-            isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
-        )
         self.size = self._enough(error)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
         self._known: dict = {}
@@ -44,7 +40,7 @@ class Differences:
         for kernel, (y, x) in zip(
             kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True
         ):
-            if self.mirrored:  # the other quadrants are mirror images
+            if self.lens.symmetry.is_mirrored:  # the other quadrants are mirror images
                 kernel[:] = self._at(abs(y), abs(x))[
                     :, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1
                 ]
@@ -63,8 +59,8 @@ class Differences:
 
     def _whole(self, differences, place):
         """Differences whose first moments are those of all the light: what moves beyond them is added as a slope."""
-        if not isinstance(self.lens, PupilLens):
-            return differences  # given spreads end within the kernels
+        if self.lens.tail is None:
+            return differences  # the kernels hold all light
         wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(
             self.nodes, (0.0, 0.0)
         )

@@ -72,9 +72,7 @@ def judged(
         assert probes is not None  # a blur is left out for a tolerance alone
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
         notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
-        question = replace(
-            question, camera=replace(camera, optics=replace(camera.optics, model="none", psf=None))
-        )
+        question = question.without_blur()
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
         geometry.viewed(question, told(), notes)

@@ -18,8 +18,8 @@ from gpusim.optics.drift import Watch
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
-from gpusim.optics.planned_tables import Kept, made_anew
 from gpusim.optics.sampling import Taps
+from gpusim.optics.tables import Kept, made_anew
 from gpusim.optics.tiling import Tiling
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs import (

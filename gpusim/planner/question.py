@@ -16,8 +16,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
-from gpusim.optics.lens import open_lens, spread_radius
-from gpusim.optics.planned_tables import Kept, Tables
+from gpusim.optics.lens import Lens, open_lens
+from gpusim.optics.tables import Kept, Tables
 from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
@@ -67,6 +67,10 @@ class Question:
         made._check_displacement()
         made._check_q()
         return made
+
+    def without_blur(self) -> "Question":
+        """Return the same question for a lens that does not blur."""
+        return replace(self, camera=replace(self.camera, optics=self.optics.without_blur()))
 
     def limited(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
@@ -140,7 +144,7 @@ class Question:
     @property
     def is_blurred(self) -> bool:
         """Whether the lens blurs at all."""
-        return self.optics.model != "none"
+        return not self.lens.is_pointlike
 
     @property
     def aperture(self) -> tuple[float, ...]:
@@ -155,7 +159,7 @@ class Question:
     @property
     def moved(self) -> tuple[float, float]:
         """Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do."""
-        return self.sensor.displacement if self.ratio == 1 and self.is_blurred else (0.0, 0.0)
+        return self.lens.displacement
 
     @property
     def more(self) -> int:
@@ -210,19 +214,27 @@ class Question:
 
     @property
     def spread(self) -> float:
-        """Radius within which the rays of a point meet the image [sample], see `spread_radius`."""
+        """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
         of = self.optics, self.scene.wavelengths, self.pitch
-        return self.kept("spread", of, lambda: spread_radius(*of))
+        return self.kept("spread", of, lambda: self.lens.spread(self.scene.wavelengths))
 
     @property
     def tables(self) -> Tables:
         """Transfer tables of the lens."""
         return Tables(self.optics, self.sensor.pixel_pitch, self.kept)
 
-    @property
-    def lens(self):
-        """The lens over the field, see `open_lens`."""
-        return open_lens(self.optics, self.pitch, self.cell, self.scene.samples, self.moved)
+    @cached_property
+    def lens(self) -> Lens:
+        """The lens in front of the scene's samples."""
+        down, across = self.axis
+        return open_lens(
+            self.optics,
+            self.pitch,
+            self.cell,
+            self.scene.samples,
+            self.sensor.displacement if self.ratio == 1 else (0.0, 0.0),
+            (self.ratio * down, self.ratio * across),
+        )
 
     def _check_displacement(self):
         """Refuse a displacement of the apertures from a centred grid that nothing honours."""

@@ -1,6 +1,5 @@
 """What a lens does to a point and to contrast: point spreads and transfer functions, by wavelength and by channel."""
 
-from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -10,8 +9,7 @@ from gpusim.data.lights import light_of
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.optics.lens import open_lens, spread_radius
-from gpusim.optics.response import lens_response, spread_at
+from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import product_weights
 from gpusim.plot.canvas import (
     QUIET,
@@ -56,7 +54,7 @@ def mtf(
     of, place = _asked(checked_camera(camera), of), _field(place)
     if direction not in ("across", "down"):
         raise UnknownName("direction", direction, ("across", "down"))
-    sensor, optics = camera.sensor, camera.optics
+    sensor, lens = camera.sensor, lens_of(camera)
     aperture = sensor.aperture[direction == "across"]
     nyquist = 0.5e-3 / sensor.pixel_pitch  # [cycle/mm]
     frequencies = np.linspace(0, _most(camera, of, nyquist), POINTS)
@@ -66,7 +64,7 @@ def mtf(
     right = widened(ax, frequencies[-1])
     for one in of:
         nodes, weights = _light_of(camera, one, light)
-        response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (
+        response = np.abs(weights @ lens.transfer(nodes, fy, fx, place)) * (
             np.abs(own) if pixel else 1
         )
         name, is_channel = f"{label} {_name(one)}".strip(), isinstance(one, str)
@@ -88,7 +86,7 @@ def mtf(
     at = "" if not any(place) else f" at field ({place[0]:g}, {place[1]:g})"
     return finish(
         ax,
-        f"{camera.name}, f/{optics.f_number:g}",
+        f"{camera.name}, f/{camera.optics.f_number:g}",
         f"MTF of the {parts}, {direction}{at}",
         "frequency on the sensor [cycle/mm]",
         "modulation transfer",
@@ -104,7 +102,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     """
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
     of, place = _asked(checked_camera(camera), of), _field(place)
-    if camera.optics.model == "none":
+    if lens_of(camera).is_pointlike:
         raise BadData(
             f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another'
         )
@@ -114,7 +112,8 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
         )
     if not several:
         nodes, weights = _light_of(camera, of[0], light)
-        energy, step = spread_of(camera, nodes, place, _reach(camera, nodes, place))
+        reach = _reach(camera, nodes, place)
+        energy, step = lens_of(camera).sampled_spread(nodes, place, reach, ACROSS)
         drawn = _spread(
             camera,
             np.tensordot(weights, energy, 1),
@@ -132,7 +131,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     known: dict = {}  # channels share their wavelengths
     for one, (nodes, weights), ax in zip(of, lights, axes.flat, strict=False):
         if tuple(nodes) not in known:
-            known[tuple(nodes)] = spread_of(camera, nodes, place, reach)
+            known[tuple(nodes)] = lens_of(camera).sampled_spread(nodes, place, reach, ACROSS)
         energy, step = known[tuple(nodes)]
         drawn = _spread(camera, np.tensordot(weights, energy, 1), step, ax, _name(one))
     for ax in axes.flat[len(of) :]:
@@ -169,25 +168,10 @@ def _spread(camera, energy, step, ax, title):
     return drawn
 
 
-def spread_of(camera: Camera, wavelengths, place, reach: float) -> tuple[np.ndarray, float]:
-    """Point spreads of the lens alone at wavelengths [nm], (L, rows, cols), and the distance of their samples [m].
-
-    Each sample is the energy of a square cell of that side, of 1 in all the image. reach: from the middle [m]; given
-    point spreads have their own.
-    """
-    optics = camera.optics
-    if optics.psf is not None:
-        return spread_at(optics.psf, wavelengths, place), optics.psf.spacing
-    step = 2 * reach / ACROSS
-    return open_lens(replace(optics, lateral_color=0.0), step, 1.0, (1, 1)).kernels(
-        wavelengths, place, ACROSS
-    ), step
-
-
 def _reach(camera, wavelengths, place):
     """How far from its middle a point spread is drawn [m]."""
     optics, pitch = camera.optics, camera.sensor.pixel_pitch
-    rays = pitch * spread_radius(optics, wavelengths, pitch, float(np.hypot(*place)))
+    rays = pitch * lens_of(camera).spread(wavelengths, float(np.hypot(*place)))
     return max(RINGS * float(optics.airy_radius(max(wavelengths))), 0.75 * pitch, 1.5 * rays)
 
 
@@ -225,18 +209,10 @@ def _light_of(camera, one, light):
     """Wavelengths [nm] of a channel's light on the sensor, and their shares; of a wavelength, itself."""
     if not isinstance(one, str):
         return np.array([float(one)]), np.ones(1)
-    sensor, spread = camera.sensor, camera.optics.psf
+    sensor, (shortest, longest) = camera.sensor, lens_of(camera).wavelengths
     light = photons_from_energy(light_of(light))
-    low = max(
-        sensor.qe.wavelengths[0],
-        light.wavelengths[0],
-        0 if spread is None else spread.wavelengths[0],
-    )
-    high = min(
-        sensor.qe.wavelengths[-1],
-        light.wavelengths[-1],
-        np.inf if spread is None else spread.wavelengths[-1],
-    )
+    low = max(sensor.qe.wavelengths[0], light.wavelengths[0], shortest)
+    high = min(sensor.qe.wavelengths[-1], light.wavelengths[-1], longest)
     if not low < high:
         raise BadData(f"channel {one}: sees nothing of the light {light.name} through the lens")
     nodes = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
@@ -257,8 +233,5 @@ def _name(one):
 
 def _most(camera, of, nyquist):
     """Highest frequency drawn [cycle/mm]: the lens's cut-off where it has one, three times Nyquist at most."""
-    optics = camera.optics
-    if optics.model != "diffraction":
-        return 3 * nyquist
     shortest = min([one for one in of if not isinstance(one, str)] or [WAVELENGTHS[0]])
-    return min(1e-3 / (shortest * 1e-9 * optics.working_f_number), 3 * nyquist)
+    return min(1e-3 * lens_of(camera).cutoff(shortest), 3 * nyquist)

@@ -23,6 +23,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.processor import WHITE_BALANCES
 from gpusim.io.files import read_text
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.simulator import Simulator
 
 SLOWEST = 1e4  # [s]
@@ -71,7 +72,7 @@ class Lags:
             )
         if self.focus is not None and "focus" in ramped:
             raise OutOfRange("--lag focus", self.focus, "without a ramp of the focus")
-        if self.focus is not None and camera.optics.psf is not None:
+        if self.focus is not None and not lens_of(camera).is_adjustable:
             raise OutOfRange(
                 "--lag focus",
                 self.focus,

@@ -1,7 +1,5 @@
 """Blur form: straight to the mosaic or of whole channels, by transforms of the frame or of tiles."""
 
-from dataclasses import replace
-
 from gpusim.domain.account import SAFETY, total
 from gpusim.optics.depth import DepthPlan
 from gpusim.planner.knobs.border import Surroundings
@@ -22,15 +20,15 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
     around: what takes part. Layers by depth are laid over one another channel by channel.
     """
-    optics, sensor = question.optics, question.sensor
+    lens, sensor = question.lens, question.sensor
     folded = (
         around.folds
         and question.ratio == 1
         and not sensor.is_monochrome
         and not sensor.stacked
-        and optics.is_symmetric
-        and not optics.varies
-        and not any(question.moved)
+        and lens.symmetry.is_round
+        and lens.is_uniform
+        and not any(lens.displacement)
         and depth is None
     )
     if around.tiling is not None:
@@ -40,12 +38,9 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
 def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
     """Say what blurs; words: by which planes."""
-    optics, moved = question.optics, question.moved
-    over = f"the pixel{displaced(moved)}" if question.ratio == 1 else "each scene sample"
-    if optics.is_ideal and not has_depth and not any(moved):
-        notes.models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
-    else:
-        notes.models["optics.pupil"] = f"{optics.description}, integrated over {over}"
+    over = f"the pixel{displaced(question.moved)}" if question.ratio == 1 else "each scene sample"
+    stage, pupil = question.lens.describe(has_depth)
+    notes.models[stage] = f"{pupil}, integrated over {over}"
     notes.models[form] = words + ENDINGS[form]
 
 
@@ -62,7 +57,7 @@ def _must_stay(question, picture):
         or question.reach
         or question.guaranteed
         or question.facts.depth is not None
-        or question.optics.varies
+        or not question.lens.is_uniform
         or picture.highlights is not None
         or (question.more and question.ratio == 1)
     )
@@ -79,5 +74,4 @@ def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes)
     if SAFETY * bound.ratio(question.tolerance) > 1:
         return question
     notes.leave_out("blur", bound, "blur left out")
-    camera = replace(question.camera, optics=replace(question.optics, model="none", psf=None))
-    return replace(question, camera=camera)
+    return question.without_blur()

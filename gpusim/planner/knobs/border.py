@@ -14,7 +14,6 @@ from gpusim.optics.depth import DepthPlan
 from gpusim.optics.fusion import in_range
 from gpusim.optics.highlights import TRANSFORM_ERROR
 from gpusim.optics.lengths import LENGTHS, transform_lengths
-from gpusim.optics.lens import straight_tail, tail_of
 from gpusim.optics.outside import BORDER_REACH, Outside, most_reach
 from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.knobs.farfield import (
@@ -24,7 +23,6 @@ from gpusim.planner.knobs.farfield import (
     has_far_field,
     seam_error,
     spline_error,
-    tails_of,
 )
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.knobs.rings import ring_errors
@@ -140,7 +138,7 @@ class Surroundings:
                 self.bound,
                 "border",
             )
-        if question.optics.is_ideal:
+        if question.lens.is_airy:
             notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(
                 reach, question.q.max()
             )
@@ -202,7 +200,8 @@ def surroundings(
         yield [around(reach)]
         return
     fits = (
-        question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+        question.lens.tail is None
+        and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
     )
     reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
     first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
@@ -210,7 +209,7 @@ def surroundings(
         yield first
         return
     if has_far_field(question, depth is not None):
-        tails = tails_of(question)
+        tails = question.lens.tails(question.scene.wavelengths)
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, tails, reach * ratio) for reach in reaches]
         found = [
@@ -263,11 +262,12 @@ def _lengths(question, least):
 
 
 def _outside(question, picture, depth, level):
-    scene, optics, split = question.scene, question.optics, picture.highlights
+    scene, split, tail = question.scene, picture.highlights, question.lens.tail
     spread = 0
     if question.is_blurred:
         spread = depth.reach if depth else question.spread
-    tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
+    if question.period:
+        tail = None
     light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
     if picture.level > BRIGHT:  # all that is told is over the level
         light, power = in_range(light)
@@ -276,13 +276,13 @@ def _outside(question, picture, depth, level):
         light,
         scene.border,
         scene.margin,
-        tail,
+        tail.strength * question.mean_q if tail else 0,
         spread,
         picture.level * unit,
         max(question.sensor.read_sigma**2, 1) / level,
         missing * unit,
         min(round(question.deviation), MOST_AROUND),
-        *(straight_tail(optics) if tail else ((), 0.0)),
+        *((tail.lines, tail.line_share) if tail else ((), 0.0)),
         question.deviation,
         not scene.view.is_plain,
     )

@@ -24,22 +24,14 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
         return None
-    for why, is_so in (
-        ("there is no blur", optics.model == "none"),
-        ("the lens was measured at one", optics.psf),
-        ("the blur varies over the field", optics.varies),
-        ("there is distortion", optics.distortion),
-    ):
-        if is_so:
-            bound = (
-                DECLARED
-                if optics.model == "none" and not scene.layers
-                else _one_distance(question, probes)
-            )
-            notes.leave_out(
-                f"depth: {why}, so the blur is the same at all distances", bound, "depth left out"
-            )
-            return None
+    why = question.lens.fixed_distance or ("there is distortion" if optics.distortion else "")
+    if why:
+        notes.leave_out(
+            f"depth: {why}, so the blur is the same at all distances",
+            _one_distance(question, probes),
+            "depth left out",
+        )
+        return None
     made = plan_depth(
         optics,
         question.pitch,

@@ -12,7 +12,7 @@ from math import pi, sqrt
 import numpy as np
 
 from gpusim.optics.aliases import misses
-from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
+from gpusim.optics.ladder import RATIO, energies, gaussians
 from gpusim.optics.outside import FREQUENCIES, Outside, border_indices, rule_of
 from gpusim.optics.splines import SPACINGS
 from gpusim.planner.knobs.waves import waves
@@ -65,8 +65,8 @@ class FarField:
     """Gaussians in place of the world beyond a blur's reach.
 
     sigmas: their standard deviations, shape (G,) [sample], the last one infinite. spacings: of splines in the first of
-    them, see `optics.far`. tails: of every wavelength, shape (L,
-    3), see `gpusim.optics.ladder.tail`. border: the rule by which the world goes on.
+    them, see `optics.far`. tails: of every wavelength, shape (L, 3),
+    see `Lens.tails`. border: the rule by which the world goes on.
     """
 
     sigmas: np.ndarray
@@ -94,28 +94,15 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
 
     Straight blades throw it along lines.
     """
-    optics = question.optics
+    lens = question.lens
     return (
-        question.is_blurred
-        and optics.psf is None
-        and not optics.pupil.blades
-        and optics.is_symmetric
-        and not optics.varies
+        lens.tail is not None
+        and lens.symmetry.is_round
+        and lens.is_uniform
         and not by_depth
         and not question.period
-        and not any(question.moved)
+        and not any(lens.displacement)
         and min(question.size) >= LEAST_SIDE
-    )
-
-
-def tails_of(question: Question) -> np.ndarray:
-    """Tails of the wavelengths, see `FarField`."""
-    optics = question.optics
-    return tail(
-        optics,
-        question.q,
-        optics.waves(question.scene.wavelengths),
-        variance(optics, question.pitch, question.cell),
     )
 
 
@@ -124,7 +111,7 @@ def far_field(
 ) -> FarField | None:
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
 
-    tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
+    tails: see `FarField`. side: of tiles that see so much around them, None: the frame is one transform [sample].
     spacings: see `FarField`, one of TILES_SPACINGS beside tiles.
     """
     optics = question.optics

@@ -27,7 +27,7 @@ def doubt_of(question: Question) -> str:
         return ""
     if _pixels_end_between_samples(question):
         return BETWEEN_DOUBT
-    if question.optics.varies and min(question.size) < SMALL:
+    if not question.lens.is_uniform and min(question.size) < SMALL:
         return DOUBT
     return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
@@ -124,12 +124,11 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
     the error of these.
     """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
-    axis = tuple(question.ratio * at for at in question.axis)
     of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
     levels = _stepped(np.maximum(levels, 1e-12))
 
     def made():
-        differences = Differences(*of[:-1], of[-1] / 8, axis)
+        differences = Differences(*of[:-1], of[-1] / 8)
         return choose(
             differences,
             shape,
@@ -137,7 +136,7 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
             FlatField(differences, shape, levels, flat_limit / 2),
         )
 
-    return question.kept("field plan", (*of, limit, axis, count, levels, flat_limit), made)
+    return question.kept("field plan", (*of, limit, count, levels, flat_limit), made)
 
 
 def _stepped(values):
@@ -159,7 +158,7 @@ def _misplaced(question, varying):
         varying.kernels.shape[-1],
         question.size,
     )
-    middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
+    middle = (np.array(question.size) - 1) / 2 + question.lens.axis
     corner = farthest_corner(question.size, middle)
     height = max(float(np.hypot(*corner)), 1.0)
     outer, axis = (

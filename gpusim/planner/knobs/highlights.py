@@ -12,7 +12,6 @@ from gpusim.optics.highlights import (
     split_highlights,
     unsplit_error,
 )
-from gpusim.optics.lens import tail_of
 from gpusim.optics.outside import rule_of, seen_light, spread_afar
 from gpusim.planner.facts import Facts
 from gpusim.planner.notes import Notes
@@ -41,11 +40,15 @@ class Picture:
 
     def from_afar(self, question: Question, distance: float) -> float:
         """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
-        tail = tail_of(question.optics) * question.mean_q
-        if not (tail and self.level > 0):
+        tail = question.lens.tail
+        if tail is None or not self.level > 0:
             return 0.0
         light = spread_afar(
-            self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance
+            self.brightness,
+            rule_of(question.scene.border),
+            question.scene.margin,
+            tail.strength * question.mean_q,
+            distance,
         )
         return float(np.sqrt(np.mean(light**2))) / self.level
 
@@ -116,19 +119,15 @@ def split(question: Question) -> tuple[Question, Picture]:
 
 def can_be_split(question: Question) -> bool:
     """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
-    optics, cell = question.optics, question.cell
-    ideal = (
-        optics.is_ideal
-        and not optics.varies
-        and optics.distortion is None
+    lens, (height, width) = question.lens, question.cell
+    return (
+        lens.is_airy
+        and lens.is_uniform
+        and not question.period
+        and question.optics.distortion is None
         and question.facts.depth is None
         and question.scene.view.is_plain
-    )
-    return (
-        question.is_blurred
-        and not question.period
-        and ideal
-        and cell[0] == cell[1]
-        and not any(question.moved)
+        and height == width
+        and not any(lens.displacement)
         and (question.ratio > 1 or not question.sensor.stacked)
     )

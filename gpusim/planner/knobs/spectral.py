@@ -12,8 +12,8 @@ from gpusim.domain.spectrum import LINE
 from gpusim.optics.drift import Watch, wrong_moments
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.optics.planned_tables import field_tables
 from gpusim.optics.sampling import pixel_response
+from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
 from gpusim.planner.knobs.field import varying_planes
 from gpusim.planner.knobs.highlights import Picture
@@ -66,13 +66,13 @@ class Planes:
 
 def unblurred(question: Question, notes: Notes) -> Planes:
     """Channels straight from the content."""
-    content, optics, weights = question.content, question.optics, question.weights
+    content, weights = question.content, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
     notes.models[_stage(content)] = (
         f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
         "(no blur to apply)"
     )
-    notes.leave_out(f'{optics.unused}: optics.model is "none"', DECLARED)
+    notes.leave_out(question.lens.words, DECLARED)
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
 
@@ -97,7 +97,7 @@ def ways(question: Question, probes: Probes | None) -> list[Way]:
     flat = _flat(question)
     even = question.weights / flat
     exact = _exact(question.content, even, flat)
-    if question.optics.varies:
+    if not question.lens.is_uniform:
         return [_varying(question, even, flat, probes)]
     if probes is None:
         return [exact]
@@ -200,8 +200,8 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     Real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); of a blur that varies over the
     field at FIELD_POINTS, (L, P, n, n // 2 + 1).
     """
-    optics, scene = question.optics, question.scene
-    if not optics.varies:
+    scene = question.scene
+    if question.lens.is_uniform:
         tables = question.tables.even(
             question.q, question.cell, period, question.ratio, question.moved
         )
