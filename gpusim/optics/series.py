@@ -12,8 +12,19 @@ from numpy.polynomial.polynomial import polyval2d
 from scipy.special import jv
 
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.otf import EXACT, FAST, defocus_only, hopkins, transfer
-from gpusim.optics.phase import LEAST, Budget, degree, phases, separated, steepest
+from gpusim.optics.otf import (
+    EXACT,
+    FAST,
+    LEAST,
+    Budget,
+    defocus_only,
+    degree,
+    hopkins,
+    phases,
+    separated,
+    steepest,
+    transfer,
+)
 
 ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
 CHUNK = 4096  # radii whose polynomials are in memory at a time

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import highlights, spectral
-from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan
 from gpusim.planner.question import Question
 from gpusim.planner.search import HEADROOM

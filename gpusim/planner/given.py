@@ -8,13 +8,12 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Account, Bound, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.tolerance import Tolerance
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, falloff, geometry, highlights, sampling, spectral
 from gpusim.planner.knobs.field import doubt_of
-from gpusim.planner.notes import Notes
-from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 PIXELS = (
     "pixel_pitch",

@@ -10,7 +10,7 @@ from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.lens import open_lens
 from gpusim.optics.tables import made_anew
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs.waves import waves
+from gpusim.planner.knobs.farfield import waves
 from gpusim.planner.question import Question
 
 SIDE, SIZE, NEAREST = 32, 65, 12  # [sample]

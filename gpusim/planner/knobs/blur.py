@@ -4,9 +4,8 @@ from gpusim.domain.account import SAFETY, total
 from gpusim.optics.depth import DepthPlan
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.notes import Notes
 from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Question, displaced
+from gpusim.planner.question import Notes, Question, displaced
 
 ENDINGS = {
     "optics.mosaic": ", folded into the mosaic",

@@ -13,21 +13,19 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.fusion import in_range
 from gpusim.optics.highlights import TRANSFORM_ERROR
-from gpusim.optics.lengths import LENGTHS, transform_lengths
+from gpusim.optics.lengths import LENGTHS, Tiling, tiling, transform_lengths
 from gpusim.optics.outside import BORDER_REACH, Outside, most_reach
-from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.knobs.farfield import (
     TILES_SPACINGS,
     FarField,
     far_field,
     has_far_field,
+    ring_errors,
     seam_error,
     spline_error,
 )
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.knobs.rings import ring_errors
-from gpusim.planner.notes import Notes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 FAR_REACHES = (
     16,

@@ -9,9 +9,8 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import DepthPlan, plan_depth
-from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.probes import RIM, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
 OTHERS = "depth, if "  # begins the names of errors of what was not chosen
 

@@ -6,9 +6,8 @@ from gpusim.domain.account import SAFETY, total
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import ideal
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
-from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.probes import Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
 NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 

@@ -4,18 +4,33 @@ The blur that transforms make ends `reach` samples from the frame, the rest of t
 (`gpusim.optics.ladder`). What is wrong then: transforms join the world's two ends, `reach` samples from the frame; a
 step there spreads waves at the cut-off of the lens, of which the Gaussians know nothing. And a tail of three powers
 leaves out higher ones of lenses that are far from focus.
+
+Waves: a lens with rims rho in its pupil, with a wavefront of W waves there, spreads at the distance r, in addition to
+its tail,
+
+    2 q / (pi^3 r^3 (1 - e^2)) | sum of a cos(pi rho r / q - 3 pi / 4) exp(2 pi i W) |^2,
+
+a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an annulus's by the
+asymptotic form of J1).
+
+Tiles: a transform repeats a tile, so light that is `overlap` samples or more from a pixel of its result is seen at the
+repeated place. Waves reach that far, and so does the part of the tail that the Gaussians do not hold. What this adds is
+computed in windows of the picture twice as wide as a tile, blurred both ways (`ring_errors`).
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 from math import pi, sqrt
 
 import numpy as np
+import scipy
+from numpy.polynomial.polynomial import polyval2d
 
-from gpusim.optics.aliases import misses
-from gpusim.optics.ladder import RATIO, energies, gaussians
-from gpusim.optics.outside import FREQUENCIES, Outside, border_indices, rule_of
-from gpusim.optics.splines import SPACINGS
-from gpusim.planner.knobs.waves import waves
+from gpusim.optics.ladder import POWERS, RATIO, energies, gaussians
+from gpusim.optics.lengths import Tiling
+from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
+from gpusim.optics.splines import SPACINGS, misses
+from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
 LEAST_SIDE, LEAST_REACH = (
@@ -58,6 +73,7 @@ SLOW = tuple(
     np.geomspace(1 / 4096, 1 / 128, 32)
 )  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
+HOT = 3.0  # true over predicted error beside few bright points was up to 3.1: their rings end in few tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,3 +247,133 @@ def _step(outside, period):
             ends = np.diff(lines[beyond].astype(np.float64), axis=0)
         found += np.mean(ends**2) * len(ends) * SIDE / n
     return sqrt(found) / outside.level
+
+
+def waves(question: Question, r, down, across) -> np.ndarray:
+    """Energy per square sample of a point's waves, shape (L, *shape).
+
+    r: distances [sample], of any shape. down, across: the direction's components, of that shape or one for all.
+    """
+    optics = question.optics
+    hole = optics.pupil.obscuration
+    rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
+    found = np.zeros((len(question.q), *np.shape(r)))
+    for own, q, wave in zip(
+        found, question.q, optics.waves(question.scene.wavelengths), strict=True
+    ):
+        for rho, a in rims:
+            own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * _seen(question, rho / q, down, across)
+        for (one, a), (other, b) in combinations(rims, 2):
+            path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
+            less, more = (one - other) / (2 * q), (one + other) / (2 * q)
+            own += (
+                a
+                * b
+                * np.cos(2 * pi * path)
+                * (
+                    np.cos(2 * pi * less * r) * _seen(question, less, down, across)
+                    - np.sin(2 * pi * more * r) * _seen(question, more, down, across)
+                )
+            )
+        own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
+    return found
+
+
+def _seen(question, frequency, down, across):
+    """What pixels leave of a wave of this frequency [1/sample] in this direction."""
+    optics, left = question.optics, 1.0
+    for along, cell, side, spots in zip(
+        (down, across), question.cell, question.aperture, optics.birefringence, strict=True
+    ):
+        wave = frequency * along
+        left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
+        if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
+            left = left * np.sinc(side * question.ratio * (wave - np.rint(wave)))
+    return left * np.exp(-2 * (pi * optics.diffuser / question.pitch * frequency) ** 2)
+
+
+def ring_errors(
+    outside: Outside, question: Question, tiling: Tiling, far: FarField
+) -> tuple[float, float, float]:
+    """Relative root mean square error of a frame by such tiles; its 99.9 % quantile and maximum in noise.
+
+    far: what tiles leave to Gaussians. The last two figures are as `Outside.error` gives them.
+    """
+    if not outside.level > 0:
+        return 0.0, 0.0, 0.0
+    side, valid = tiling.side, tiling.valid
+    (windows, light), table = outside.windows(valid), _beyond(question, tiling, far)
+    part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
+    light = light[:, part, part]
+    within = slice(side // 2, side // 2 + side)
+    error = np.abs(
+        _middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid)
+    )
+    rows, cols = (
+        min(n - 2 * outside.margin, valid) for n in outside.image.shape
+    )  # of a narrow frame all
+    error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
+    local = scipy.ndimage.uniform_filter(light, (0, 2 * outside.around + 1, 2 * outside.around + 1))
+    local = local[:, rim : rim + rows, rim : rim + cols]
+    sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
+    weight = windows.weight[:, None] * question.share
+    return (
+        sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())),
+        quantile(sigma, weight, 0.999),
+        float(sigma.max() * windows.steepest),
+    )
+
+
+def _middle(light, table, valid):
+    """The middles, (n, C, valid, valid), of windows (n, side, side) blurred by tables (C, side, side // 2 + 1)."""
+    side = light.shape[-1]
+    inner = slice((side - valid) // 2, (side + valid) // 2)
+    spectra = scipy.fft.rfft2(light, workers=-1)[:, None] * table
+    rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[
+        :, :, inner
+    ]  # the others are not asked for
+    return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
+
+
+def _beyond(question, tiling, far):
+    """Transforms of what a tile holds of points outside its overlap, at a period twice its side, by channels."""
+    side, optics = tiling.side, question.optics
+    of = (
+        optics,
+        question.scene.wavelengths,
+        question.q,
+        question.cell,
+        question.aperture,
+        question.ratio,
+    )
+    held = question.kept(
+        f"held by tiles of {side} that share {tiling.overlap}",
+        (*of, far.sigmas, far.tails),
+        lambda: _held(question, tiling, far),
+    )
+    quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(
+        -1, side, side
+    )
+    at = np.abs(np.arange(-side, side))
+    whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[
+        :, at[:, None], at
+    ]  # as far as the windows see, a side away
+    return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
+
+
+def _held(question, tiling, far):
+    """What a tile holds of a point at its places below and right of it, by wavelength: float32 (L, side, side)."""
+    y, x = np.indices((tiling.side, tiling.side), float)
+    r = np.maximum(np.hypot(y, x), 1)
+    rings = waves(question, r, y / r, x / r)
+    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
+    held = np.zeros(rings.shape, np.float32)
+    held[:, outer] = (
+        rings[:, outer]
+        + far.tails @ r[outer] ** -np.array(POWERS)[:, None]
+        - (
+            energies(far.sigmas, far.tails)[:, :-1]
+            @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
+        )
+    )
+    return held

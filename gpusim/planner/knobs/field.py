@@ -2,9 +2,15 @@
 
 import numpy as np
 
-from gpusim.optics.field import FieldBlur, FlatField, choose, natural_difference
+from gpusim.optics.field import (
+    Differences,
+    FieldBlur,
+    FlatField,
+    choose,
+    farthest_corner,
+    natural_difference,
+)
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.planner.differences import Differences, farthest_corner
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for

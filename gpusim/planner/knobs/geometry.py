@@ -10,9 +10,8 @@ import numpy as np
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.calibration import Calibration
 from gpusim.optics.geometry import DistortionGrid, distortion_grid, place_phases
-from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 

@@ -13,10 +13,8 @@ from gpusim.optics.highlights import (
     unsplit_error,
 )
 from gpusim.optics.outside import rule_of, seen_light, spread_afar
-from gpusim.planner.facts import Facts
-from gpusim.planner.notes import Notes
-from gpusim.planner.operation import Operation
-from gpusim.planner.question import Question
+from gpusim.planner.facts import Facts, Operation
+from gpusim.planner.question import Notes, Question
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from gpusim.optics.sampling import (
     pixel_taps,
     sampling_error,
 )
-from gpusim.planner.notes import Notes
-from gpusim.planner.question import Question, displaced
+from gpusim.planner.question import Notes, Question, displaced
 
 
 def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:

@@ -15,13 +15,12 @@ from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joi
 from gpusim.optics.sampling import pixel_response
 from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs.field import varying_planes
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.knobs.sampling import taps_of
-from gpusim.planner.notes import DECLARED, Notes
-from gpusim.planner.operation import Operation
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
 PRIOR = (
     "munsell",
