@@ -243,7 +243,7 @@ class Optics:
             self.wavefront.polynomial(height)[:, 1::2]
             for height in (0.5, 1.0, *self.wavefront.heights)
         ]
-        return self.psf is None and self.pupil.blades == 0 and not np.any(odd)
+        return not self.pupil.sides.size and not np.any(odd)
 
     @property
     def varies(self) -> bool:

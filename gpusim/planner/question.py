@@ -29,14 +29,30 @@ DECLARED = Bound()  # of what camera or scene declare not to be there: leaving i
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A scene before a camera, checked.
+    """A scene in front of a camera, checked.
 
-    facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
-    guaranteed, reach, period, kept: see `gpusim.planner.plan.plan`.
-    on_gpu: whether a GPU computes it, to which its parts cost other than to a CPU.
-    least: planes that a blur has at least, 0: it may be left out.
-    weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
-    limit: relative RMS error for what is not decided yet, None without a tolerance.
+    Attributes:
+        scene: The scene.
+        camera: The camera.
+        facts: Of the content that goes through the blur: of the scene, or of the scene without its highlights.
+        tolerance: See `gpusim.planner.plan.plan`. So are guaranteed, reach, period and kept.
+        weights: Electrons per second in each channel for content 1 at each wavelength, shape (C, L).
+        on_gpu: Whether a GPU computes the frame. Relative costs of its steps differ from a CPU's.
+        least: Planes that a blur has at least; 0: the blur may be left out.
+        limit: Relative RMS error allowed for what is not decided yet; None without a tolerance.
+        optics: The camera's lens settings.
+        sensor: The camera's sensor.
+        content: The content that goes through the blur.
+        ratio: Scene samples per pixel.
+        pitch: Distance of the samples [m].
+        size: Rows and columns of the scene's samples, margin included.
+        corner: Distance of the frame's corner from the axis [sample].
+        aperture: Height and width of a pixel's aperture [pixel].
+        cell: Height and width over which blurred samples are integrated [sample].
+        more: Samples beyond the frame that are seen because the pixels are displaced.
+        light: Electrons per second in all channels together for content 1 at each wavelength, shape (L,).
+        share: Part of the pixels that has each channel, shape (C,).
+        q: Wavelength times working f-number over the distance of samples, shape (L,).
     """
 
     scene: Scene
@@ -51,6 +67,47 @@ class Question:
     on_gpu: bool = False
     least: int = 0
     limit: float | None = None
+    optics: Optics = field(init=False)
+    sensor: Sensor = field(init=False)
+    content: Content = field(init=False)
+    ratio: float = field(init=False)
+    pitch: float = field(init=False)
+    size: tuple[int, int] = field(init=False)
+    corner: float = field(init=False)
+    aperture: tuple[float, float] = field(init=False)
+    cell: tuple[float, float] = field(init=False)
+    more: int = field(init=False)
+    light: np.ndarray = field(init=False)
+    share: np.ndarray = field(init=False)
+    q: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        scene, optics, sensor = self.scene, self.camera.optics, self.camera.sensor
+        (rows, cols), (height, width) = scene.samples, sensor.aperture
+        ratio, channels = float(scene.samples_per_pixel), len(self.weights)
+        pitch = sensor.pixel_pitch / ratio
+        aperture = height / sensor.pixel_pitch, width / sensor.pixel_pitch
+        if sensor.stacked:
+            share = np.full(channels, 1 / channels)
+        else:
+            cfa = sensor.cfa_indices
+            share = np.bincount(cfa.ravel(), minlength=channels) / cfa.size
+        for name, value in {
+            "optics": optics,
+            "sensor": sensor,
+            "content": self.facts.content,
+            "ratio": ratio,
+            "pitch": pitch,
+            "size": (rows + 2 * scene.margin, cols + 2 * scene.margin),
+            "corner": float(np.hypot(rows, cols)) / 2,
+            "aperture": aperture,
+            "cell": aperture if ratio == 1 else (1.0, 1.0),
+            "more": ceil(ratio * max(map(abs, sensor.displacement))),
+            "light": self.weights.sum(axis=0),
+            "share": share,
+            "q": scene.wavelengths * 1e-9 * optics.working_f_number / pitch,
+        }.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def of(
@@ -82,31 +139,6 @@ class Question:
         )
 
     @property
-    def optics(self) -> Optics:
-        """The camera's."""
-        return self.camera.optics
-
-    @property
-    def sensor(self) -> Sensor:
-        """The camera's."""
-        return self.camera.sensor
-
-    @property
-    def content(self) -> Content:
-        """What goes through the blur."""
-        return self.facts.content
-
-    @property
-    def ratio(self) -> float:
-        """Scene samples per pixel."""
-        return float(self.scene.samples_per_pixel)
-
-    @property
-    def pitch(self) -> float:
-        """Distance of the samples [m]."""
-        return self.sensor.pixel_pitch / self.ratio
-
-    @property
     def distortion(self) -> Model | None:
         """The lens's, for this frame; None: it shows what a pinhole does. Raises OutOfRange."""
         distortion = self.optics.distortion
@@ -132,48 +164,14 @@ class Question:
         return down - y, across - x
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Rows and columns of the scene's samples, the margin included."""
-        rows, cols = (n + 2 * self.scene.margin for n in self.scene.samples)
-        return rows, cols
-
-    @property
-    def corner(self) -> float:
-        """Distance of the frame's corner from the axis [sample]."""
-        return float(np.hypot(*self.scene.samples)) / 2
-
-    @property
     def is_blurred(self) -> bool:
         """Whether the lens blurs at all."""
         return not self.lens.is_pointlike
 
     @property
-    def aperture(self) -> tuple[float, ...]:
-        """Height and width of a pixel's aperture [pixel]."""
-        return tuple(side / self.sensor.pixel_pitch for side in self.sensor.aperture)
-
-    @property
-    def cell(self) -> tuple[float, ...]:
-        """Height and width over which blurred samples are integrated [sample]."""
-        return self.aperture if self.ratio == 1 else (1.0, 1.0)
-
-    @property
     def moved(self) -> tuple[float, float]:
         """Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do."""
         return self.lens.displacement
-
-    @property
-    def more(self) -> int:
-        """Samples beyond the frame that it sees because it is displaced."""
-        return ceil(self.ratio * max(map(abs, self.sensor.displacement)))
-
-    @property
-    def share(self) -> np.ndarray:
-        """Part of the pixels that has each channel, shape (C,)."""
-        if self.sensor.stacked:
-            return np.full(len(self.weights), 1 / len(self.weights))
-        cfa = self.sensor.cfa_indices
-        return np.bincount(cfa.ravel(), minlength=len(self.weights)) / cfa.size
 
     @cached_property
     def edges(self) -> np.ndarray:
@@ -183,16 +181,6 @@ class Question:
             steps = steps + spectra * sum(2 / n for n in self.size)
         light = self.weights * np.sqrt(np.maximum(steps, 0))
         return light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
-
-    @property
-    def light(self) -> np.ndarray:
-        """Electrons of all channels together for content 1 at each wavelength, shape (L,)."""
-        return self.weights.sum(axis=0)
-
-    @cached_property
-    def q(self) -> np.ndarray:
-        """Wavelength times working f-number over the distance of samples, shape (L,)."""
-        return self.scene.wavelengths * 1e-9 * self.optics.working_f_number / self.pitch
 
     @property
     def mean_q(self) -> float:

@@ -97,14 +97,14 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     """Point spread of a camera's lens as a picture in decades below its peak, the pixel's aperture drawn in it.
 
     of, place, light: see `mtf`. One wavelength or channel is drawn on `ax`; several, each beside the other, on `figure`
-    or on a new one. Returns the axes or the figure. Raises BadData (no lens, `optics.model = "none"`), Missing,
+    or on a new one. Returns the axes or the figure. Raises BadData (the lens does not blur), Missing,
     OutOfRange, UnknownName.
     """
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
     of, place = _asked(checked_camera(camera), of), _field(place)
     if lens_of(camera).is_pointlike:
         raise BadData(
-            f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another'
+            f'psf: {camera.name} has model = "none" in [optics], no lens that blurs; wanted another'
         )
     if several and ax is not None:
         raise BadData(
