@@ -57,22 +57,23 @@ class Edges:
         return self.far - self.near > JUMP
 
     def plain(self, light, power):
-        """Relative error where light is spread by depth alone, and divided by what even light would give.
+        """Return the relative error of a blur by depth without occlusion, normalized by an even light's blur.
 
-        At an edge between even surfaces f before b the picture is E_f I_f + (1 - E_f) I_b, E the edge spread of a disc;
-        without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f - E_b). Besides, each point of the pupil sees other
-        parts of b than it should: the covariance of that with what b varies by.
+        At an edge between even surfaces f in front of b the picture is E_f I_f + (1 - E_f) I_b, E
+        the edge spread of a disc; without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f -
+        E_b). In addition each point of the pupil sees other parts of b than it should: the
+        covariance of this with the variation of b.
         """
         if not self.jumps.any():
             return 0.0
         return float(np.sqrt(self._plain().sum() / (power * light.size)))
 
     def slopes(self, light, power):
-        """Relative error on surfaces that slope, where the kernel of the point that is seen stands for the pixel's.
+        """Return the relative error on sloping surfaces, from using the visible point's kernel for the pixel.
 
-        A pixel sees the surface at y = x + r(y) u, u even in the pupil: in terms of y its kernel is that of the point
-        times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] = 1/4). Of gradients of a 1/f picture a
-        disc of radius r leaves about 0.75 / r.
+        A pixel sees the surface at y = x + r(y) u, u even in the pupil. In terms of y its kernel is
+        the point's kernel times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] =
+        1/4). A disc of radius r leaves about 0.75 / r of the gradients of a 1/f picture.
         """
         some = ~self.jumps
         moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
@@ -94,10 +95,10 @@ class Edges:
         )
 
     def _hidden(self, near, far):
-        """Squared error of what is hidden, if it is guessed from what is visible beside it.
+        """Squared error of a hidden surface that is guessed from the visible picture next to it.
 
-        It errs as much as pixels a lag apart differ, half the sum of the radii; the far kernel averages that over its
-        chord, of which pieces a lag long are independent.
+        It is the difference of pixels a lag apart, half the sum of the radii. The far kernel
+        averages it over its chord, in which pieces of a lag's length are independent.
         """
         lag = (np.abs(near) + np.abs(far)) / 2
         guess = np.interp(lag, self.lags, self.variation) / (
@@ -106,16 +107,16 @@ class Edges:
         return guess * _edge("hidden", near, far)
 
     def given(self, light, power):
-        """Relative error of layers of which nothing has to be guessed: `_layered` without what is hidden."""
+        """Return the relative error of layers that hide nothing unknown: `_layered` without the hidden part."""
         near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
         left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
         return float(np.sqrt(left.sum() / (power * light.size)))
 
     def _layered(self, some):
-        """Squared error of pairs in different layers: what is hidden is guessed, and the product is an approximation.
+        """Squared error of pairs in different layers: hidden surfaces are guessed, and the product is approximate.
 
-        The product of transmission and background is exact where one of the two is in focus; otherwise their covariance
-        over the pupil is left out.
+        The product of transmission and background is exact if one of the two is in focus; otherwise
+        their covariance over the pupil is left out.
         """
         near, far = self.near[some] / 2, self.far[some] / 2
         jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
@@ -133,10 +134,11 @@ class Edges:
         return 0.36 * 2 / 3 * np.interp(0.9 * np.abs(radius), self.lags, self.variation) / 2
 
     def cuts(self, low, high, enough):
-        """Circles of confusion at which to cut into layers, increasing; the squared error left is below `enough`.
+        """Return circles of confusion at which to cut into layers, increasing, for a squared error below `enough`.
 
-        One by one, each where it removes the most: the error without layers of the edges that it cuts, less the error
-        with layers of these and of the surfaces that it cuts.
+        Cuts are made one by one, each at the place that removes the most: the error without layers
+        of the edges that it cuts, minus the error with layers of these and of the surfaces that it
+        cuts.
         """
         some = self.jumps
         if not some.any():
@@ -165,7 +167,7 @@ class Edges:
         return low + STEP * np.sort(np.array(found, float))
 
     def layered(self, cuts, light, power):
-        """Relative error where the picture is cut at `cuts`: of what is cut, and of the edges that are not."""
+        """Return the relative error of a picture cut at `cuts`: at the cuts, and at the edges that stay whole."""
         apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
         left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
         return float(np.sqrt((left + self._layered(apart).sum()) / (power * light.size)))
@@ -208,8 +210,9 @@ def _edge(what, near, far):
 def _edge_tables():
     """Integrals over t of squared errors for radii (cos, sin) of an angle: see `Edges`.
 
-    plain: of even surfaces. hidden: share of a pixel's light that is guessed. covariance: variance over the pupil of
-    what hides; differs: of where that is wrong when b's kernel is taken for f's.
+    plain: between even surfaces. hidden: share of a pixel's light that is guessed. covariance:
+    variance over the pupil of the occluder; differs: over the part of the pupil in which using b's
+    kernel for f's is wrong.
     """
     angles = np.linspace(0, np.pi, 257)
     t = (np.arange(4000) + 0.5) / 2000 - 1

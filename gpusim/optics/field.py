@@ -1,16 +1,18 @@
 """Blur that varies over the field, as a sum of few convolutions: overlap-add of kernels, or eigen-kernels.
 
-A lens is a function `lens(places)` that gives the kernels at `places`, (row, column) of source pixels, shape (n, 2):
-float64 (n, planes, m, m), m odd, those of one plane with the same sum everywhere (one; or zero, for differences from a
-kernel that all places share). Both methods give the maps, kernels and tiles of the stage
-`optics.field`, and say what image error they leave, which is always computed from kernels they have not used.
+A lens is a function `lens(places)` that returns the kernels at `places`, (row, column) of source
+pixels, shape (n, 2): float64 (n, planes, m, m), m odd. The kernels of one plane have the same sum
+everywhere (one; or zero, for differences from a kernel that all places share). Both methods return
+the maps, kernels and tiles of the stage `optics.field`, and their image error, which is always
+computed from kernels they have not used.
 
-The error is that of the image of a natural scene, of amplitude spectrum 1/|f| and RMS contrast c over a window of m
-pixels: for a difference D of kernels c / sqrt(1 + c^2) sqrt(sum |D(f)|^2 W^2 / sum W^2), W = 1 / max(|f|, 1 / (2 m)),
-the sums without f = 0 (the mean is kept). It takes for granted that the field varies little within
-one kernel: true of frames of megapixels; a frame of 270 rows has up to four times this error where a centroid moves.
+The error is for the image of a natural scene, of amplitude spectrum 1/|f| and RMS contrast c over a
+window of m pixels: for a difference D of kernels c / sqrt(1 + c^2) sqrt(sum |D(f)|^2 W^2 / sum
+W^2), W = 1 / max(|f|, 1 / (2 m)), the sums without f = 0 (the mean is kept). It assumes that the
+field varies little within one kernel: true for frames of megapixels; a frame of 270 rows has up to
+four times this error if a centroid moves.
 
-`Differences` makes such a function of a lens: its kernels less those on the axis.
+`Differences` makes such a function of a lens: its kernels minus the kernels on the axis.
 """
 
 from collections.abc import Callable
@@ -90,7 +92,7 @@ class FieldBlur:
 
     @property
     def report(self) -> str:
-        """One line of what a user should know."""
+        """Line of the report."""
         return (
             f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
             f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
@@ -123,17 +125,30 @@ def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = No
 
 
 def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat=None) -> FieldBlur:
-    """Kernels on a grid of places, mixed for each source pixel by weights that sum to one.
+    """Return kernels on a grid of places, mixed for each source pixel with weights that sum to one.
 
-    shape: (rows, cols) of the frame. grid: kernels along the rows and columns, corner to corner, each >= 2. truth:
-    (places, kernels) to take the error from. flat: see `choose`. window: how kernels go between the grid's places,
-      "bilinear"   4 terms, the cheapest at 1e-3; but where a kernel's centre of gravity moves with the field, its speed
-                   jumps from cell to cell, and a flat field has steps there: second differences of 2e-4 for a mild lens
-                   on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
-      "cosine"     4 terms, sin^2 instead of a ramp: steps of 2e-5 and 2e-4, twice the error;
-      "quadratic"  9 terms, B-splines through the kernels: steps below 1e-5, a seventh of the error; "cubic" has 16.
-    Source: Hirsch et al., CVPR 2010 (efficient filter flow), for the first two.
-    Raises BadData, OutOfRange, UnknownName.
+    window: interpolation of kernels between the grid's places:
+
+          "bilinear"   4 terms, the cheapest at 1e-3; but if a kernel's centre of gravity moves with the field, its
+                       speed jumps from cell to cell, and a flat field has steps there: second differences of 2e-4
+                       for a mild lens on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
+          "cosine"     4 terms, sin^2 instead of a ramp: steps of 2e-5 and 2e-4, twice the error;
+          "quadratic"  9 terms, B-splines through the kernels: steps below 1e-5, a seventh of the error;
+          "cubic"      16 terms.
+
+    Args:
+        lens: Kernels at places.
+        shape: (rows, cols) of the frame.
+        grid: Kernels along the rows and columns, corner to corner, each >= 2.
+        window: See above.
+        truth: (places, kernels) from which the error is computed.
+        flat: See `choose`.
+
+    Raises:
+        BadData, OutOfRange, UnknownName: The grid or the window is none of these.
+
+    Source:
+        Hirsch et al., CVPR 2010 (efficient filter flow), for the first two.
     """
     for size, count in zip(shape, grid, strict=True):
         if not 2 <= count <= max(size, 2):
@@ -254,12 +269,24 @@ class _Window:
 def eigen_kernels(
     lens: Kernels, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None
 ) -> FieldBlur:
-    """The mean kernel and the principal differences from it, as a natural scene weighs them.
+    """Return the mean kernel and the principal differences from it, weighted for a natural scene.
 
-    terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
-    and columns whose kernels are analysed. The mean takes part with coefficient one and the others sum to zero, so that
-    no light is lost at any number of terms. One set of coefficients serves all planes. flat: see `choose`.
-    Source: Lauer, Proc. SPIE 4847 (2002); the weight makes the truncation error that of an image, not of a kernel.
+    The mean has the coefficient one and the other kernels sum to zero, so no light is lost at any
+    number of terms. One set of coefficients serves all planes.
+
+    Args:
+        lens: Kernels at places.
+        shape: (rows, cols) of the frame.
+        terms: Convolutions in all; by default the fewest that keep `tolerance`, at most
+            MOST_TERMS.
+        tolerance: Relative RMS error.
+        samples: Places along rows and columns whose kernels are analysed.
+        truth: (places, kernels) from which the error is computed.
+        flat: See `choose`.
+
+    Source:
+        Lauer, Proc. SPIE 4847 (2002); with the weight the truncation error is an image's error,
+        not a kernel's.
     """
     nodes, places = _sampled(shape, samples)
     kernels = _kernels(lens, places)
@@ -331,13 +358,17 @@ def _sampled(shape, samples=SAMPLES):
 
 
 class FlatField:
-    """What a lens makes of flat fields: the sum of its points, brighter where it moves them together.
+    """Flat fields through a lens: the sum of its points, brighter where the lens moves points together.
 
-    Kernels K(d; s) that sum to the same everywhere give a flat field of 1 the light sum_s K(x - s; s): their sum less
-    the divergence of their first moments, plus half of the second derivatives of their second moments. What a model
-    errs there is that of the moments that it misses.
+    Kernels K(d; s) that sum to the same everywhere give a flat field of 1 the light sum_s K(x - s;
+    s): their sum minus the divergence of their first moments, plus half of the second derivatives
+    of their second moments. The error of a model follows from the error of its moments.
 
-    lens, shape: see `choose`. levels: strength of each plane [1], of which `error` is relative to 1. tolerance: of it.
+    Args:
+        lens: See `choose`.
+        shape: See `choose`.
+        levels: Strength of each plane [1]; `error` is relative to 1.
+        tolerance: Of the error.
     """
 
     def __init__(self, lens: Kernels, shape, levels, tolerance: float):
@@ -379,9 +410,10 @@ def _moments(kernels):
 
 
 def image_error(kernels, wanted) -> tuple[float, float]:
-    """Relative RMS error of a natural image blurred by `kernels` in place of `wanted`, both (n, planes, m, m).
+    """Return the relative RMS error of a natural image blurred with `kernels` instead of `wanted`.
 
-    Returns the root mean square over the n places, and the largest of them; planes count alike.
+    Both have the shape (n, planes, m, m). Returns the root mean square over the n places, and the
+    largest of them; planes have equal weights.
     """
     wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
     scene = np.square(
@@ -486,18 +518,25 @@ def _cost(edges, reach, terms):
 
 
 class Differences:
-    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to 0 at all places.
+    """Kernels of planes minus the kernels on the axis, as a function of places; they sum to 0 at all places.
 
-    So a point's energy is the same all over the field, and a flat field is the sum of its points: brighter where a lens
-    moves them together.
+    So a point's energy is the same all over the field, and a flat field is the sum of its points:
+    brighter where a lens moves them together.
 
-    What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
-    differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
-    the rest.
+    The part of a lens that reaches farthest, diffraction at its pupil's edge, is nearly the same
+    all over the field. The differences end earlier than the kernels, and a convolution of the whole
+    frame with the kernels on the axis gives the rest.
 
-    lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
-    shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
-    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where no size of SIZES is enough.
+    Args:
+        lens: The lens in front of the planes' samples.
+        wavelengths: [nm], shape (L,).
+        mix: Weight of each wavelength in each plane, shape (planes, L).
+        shape: (rows, cols) of the planes.
+        corner: Distance of the frame's corner from the middle [pixel].
+        error: Relative RMS of a natural image that the end of the kernels may cost.
+
+    Raises:
+        OutOfRange: No size of SIZES is enough.
     """
 
     def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error):
@@ -533,7 +572,7 @@ class Differences:
         return self._known[key]
 
     def _whole(self, differences, place):
-        """Differences whose first moments are those of all the light: what moves beyond them is added as a slope."""
+        """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
         if self.lens.tail is None:
             return differences  # the kernels hold all light
         wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(
@@ -587,5 +626,5 @@ def farthest_corner(shape, axis) -> np.ndarray:
 
 
 def _even(differences):
-    """The same with sums of zero: what a lens spreads beyond the kernels on the axis, or elsewhere, is taken evenly."""
+    """The same with sums of zero: light beyond the kernels, on the axis or elsewhere, is spread evenly."""
     return differences - differences.mean(axis=(1, 2), keepdims=True)

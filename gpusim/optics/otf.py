@@ -61,13 +61,24 @@ def defocus_only(pupil: Pupil, waves) -> bool:
 
 
 def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
-    """Transfer function at the frequencies (sx, sy), in units of the cut-off.
+    """Return the transfer function at the frequencies (sx, sy), in units of the cut-off.
 
-    waves: coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n, n). sx, sy: shape (F,).
-    error: nodes are added along and across the overlap of every frequency until neither changes the integral by more.
-    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked, in
-    float64, at some of the frequencies.
-    Returns complex, shape (bands, F). Raises OutOfRange where this takes more than MOST_POINTS points in all.
+    Args:
+        pupil: The pupil.
+        waves: Coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n,
+            n).
+        sx: Frequencies across, shape (F,).
+        sy: Frequencies down, shape (F,).
+        error: Nodes are added along and across the overlap of every frequency until neither
+            changes the integral by more.
+        fast: Take sines and cosines in float32, of phases reduced in float64, with an error of
+            1e-7, and check convergence, in float64, at some of the frequencies only.
+
+    Returns:
+        Complex, shape (bands, F).
+
+    Raises:
+        OutOfRange: It takes more than MOST_POINTS points in all.
     """
     waves = np.asarray(waves, np.float64)
     sx, sy = np.asarray(sx, np.float64), np.asarray(sy, np.float64)
@@ -81,7 +92,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
 
     def probes(part):
-        """Those where the phase turns most, along and across, and some of the others; more for rims that touch."""
+        """Frequencies at which the phase turns most, along and across, and some others; more if rims touch."""
         if not fast or len(part) <= PROBES:
             return part
         few = [np.argsort(turn)[-PROBES // 2 :] for turn in turning(s[part], angle[part], form)]
@@ -120,7 +131,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
 
 def _spread(length, count):
-    """At most `count` of 0 .. length - 1, spread so that they follow no period."""
+    """At most `count` of 0 .. length - 1, spread without a period."""
     return (
         np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count])
         if (count < length)
@@ -327,9 +338,9 @@ def separated(waves):
 
 
 def turning(s, angle, form):
-    """Steepest phase [rad], at each frequency, per radian of the angles whose cosines are the places along and across.
+    """Return the steepest phase [rad] at each frequency, per radian of the angles with cosines along and across.
 
-    A Gauss rule of n nodes is exact for what turns by 2 n.
+    A Gauss rule of n nodes is exact for phases that turn by 2 n.
     """
     steps = 8 + form[0].shape[-1]  # a polynomial of this order has fewer turns
     phase = phases(s, angle, form, steps)
@@ -337,10 +348,10 @@ def turning(s, angle, form):
 
 
 def degree(turn, form, width=3):
-    """Degree of a polynomial that follows exp(i phase), where the phase [rad] turns by `turn` per radian at most.
+    """Return the degree of a polynomial that follows exp(i phase), the phase [rad] turning by `turn` per radian.
 
-    For a phase x T_m, which turns by m x, its terms are J_k(x) of degree m k (Jacobi and Anger), and J_k ends
-    a few x^(1/3), `width`, after k = x.
+    For a phase x T_m, which turns by m x, its terms are J_k(x) of degree m k (Jacobi and Anger),
+    and J_k ends a few x^(1/3), `width`, after k = x.
     """
     return turn + width * np.cbrt((form[0].shape[-1] - 1) ** 2 * turn)
 

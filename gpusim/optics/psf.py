@@ -18,21 +18,35 @@ def psf_tables(
     whole=True,
     displacement=(0.0, 0.0),
 ):
-    """Transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
+    """Return transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
 
-    pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch, or one number for a
-    square. displacement: (rows, cols) of its middle from the scene's sample [pixel]. rows, cols: transform period.
-    finest: lambda N / 2 of the shortest wavelength [m] if known: samples of the lens's irradiance that are further
-    apart do not determine it. place: field point, see `PointSpread.at`. Between its wavelengths the spread is linear;
-    beyond them it is refused. whole: refuse what a convolution of this period could not do; without, the tables are the
-    transfer function at these frequencies, good to be looked at.
-    Returns half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
+    Samples of the irradiance determine a function without frequencies beyond half their rate
+    (sampling theorem, spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a
+    pixel's share of each sample is the transform of the aperture up to that frequency, folded by
+    the pixels, which separates into rows and columns. Between its wavelengths the spread is linear;
+    beyond them it is refused.
 
-    Samples of the irradiance are those of a function without frequencies beyond half their rate (sampling theorem,
-    spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a pixel's share of each sample is the
-    transform of the aperture up to that frequency, folded by the pixels, which separates into rows and columns.
-    Raises OutOfRange with the figures when the samples are too coarse, the spread larger than the period, or energies
-    of pixels are displaced by parts of a pixel.
+    Args:
+        spread: The point spreads.
+        wavelengths: [nm], shape (L,).
+        pitch: Of the pixels [m].
+        aperture: Height and width of the pixel's aperture over the pitch, or one number for a
+            square.
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
+        finest: lambda N / 2 of the shortest wavelength [m] if known; samples of the irradiance
+            that are further apart are refused.
+        place: Field point, see `PointSpread.at`.
+        whole: Refuse spreads that do not fit into this period. Without it the tables are the
+            transfer function at these frequencies, to be looked at.
+        displacement: Of the aperture's middle from the scene's sample, (rows, cols) [pixel].
+
+    Returns:
+        Half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
+
+    Raises:
+        OutOfRange: The samples are too coarse, the spread is larger than the period, or
+            energies of pixels are displaced by parts of a pixel.
     """
     between = _between(spread, wavelengths)
     ratio = spread.spacing / pitch
@@ -80,7 +94,7 @@ def psf_tables(
 
 
 def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
-    """Transform of what each of `count` samples `ratio` pixels apart gives to the pixels, (frequencies, count)."""
+    """Transform of the share of each of `count` samples `ratio` pixels apart in the pixels, (frequencies, count)."""
     places = (np.arange(count) - (count - 1) / 2) * ratio - displacement
     if integrated:
         return np.exp(-2j * np.pi * np.outer(frequencies, places))

@@ -21,9 +21,12 @@ POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's secon
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
-    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of.
+    """Return O at s = 1 - (1 - i / (n - 1))^2, i = 0 ..
 
-    n is such that cubics through the nodes err by less than `error`. Raises OutOfRange as `transfer`, DoesNotFit.
+    n - 1, shape (bands, n), if `symmetric` holds.
+
+    n is chosen for an error of cubics through the nodes below `error`. Raises OutOfRange as
+    `transfer`, DoesNotFit.
     """
     _, scaled, to_bands = scales(waves)
     series = expansion(outline, scaled)
@@ -38,11 +41,12 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
 
 
 def polar_table(outline: Pupil, waves, error=None):
-    """O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
+    """Return O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
 
-    The rays are even over half a turn, both ends included; the nodes are those of `radial_table`, up to the cut-off
-    of each ray. O at the opposite frequency is the conjugate. Rays and nodes are so many that cubics through them err
-    by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
+    The rays are even over half a turn, both ends included. The nodes are spaced as in
+    `radial_table`, up to the cut-off of each ray. O at the opposite frequency is the conjugate. The
+    numbers of rays and nodes are chosen for an error of cubics through them below `error` each, by
+    default CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
     range_, scaled, to_bands = scales(waves)
     table, first, sectors = _rays(
@@ -60,7 +64,7 @@ def polar_table(outline: Pupil, waves, error=None):
     maxsize=2
 )  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
 def _rays(outline, values, shape, range_, error):
-    """The same of the wavefronts that make those of all wavelengths, see `scales`."""
+    """The same for the wavefronts that are integrated, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
     sides, _ = outline.cutoff
     sectors = max(1, 2 * outline.sides.size)
@@ -123,9 +127,10 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
 
 
 def cubic_error(table) -> float:
-    """Most by which cubics through the nodes along the last axis err, from the fourth differences.
+    """Return the largest error of cubics through the nodes along the last axis, from the fourth differences.
 
-    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the outer cells 1 / 24.
+    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the
+    outer cells 1 / 24.
     """
     fourth = np.abs(np.diff(table, 4, axis=-1))
     return float(max(9 / 384 * fourth.max(initial=0), fourth[..., [0, -1]].max() / 24))

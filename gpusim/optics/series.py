@@ -101,10 +101,10 @@ def _strongest(waves):
 
 
 def _foreseen(pupil, wave, edges, fast):
-    """Terms in radius and angle that the series of one wavefront takes, repeats in half a turn, points per frequency.
+    """Terms in radius and angle of one wavefront's series, repeats in half a turn, points per frequency.
 
-    O is a mean of waves whose phases turn, as s goes outwards or around, where the overlap is described by coordinates
-    that go with s; its series ends where that of the one that turns fastest does.
+    O is a mean of waves whose phases turn, as s goes outwards or around, in coordinates of the
+    overlap that move with s. Its series ends with the series of the wave that turns fastest.
     """
     form, fold = separated(wave), _turns(wave)
     steps = 8 + form[0].shape[-1]
@@ -134,7 +134,7 @@ def peak_to_valley(waves) -> float:
 
 
 def _turns(waves) -> int:
-    """How often the wavefronts repeat in a turn; 1 where they do so at every angle."""
+    """How often the wavefronts repeat in a turn; 1 if they are the same at every angle."""
     r, t = np.meshgrid(np.linspace(0.3, 1, 9), np.arange(64) * np.pi / 32)
     values = np.fft.rfft([polyval2d(r * np.cos(t), r * np.sin(t), one) for one in waves], axis=1)
     size = np.abs(values).max(axis=(0, 2))

@@ -1,9 +1,10 @@
-"""Transfer tables of a lens, integrated over the pixel, float64: the kernels' reference, and what the planner reads.
+"""Transfer tables of a lens, integrated over the pixel, float64: reference of the kernels, input of the planner.
 
-Integrated at every frequency that folds. For any pupil and whole frames that would take hours. Beyond FEW frequencies,
-splines stand for the integral: through integrals at nodes of its own where pupil and wavefront are the same at every
-angle, else through a table of the rays that errs by TABLE at most. The integral itself adds nodes until it no longer
-changes. For the planner they go through the nodes along the rays that devices use, of all wavelengths at once.
+The integral is taken at every frequency that folds. For any pupil and whole frames this would take
+hours. Beyond FEW frequencies, splines replace the integral: through integrals at own nodes if pupil
+and wavefront are the same at every angle, else through a table of the rays with an error of at most
+TABLE. Nodes are added to the integral until it no longer changes. For the planner the splines go
+through the nodes along the rays that devices use, for all wavelengths at once.
 """
 
 from collections.abc import Callable
@@ -31,13 +32,20 @@ TABLE, POLYGON = (
 def transfer_tables(
     optics: Optics, pitch, q, aperture, rows, cols, displacement=(0.0, 0.0)
 ) -> np.ndarray:
-    """Transfer tables of a lens, one per wavelength, good to be looked at: also those of periods too short to blur by.
+    """Return transfer tables of a lens, one per wavelength, to be looked at, also for periods too short to blur by.
 
-    pitch: distance of the samples [m]. q: wavelength times working f-number over it, shape (L,); the devices' float32.
-    aperture: height and width of what each sample is integrated over [sample], or one number for a square. rows, cols:
-    transform period. displacement: of the apertures' middles from the samples, (rows, cols) [sample].
-    Returns quarters, real (L, rows // 2 + 1, cols // 2 + 1), where the optics is the same at every angle and nothing
-    is displaced, else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them. Raises OutOfRange.
+    Args:
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        q: Wavelength times working f-number over the pitch, shape (L,); the devices' float32.
+        aperture: Height and width over which each sample is integrated [sample], or one number
+            for a square.
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
+        displacement: Of the apertures' middles from the samples, (rows, cols) [sample].
+
+    Returns:
+        See `gpusim.optics.lens.Lens.tables`.
     """
     lens = open_lens(optics, pitch, aperture, displacement=displacement)
     return lens.tables(q, rows, cols, _OnHost())
@@ -196,7 +204,7 @@ def pupil(
 
 
 class _Exact(_OnHost):
-    """Makes transfer tables by the kernels' reference."""
+    """Makes transfer tables with the kernels' reference."""
 
     def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
         """See `Stages`."""
@@ -204,7 +212,7 @@ class _Exact(_OnHost):
 
 
 def exact_tables(lens: Lens, q, rows: int, cols: int, distance: float | None = None) -> np.ndarray:
-    """Return transfer tables of a lens by the kernels' reference: see `Lens.tables`."""
+    """Return transfer tables of a lens, made with the kernels' reference: see `Lens.tables`."""
     return lens.tables(q, rows, cols, _Exact(), distance)
 
 
