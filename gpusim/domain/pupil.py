@@ -1,8 +1,8 @@
-"""The exit pupil of a lens: the shape that lets light through, and the wavefront in it.
+"""The exit pupil of a lens: the shape of its opening, and the wavefront in it.
 
-Coordinates are those of the image: x along the columns, y along the rows (down), in units of the pupil's radius. The
-wavefront W(x, y) is in waves; its sign is that of Welford (Aberrations of Optical Systems, 1986, eq. 7.16): a ray
-through (x, y) meets the image at -2 lambda N grad W from the ideal point.
+Coordinates are the image's: x along the columns, y along the rows (down), in units of the pupil's
+radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations of Optical Systems,
+1986, eq. 7.16): a ray through (x, y) meets the image at -2 lambda N grad W from the ideal point.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,14 @@ LONGEST_WAVEFRONT = (
 class Pupil:
     """A circle or a regular polygon inscribed in it, with a central circular obstruction.
 
-    blades: corners of the polygon, 3 .. 64, or 0 for a circle. obscuration: radius of the obstruction over that of the
-    (circumscribed) circle, to which the f-number refers. rotation: angle of the first corner from x towards y [rad].
-    Raises OutOfRange.
+    Attributes:
+        blades: Corners of the polygon, 3 .. 64, or 0 for a circle.
+        obscuration: Radius of the obstruction over the radius of the (circumscribed) circle, to
+            which the f-number refers.
+        rotation: Angle of the first corner from x towards y [rad].
+
+    Raises:
+        OutOfRange: A number is out of its range.
     """
 
     blades: int = 0
@@ -47,7 +52,7 @@ class Pupil:
 
     @property
     def area(self) -> float:
-        """Open area over that of the circumscribed circle [1]: the share of a full circle's light that passes."""
+        """Open area over the area of the circumscribed circle [1]: the share of a full circle's light that passes."""
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
 
@@ -91,14 +96,21 @@ class Pupil:
 class Wavefront:
     """Aberrations that are the same optical path for every wavelength.
 
-    zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H lists of J for the H field
-        heights `heights`, linear between them. Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).
-    heights: field heights of `zernike`, increasing, 1 at the corner; none if it is the same everywhere.
-    seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field curvature, distortion) at
-        field height 1 [waves at `reference`]: W = W040 r^4 + W131 h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2
-        + W311 h^3 r cos t, t from the direction of the field point. Source: Welford, chapter 7.
-    reference: wavelength [nm] at which the coefficients are counted in waves.
-    Raises BadData, OutOfRange.
+    Attributes:
+        zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H
+            lists of J for the H field heights `heights`, linear between them. Source: Noll, J.
+            Opt. Soc. Am. 66, 207 (1976).
+        heights: Field heights of `zernike`, increasing, 1 at the corner; none if it is the same
+            everywhere.
+        seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field
+            curvature, distortion) at field height 1 [waves at `reference`]: W = W040 r^4 + W131
+            h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2 + W311 h^3 r cos t, t from the
+            direction of the field point. Source: Welford, chapter 7.
+        reference: Wavelength [nm] at which the coefficients are counted in waves.
+
+    Raises:
+        BadData: The coefficients have the wrong form.
+        OutOfRange: There are too many coefficients or waves.
     """
 
     zernike: tuple = ()
@@ -157,10 +169,16 @@ class Wavefront:
             object.__setattr__(self, name, value)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
-        """Coefficients [i, j] of x^i y^j [waves at `reference`] at one field point, shape (n, n).
+        """Return the coefficients [i, j] of x^i y^j at one field point.
 
-        height: 1 at the corner. azimuth: direction of the field point from the image centre, from x towards y [rad].
-        Both kinds of coefficients are those of a lens that is symmetric about its axis: at other azimuths they turn.
+        The lens is symmetric about its axis: at other azimuths both kinds of coefficients turn.
+
+        Args:
+            height: Field height, 1 at the corner.
+            azimuth: Direction of the field point from the image centre, from x towards y [rad].
+
+        Returns:
+            Coefficients [waves at `reference`], shape (n, n).
         """
         zernike = np.array(self.zernike)
         if self.heights:
@@ -181,7 +199,7 @@ class Wavefront:
 
 
 def disc_power(k) -> np.ndarray:
-    """Coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
+    """Return the coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
     table = np.zeros((2 * k + 1, 2 * k + 1))
     for i in range(k + 1):
         table[2 * i, 2 * (k - i)] = comb(k, i)
@@ -189,7 +207,7 @@ def disc_power(k) -> np.ndarray:
 
 
 def symmetric(pupil: Pupil, waves) -> bool:
-    """Whether pupil and wavefronts look the same at every angle: the transfer function is then real and radial."""
+    """Return whether pupil and wavefronts are the same at every angle, with a real, radial transfer function."""
     order = waves.shape[-1]
     turned = np.zeros_like(waves)
     for k in range((order - 1) // 2 + 1):
@@ -199,7 +217,7 @@ def symmetric(pupil: Pupil, waves) -> bool:
 
 
 def noll(j) -> np.ndarray:
-    """Coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
+    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
     n = int((np.sqrt(8 * j - 7) - 1) / 2)
     rank = j - n * (n + 1) // 2 - 1  # place among the n + 1 polynomials of order n
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1

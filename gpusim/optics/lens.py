@@ -62,7 +62,8 @@ class Stages(Protocol):
     """Makes transfer tables, on a device or on the host, from the description that a lens gives.
 
     Attributes:
-        whole: Whether frames are blurred by the tables. If so, spreads that do not fit into the period are refused.
+        whole: Whether frames are blurred with the tables. If so, spreads that do not fit into
+            the period are refused.
     """
 
     whole: bool
@@ -154,7 +155,7 @@ class Lens(Protocol):
 
     @property
     def words(self) -> str:
-        """What blurs, or what a lens that does not blur leaves out."""
+        """Description of the blur; for a lens that does not blur, the effects it leaves out."""
         ...
 
     def kernels(self, wavelengths, place, size: int, distance: float | None = None) -> np.ndarray:
@@ -238,7 +239,10 @@ class Lens(Protocol):
         ...
 
     def describe(self, by_depth: bool) -> tuple[str, str]:
-        """Return the stage that makes the tables, and what blurs, in words. by_depth: if it follows the distance."""
+        """Return the stage that makes the tables, and the blur in words.
+
+        by_depth: if it follows the distance.
+        """
         ...
 
 
@@ -480,10 +484,10 @@ class PupilLens(_OnGrid):
 
 
 def _energy_beyond(tail, q, wave, size):
-    """Share of the light that falls outside a kernel of this size, where that is beyond most rays.
+    """Share of the light outside a kernel of this size, if that is beyond most rays.
 
-    It is q tail / r^3, or where the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 - b^2)^2), outside of a
-    square, which has the mean of 1 / r of a circle of 0.555 of its side.
+    It is q tail / r^3, or if the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 -
+    b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
     """
     radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
     slopes = [
@@ -500,7 +504,7 @@ def _energy_beyond(tail, q, wave, size):
 def _waves_to(size, points, aperture, shift, count, q):
     """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
 
-    A ray through u meets the image at -2 q grad W: where the phase W + u x / 2 q is stationary.
+    A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
     """
     u = (np.arange(count) + 0.5) / count * 2 - 1
     nodes = np.polynomial.legendre.leggauss(points)[0] / 2
@@ -726,7 +730,7 @@ def _checked_frequencies(wavelengths, fy, fx):
 
 
 def wavelength_nodes(wavelengths, count: int = NODES):
-    """As many as `count` wavelengths whose kernels tell those of all, and their weights in each, shape (L, nodes)."""
+    """Return interpolation nodes (at most `count` wavelengths) and the interpolation matrix (L, nodes)."""
     wavelengths = np.asarray(wavelengths, np.float64)
     if len(wavelengths) <= count:
         return wavelengths, np.eye(len(wavelengths))

@@ -54,7 +54,7 @@ class _OnDevice:
 
 
 class LensTables:
-    """Tables of a camera on a device, each kept until lens, pixels, wavelengths or period change."""
+    """Tables of a camera on a device, each stored until lens, pixels, wavelengths or period change."""
 
     def __init__(self, camera: Camera, device: Device, kept: Kept):
         self.camera, self.device, self._kept = camera, device, kept
@@ -62,9 +62,10 @@ class LensTables:
         self._made_of = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
 
     def grid(self, samples_per_pixel):
-        """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
+        """Return the distance of the samples that are blurred [m], and the size of their apertures [sample].
 
-        Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
+        Samples that are pixels are integrated over the pixel's aperture; others over the whole
+        cell, and pixels share them.
         """
         sensor = self.camera.sensor
         return (
@@ -75,7 +76,7 @@ class LensTables:
         )
 
     def transfer(self, plan: Plan):
-        """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
+        """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
         name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
         if plan.is_draft and (short := self._short(plan)):
@@ -89,7 +90,7 @@ class LensTables:
         )
 
     def _near(self, plan, tables):
-        """Tables less what Gaussians over the world without end make."""
+        """Tables minus the Gaussians of the endless world."""
         if plan.far is None:
             return tables
         return near(
@@ -101,9 +102,10 @@ class LensTables:
         )
 
     def _short(self, plan):
-        """A period that holds most of the light of points, where a CPU would be long at the tables of the plan's; or 0.
+        """A short period that holds most of the light of points, if a CPU would be slow at the plan's; or 0.
 
-        The rest of the light, which falls as 1 / r^3 and so is some q / SHORT of all, is put elsewhere in it.
+        The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places
+        of the period.
         """
         if (
             self.device.is_gpu
@@ -117,7 +119,7 @@ class LensTables:
         return short if 2 * short <= min(plan.period) else 0
 
     def _widened(self, plan, short):
-        """Tables of the plan's period from those of a short one and of a few wavelengths: kernels amid zeros."""
+        """Tables of the plan's period from kernels of a short period and few wavelengths, padded with zeros."""
         rows, cols = plan.period
         nodes, between = wavelength_nodes(plan.q)  # q goes with the wavelength
         few = replace(plan, q=nodes, transfers=plan.transfers @ between, period=(short, short))
@@ -136,7 +138,7 @@ class LensTables:
         return self.device.array(tables.view(np.float32))
 
     def _key(self, plan):
-        """What the tables of a plan are made of."""
+        """Everything that the tables of a plan depend on."""
         far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
         return (
             *far,
@@ -168,9 +170,9 @@ class LensTables:
         return self._lens(plan).tables(plan.q, *plan.period, _OnDevice(self.device), distance)
 
     def at_distance(self, plan: Plan, kernel: int):
-        """Tables of the plan's planes, and of white in its channels, for what is at the distance of one of its kernels.
+        """Return tables for objects at the distance of one of the plan's kernels: of its planes, and of white.
 
-        Those of planes are kept for the next frame; those of all wavelengths are too large for that.
+        Tables of planes are stored for the next frame; those for all wavelengths are too large.
         """
         assert plan.depth is not None
         distance = plan.depth.distances[kernel]
@@ -193,14 +195,14 @@ class LensTables:
         )
 
     def _flat(self, plan: Plan, distance: float) -> np.ndarray:
-        """Return what a flat field of 1 at `distance` gives if every sample is a point of light of 1, shape (L,)."""
+        """Response to a flat field of 1 at `distance`, if every sample is a unit point source, shape (L,)."""
         lens = self._lens(plan)
         if min(lens.aperture) == 1:
             return np.ones(len(plan.q))
         return exact_tables(lens, plan.q, 1, 1, distance)[:, 0, 0]
 
     def deviation(self, plan: Plan) -> float:
-        """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
+        """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""
         if plan.mix is None:
             return 0.0
         sensor, q = self.camera.sensor, plan.q / plan.scene.samples_per_pixel
@@ -222,7 +224,7 @@ class LensTables:
         return self._kept("deviation", (self._made_of, q, plan.weights), deviation)
 
     def combined(self, plan, bands):
-        """Transfer tables of the plan's planes from those of its wavelengths."""
+        """Return transfer tables of the plan's planes from tables of its wavelengths."""
         device = self.device
         if plan.transfers is None:
             return device.reshape(bands, (1, *bands.shape))

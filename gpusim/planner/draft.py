@@ -1,4 +1,4 @@
-"""Drafts: while a lens is turned, a plan for where it stood is used with where it stands now."""
+"""Drafts: while a lens slider moves, the last plan is reused with new transfer tables."""
 
 from dataclasses import replace
 from typing import Any
@@ -24,11 +24,13 @@ TURNED: dict[str, Any] = {  # what may be other
 
 
 def drafted(plan: Plan, camera: Camera) -> Plan | None:
-    """The plan with the camera's lens in place of its own; None where that will not do.
+    """Return the plan with the camera's lens in place of its own; None if that is not possible.
 
-    camera: like the plan's but for TURNED of its lens. Planes, tiles and all that is chosen stay; the light and the
-    tables of the lens are the camera's. The account is that of the plan's own lens. A blur of another symmetry or size
-    has no draft, nor has one that goes by depth or by the place in the field.
+    Planes, tiles and all choices stay; the light and the tables of the lens are the camera's. The
+    account is of the plan's own lens. There is no draft for a blur of another symmetry or size, or
+    for one that depends on depth or field.
+
+    camera: equals the plan's except for TURNED of its lens.
     """
     own, lens = (_lens_of(one, plan) for one in (plan.camera, camera))
     if (

@@ -1,4 +1,4 @@
-"""What the planner reads from a scene's pixels, each number once, and how long a camera will expose them."""
+"""Numbers that the planner reads from a scene's pixels, each once, and the exposure that follows."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +21,7 @@ MOST_BRIGHT = 32  # such pairs
 
 
 class Samples(Protocol):
-    """What is read of a content, which may be on a device: see `gpusim.pipeline.reading.Reading`."""
+    """Reads the samples of a content, which may be on a device: see `gpusim.pipeline.reading.Reading`."""
 
     def rows(self, chosen) -> Content:
         """Whole rows of the samples, int (n,), in host memory."""
@@ -37,7 +37,7 @@ class Samples(Protocol):
 
 
 class OnHost:
-    """Samples of a content in host memory."""
+    """Reads the samples of a content in host memory."""
 
     def __init__(self, content: Content):
         self._content = content
@@ -72,9 +72,12 @@ class OnHost:
 
 
 class Facts:
-    """Facts of a content and, where it is known, of the distance of its samples [m].
+    """Facts of a content and, if it is known, of the distance of its samples [m].
 
-    samples: how the content's are read, by default in host memory.
+    Args:
+        content: The content.
+        depth: Distance of every sample [m], or None.
+        samples: Reads the content's samples; by default they are in host memory.
     """
 
     def __init__(
@@ -86,7 +89,7 @@ class Facts:
 
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
-        """Those of the picture that a scene shows."""
+        """Return the facts of the picture that a scene shows."""
         if not all(
             content.is_seen
             for content in (scene.content, *(layer.content for layer in scene.layers))
@@ -131,7 +134,7 @@ class Facts:
         return found[1]
 
     def channels(self, weights) -> np.ndarray:
-        """What the pairs give to channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
+        """Return the pairs in channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
         key, found = weights.tobytes(), self._channels
         if found is None or found[0] != key:
             table = weights @ self.pairs.entry_spectra.T
@@ -172,9 +175,12 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Operation:
-    """How a camera is operated.
+    """Operation of a camera.
 
-    seconds: exposure time [s]. size: root mean square of the mosaic [e- s-1]. noise: variance of the read noise [e-2].
+    Attributes:
+        seconds: Exposure time [s].
+        size: Root mean square of the mosaic [e- s-1].
+        noise: Variance of the read noise [e-2].
     """
 
     seconds: float
@@ -196,10 +202,16 @@ class Operation:
         highest: float,
         exposure_time: float | None = None,
     ) -> "Operation":
-        """For the light of a scene.
+        """Return the operation for the light of a scene.
 
-        weights: of the channels, (C, L). level, highest: root mean square and maximum over the frame of the sums over
-        the channels, as the lens shows them. exposure_time: given, in place of the camera's [s].
+        Args:
+            camera: The camera.
+            facts: Of the scene.
+            weights: Electrons per second of the channels, shape (C, L).
+            level: Root mean square over the frame of the sums over the channels, as the lens
+                shows them.
+            highest: Maximum, likewise.
+            exposure_time: Exposure time [s]; None: the camera's own.
         """
         sensor, rates = camera.sensor, facts.channels(weights)
         looked = rates.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Plans that are given: whether they are for a camera, and what they err in a scene that they were not made for."""
+"""Plans that the caller gives: whether they fit a camera, and their error in a scene of another plan."""
 
 from dataclasses import fields, replace
 from functools import cache
@@ -31,7 +31,10 @@ REMEDY = "a plan of its own may meet it"
 
 
 def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
-    """What plans depend on beside the scene. asked: the tolerance; None: what their frames depend on."""
+    """Return everything but the scene that a plan depends on.
+
+    asked: the tolerance; None: everything that the frames of a plan depend on.
+    """
     sensor = camera.sensor
     in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
     noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
@@ -39,7 +42,7 @@ def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
 
 
 def named_parts(camera: Camera) -> dict:
-    """The settings of a camera that frames by a plan depend on, by name."""
+    """Return the settings of a camera that frames by a plan depend on, by name."""
     optics, sensor = camera.optics, camera.sensor
     return {f"optics.{part.name}": getattr(optics, part.name) for part in fields(optics)} | {
         f"sensor.{name}": getattr(sensor, name) for name in PIXELS
@@ -53,10 +56,17 @@ def judged(
     asked: Tolerance | None,
     single: bool,
 ) -> Plan:
-    """The same plan as of another scene that it serves, all of its errors predicted for that scene.
+    """Return the plan for another scene that it serves, with all errors predicted for that scene.
 
-    question: of that scene, of the plan's tolerance if none is asked for. exposure_time: given, or None [s]. asked: the
-    tolerance of the verdict, or None. single: see `gpusim.planner.plan.plan`. Raises as `plan` does.
+    Args:
+        plan: The plan.
+        question: Of that scene, with the plan's tolerance if no other is set.
+        exposure_time: [s], or None.
+        asked: Tolerance of the verdict, or None.
+        single: See `gpusim.planner.plan.plan`.
+
+    Raises:
+        BadData, OutOfRange: As `plan` does.
     """
     camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
     operation = picture.operation(question, exposure_time)
@@ -116,7 +126,7 @@ def _blur(
     rounding: dict[str, Bound],
     notes: Notes,
 ) -> dict[str, Bound]:
-    """Predict what planes and border err. Returns the rounding of what is transformed."""
+    """Predict the errors of planes and border. Returns the rounding of the transforms' input."""
     around = border.surroundings_of(
         question, picture, operation.level, plan.period, plan.far, plan.tiling
     )
@@ -130,7 +140,7 @@ def _blur(
 
 
 def _planes(plan, probes):
-    """Error of the planes: exact in probes, or, of planes for every spectrum, as large as in the plan's own scene."""
+    """Error of the planes: exact in probes; for planes that fit every spectrum, as large as in the plan's scene."""
     own = plan.account.bounds.get("planes", Bound())
     if probes is None:
         return own

@@ -1,7 +1,8 @@
 """Probes: small windows of a scene in which the error of a plan is computed exactly, pixel by pixel, before any frame.
 
-A plan leaves out part of what the lens does to the spectra. In a window that error is known: transfer functions times
-the window's own spectra. A transform repeats a window; its rim, where that is seen, does not count.
+A plan leaves out part of the lens's effect on the spectra. In a window that error is known:
+transfer functions times the window's own spectra. A transform repeats a window; its rim, which
+shows that, does not count.
 """
 
 from dataclasses import dataclass, replace
@@ -35,14 +36,24 @@ COUNT, LEAST_WINDOWS = (
 class Probes:
     """Windows of a scene as channels see them through a lens, in electrons per second.
 
-    windows: which. spectra: transforms of the wavelengths less their means in each window, complex (n, L, SIDE,
-    SIDE // 2 + 1). means: (n, L). tables: transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE //
-    2 + 1). weights: electrons per content, (C, L); even: of what the tables make flat. share: part of the pixels that
-    has each channel, (C,). level: root mean square of the frame's channels together. seconds: of the exposure [s].
-    noise: variance of the read noise [e-2]. apart: mean square of the mosaic over that of the channels together, of
-    highlights that the windows do not hold; None: there are none. inner: rows and columns of the windows' inner parts
-    that are in the frame. channels: which channel each pixel of the inner parts has, int (n, *inner); None: several, or
-    samples are no pixels.
+    Attributes:
+        windows: The windows.
+        spectra: Transforms of the wavelengths minus their means in each window, complex (n, L,
+            SIDE, SIDE // 2 + 1).
+        means: The means, (n, L).
+        tables: Transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE // 2
+            + 1).
+        weights: Electrons per content, (C, L).
+        even: The same over the tables' response to a flat field.
+        share: Part of the pixels that has each channel, (C,).
+        level: Root mean square of the frame's channels together.
+        seconds: Exposure time [s].
+        noise: Variance of the read noise [e-2].
+        apart: Mean square of the mosaic over the mean square of the channels together, of
+            highlights that the windows do not hold; None without them.
+        inner: Rows and columns of the windows' inner parts that are in the frame.
+        channels: Channel of each pixel of the inner parts, int (n, *inner); None: several, or
+            samples are no pixels.
     """
 
     windows: Windows
@@ -61,7 +72,7 @@ class Probes:
 
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
-        """Those of a scene; known: the rest."""
+        """Return the probes of a scene. known: the other attributes."""
         planes, entries = _planes(facts, windows, border)
         means = planes[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
         planes -= means[..., None, None]
@@ -94,7 +105,7 @@ class Probes:
 
     @cached_property
     def _size(self):
-        """Root mean square of the mosaic [e- s-1]: its share of the channels together, which the whole frame tells."""
+        """Root mean square of the mosaic [e- s-1], from the frame's sum of the channels."""
         weight = self.windows.weight
         together = weight @ _mean_squares(self.signal.sum(axis=1))
         mosaic = weight @ _mean_squares(self.signal) @ self.share
@@ -145,7 +156,7 @@ class Probes:
         )
 
     def changed(self, share: float) -> Bound:
-        """A bound of the error of transfer functions that are wrong by up to `share`, 1 that of no blur."""
+        """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
         return self.bound(
             _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
         )
@@ -158,16 +169,17 @@ class Probes:
         )
 
     def resampled(self, view: View, ratio: float) -> Bound:
-        """The error of a picture that is interpolated where a view looks, or one like it. ratio: samples per pixel.
+        """Return the error of a picture that is interpolated at a view's places, or of one like it.
 
-        In the mean over all places between samples: a view by half a sample errs 1.4 times as much.
+        It is the mean over all places between samples: a view displaced by half a sample has 1.4
+        times the error. ratio: samples per pixel.
         """
         if view.is_whole(ratio):
             return Bound()
         return (self if view.zoom == 1 else self._magnified(view.zoom)).interpolated()
 
     def _magnified(self, zoom: float) -> "Probes":
-        """The same windows where the lens blurs a magnified picture: waves of f cycles per sample as f / zoom."""
+        """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
         places = np.meshgrid(
             np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
         )
@@ -215,18 +227,21 @@ class Probes:
         return found
 
     def between(self, step: float, path: float) -> Bound:
-        """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.
+        """Return the error of moving light that is taken as linear between instants: see `gpusim.captures.moving`.
 
-        step: displacement from one instant to the next, at most [sample]. path: during the whole exposure [sample].
-        A wave of f cycles per sample is seen sinc^2(f step) of as strong between two instants, in the mean, and what an
-        exposure leaves of it is at most 1 / (pi f path).
+        A wave of f cycles per sample is reduced to sinc^2(f step) between two instants, in the
+        mean, and an exposure leaves at most 1 / (pi f path) of it.
+
+        Args:
+            step: Displacement from one instant to the next, at most [sample].
+            path: Displacement during the whole exposure [sample].
         """
         f = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE))
         left = np.minimum(1, 1 / np.maximum(np.pi * f * path, 1e-9))
         return self.bound(self.exact * ((1 - np.sinc(f * step) ** 2) * left).astype(np.float32))
 
     def local(self, rms: float) -> Bound:
-        """An error of this relative root mean square that is where a blur is seen, at edges."""
+        """Return an error of this relative RMS that is located where blur is visible, at edges."""
         shape = self.unblurred
         if not shape.rms > 0:
             return Bound(rms, rms * self._sigmas, rms * self._sigmas)
@@ -239,7 +254,7 @@ class Probes:
         return float(size / np.sqrt(max(size + self.noise, 1)))
 
     def even_error(self, rms: float) -> Bound:
-        """An error of this relative root mean square that is everywhere alike, as that of rounding in transforms."""
+        """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
         size, (low, least) = self._size * self.seconds * rms, self._least_sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / low), float(5 * size / least))
@@ -254,10 +269,12 @@ class Probes:
         )
 
     def fused(self, table, transfers):
-        """Bounds of the first n planes for each n from the number of channels on.
+        """Yield bounds of the first n planes for each n from the number of channels on.
 
-        table: planes from spectra, (planes, L). transfers: weight of each wavelength's transfer function in that of a
-        plane in a channel, (C, planes, L).
+        Args:
+            table: Planes from spectra, (planes, L).
+            transfers: Weight of each wavelength's transfer function in a plane's, by channel,
+                (C, planes, L).
         """
         planes, left = _mixed(table, self.spectra), self.exact.copy()
         responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)

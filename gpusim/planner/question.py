@@ -1,4 +1,4 @@
-"""What the planner is asked, as numbers (`Question`), and what its plan says (`Notes`)."""
+"""The question to the planner, as numbers (`Question`), and the notes of its plan (`Notes`)."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -113,7 +113,7 @@ class Question:
     def of(
         cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked
     ) -> "Question":
-        """What `plan` was asked. Raises BadData, OutOfRange."""
+        """Return the question that `plan` is called with. Raises BadData, OutOfRange."""
         kept, optics, sensor = asked["kept"], camera.optics, camera.sensor
         weights = kept(
             "electrons",
@@ -260,7 +260,7 @@ class Question:
 
 
 def displaced(displacement) -> str:
-    """What is displaced, in words that follow what it is; "" where it is not."""
+    """Return a suffix such as ", displaced by 0.5, 0 pixels", or "" without a displacement."""
     return (
         f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"
         if any(displacement)
@@ -270,10 +270,13 @@ def displaced(displacement) -> str:
 
 @dataclass
 class Notes:
-    """What a plan says of itself.
+    """Notes of a plan about itself, in order.
 
-    models: stage -> what is modelled, and why. left_out: what is not, in words. In order.
-    bounds: named errors of the account. beside: named errors that are no part of it.
+    Attributes:
+        models: Stage -> its model in words.
+        left_out: Effects that are not modelled, in words.
+        bounds: Named errors of the account.
+        beside: Named errors that are reported but not in the account.
     """
 
     models: dict[str, str] = field(default_factory=dict)
@@ -282,11 +285,17 @@ class Notes:
     beside: dict[str, float] = field(default_factory=dict)
 
     def leave_out(self, words: str, bound: Bound, name: str = "", *, of_scene: bool = False):
-        """Leave something out, with a bound of its error. There is no other way to leave something out.
+        """Leave an effect out, with a bound of its error.
 
-        words: what. bound: DECLARED if camera or scene declare that it is not there; UNKNOWN if nobody can tell: no
-        tolerance is called met then. name: of the error in the account; "": the words. of_scene: the scene does not
-        hold it. The account is of the scene as it is given, so this error is reported next to the account.
+        There is no other way to leave something out.
+
+        Args:
+            words: The effect.
+            bound: DECLARED if camera or scene declare its absence; UNKNOWN if the error is not
+                known: no tolerance is called met then.
+            name: Of the error in the account; "": the words.
+            of_scene: The scene does not hold it. The account is of the scene as it is given, so
+                this error is reported next to the account.
         """
         size = (
             f"relative rms {bound.rms:.2g}, predicted"

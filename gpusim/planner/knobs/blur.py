@@ -36,7 +36,7 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
 
 def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
-    """Say what blurs; words: by which planes."""
+    """Note the blur's stages. words: the planes."""
     over = f"the pixel{displaced(question.moved)}" if question.ratio == 1 else "each scene sample"
     stage, pupil = question.lens.describe(has_depth)
     notes.models[stage] = f"{pupil}, integrated over {over}"
@@ -44,11 +44,11 @@ def describe(question: Question, form: str, words: str, has_depth: bool, notes: 
 
 
 def _must_stay(question, picture):
-    """Whether a blur is not left out whatever that errs.
+    """Whether a blur is kept whatever its error.
 
-    It is asked for in a form or for every spectrum; it goes by distance or place, where one window does not tell it;
-    points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
-    found to need it.
+    It is kept if its form, or exactness for every spectrum, is prescribed; if it follows distance
+    or field, which one window does not show; if point lights are added to it; if it displaces the
+    pixels by parts of samples; or if scenes of its kind were found to need it.
     """
     return (
         question.least
@@ -63,7 +63,7 @@ def _must_stay(question, picture):
 
 
 def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
-    """The question without the blur, where that errs little enough; else the same."""
+    """Return the question without the blur if the error is small enough; else the same."""
     assert question.tolerance is not None
     if _must_stay(question, picture):
         return question

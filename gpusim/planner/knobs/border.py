@@ -46,13 +46,18 @@ MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What of the world around the frame takes part in the blur.
+    """Part of the world around the frame that takes part in the blur.
 
-    reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
-    lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
-    level: electrons of the frame's root mean square. far: what the world beyond is left to, None: it is not seen.
-    tiling: of tiles that see so much around them, None: the frame is one transform.
-    question: what is asked.
+    Attributes:
+        reach: Surroundings on each side [pixel].
+        reaches: Surroundings along each axis [sample].
+        period: Lengths of the transforms [sample].
+        folds: Whether the mosaic folds into them.
+        outside: Facts of the light around the frame.
+        level: Electrons of the frame's root mean square.
+        far: Model of the world beyond; None ignores it.
+        tiling: Of tiles that overlap by so much; None: the frame is one transform.
+        question: The question.
     """
 
     reach: int
@@ -67,7 +72,7 @@ class Surroundings:
 
     @cached_property
     def bound(self) -> Bound:
-        """Error of what is not seen, or seen on the wrong side."""
+        """Error of light that is not seen, or seen on the wrong side."""
         if self.tiling is not None and self.far is not None:
             rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
             return total(
@@ -88,12 +93,12 @@ class Surroundings:
 
     @property
     def splines(self) -> Bound:
-        """Error of the splines that carry what is far from tiles."""
+        """Error of the splines that carry far light to tiles."""
         assert self.far is not None
         return self._even(spline_error(self.far, self.outside, self.question))
 
     def _even(self, rms):
-        """An error that is everywhere alike."""
+        """An error that is the same everywhere."""
         p999, most = self.outside.darkest
         return Bound(
             rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most
@@ -110,11 +115,11 @@ class Surroundings:
 
     @cached_property
     def brighter(self) -> float:
-        """Root mean square of what is transformed, over the frame's, at least 1."""
+        """Root mean square of the transforms' input over the frame's, at least 1."""
         return 1.0 if self.tiling is not None else self.outside.brighter(self.period)
 
     def describe(self, question: Question, notes: Notes):
-        """Say what is not seen."""
+        """Note the light that is not seen."""
         reach = min(self.reaches)
         if self.far is not None:
             notes.bounds["border"] = self.bound
@@ -145,11 +150,14 @@ class Surroundings:
 def surroundings(
     question: Question, picture: Picture, depth: DepthPlan | None, level: float
 ) -> Iterator[list[Surroundings]]:
-    """As much as is asked for alone; or BORDER_REACH, and for a tolerance other ways, more in each list to come.
+    """Yield lists of surroundings: the prescribed one; or BORDER_REACH and, for a tolerance, other ways, increasing.
 
-    Those are less or more of it with a world without end beyond, by Gaussians, where the lens is such that they can;
-    else twice as much each time. Raises OutOfRange. Spreads that are given end: the frame sees as far as they go, if
-    they fit into its transforms at all. level: electrons of the frame's root mean square.
+    If the lens allows it, the others are smaller or larger surroundings with an endless world
+    beyond, modelled by Gaussians; else each has twice the surroundings of the one before. Measured
+    spreads end: the frame then sees as far as they reach, if they fit into its transforms. Raises
+    OutOfRange.
+
+    level: electrons of the frame's root mean square.
     """
     outside, ratio = _outside(question, picture, depth, level), question.ratio
     beside = (
@@ -233,7 +241,10 @@ def surroundings_of(
     far: FarField | None,
     made: Tiling | None,
 ) -> Surroundings:
-    """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
+    """Return the surroundings of a plan that was made for another scene.
+
+    level: see `surroundings`. made: its tiling.
+    """
     reaches = (
         [made.overlap] * 2
         if made is not None

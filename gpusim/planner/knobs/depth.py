@@ -1,4 +1,4 @@
-"""Depth: whether the blur goes by the distance of things."""
+"""Depth: whether the blur follows the distance of objects."""
 
 from collections.abc import Callable
 
@@ -16,9 +16,10 @@ OTHERS = "depth, if "  # begins the names of errors of what was not chosen
 
 
 def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> DepthPlan | None:
-    """How the blur goes by distance. None: the same at all distances; `notes` says why, and what that costs.
+    """Return the plan of a blur that follows distance; None if it is the same at all distances.
 
-    probes: gives those of the scene. Raises BadData, OutOfRange.
+    `notes` then gives the reason and the error. probes: gives the scene's. Raises BadData,
+    OutOfRange.
     """
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
@@ -54,11 +55,12 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
 
 
 def _behind_edges(question, depth):
-    """Relative RMS error of a product: light behind a layer is blurred as a whole, times what the layer lets through.
+    """Relative RMS error of a product: blurred light behind a layer times the layer's blurred transmission.
 
-    Right is the blur of their product. The two differ by the covariance of light and coverage within the kernel of a
-    circular pupil and the pixel, at the mean wavelength in a mirrored world. Each has first the blur of its own
-    distance, a disc of diameter c: a Gaussian of standard deviation c / 4 stands for it.
+    Exact is the blur of their product. The two differ by the covariance of light and coverage
+    within the kernel of a circular pupil and the pixel, at the mean wavelength in a mirrored world.
+    First each is blurred for its own distance by a disc of diameter c, approximated by a Gaussian
+    of standard deviation c / 4.
     """
     fy, fx = (
         np.arange(n)[:, None] / (2 * n) for n in question.size
@@ -93,9 +95,10 @@ def _behind_edges(question, depth):
 def _one_distance(question, probes):
     """Bound of the error of a blur that is in focus at all distances.
 
-    A pupil is as far out of focus, at its rim, as a change of the wavefront by W waves. Any two of its points then
-    differ by at most 2 pi W in phase, so no transfer function changes by more than that, nor by more than 2. Farther
-    than the probes' rim they do not tell. Layers that cover a part of a sample cannot be shown without being composed.
+    Defocus changes the wavefront at the pupil's rim by W waves. Any two points of the pupil then
+    differ by at most 2 pi W in phase, so no transfer function changes by more than this, or by more
+    than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
+    of a sample cannot be shown without composition.
     """
     optics, scene, depth = (
         question.optics,
@@ -121,14 +124,14 @@ def _one_distance(question, probes):
 
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
-    """Named errors of the blur by distance: where there are edges."""
+    """Return the named errors of the blur by distance, located at edges."""
     own = {} if depth is None else depth.predicted
     local = Bound if probes is None else probes.local
     return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
 
 
 def describe(depth: DepthPlan | None, notes: Notes):
-    """Say how the blur goes by distance."""
+    """Note how the blur follows distance."""
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model

@@ -1,4 +1,4 @@
-"""Fall-off: what of the light lens and pixels lose toward the corner."""
+"""Fall-off: light that lens and pixels lose toward the corner."""
 
 import numpy as np
 
@@ -15,9 +15,10 @@ NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 def falloff_of(
     question: Question, probes: Probes | None, notes: Notes
 ) -> tuple[np.ndarray | None, float]:
-    """Fall-off of every pixel, None where the cos^4 law is all; the tangent of the field angle per pixel, 0 without it.
+    """Return the fall-off of every pixel, and the tangent of the field angle per pixel for the cos^4 law.
 
-    probes: of the scene, where there is a tolerance. Raises BadData, OutOfRange.
+    The first is None if the law is enough, the second 0 if the law is not used. probes: of the
+    scene, with a tolerance. Raises BadData, OutOfRange.
     """
     sensor, shape, displacement = (
         question.sensor,
@@ -60,7 +61,7 @@ def falloff_of(
 
 
 def _lens(question, notes):
-    """The lens's fall-off by its name, where it is not left to the exposure's law, and the slope of that."""
+    """The lens's fall-off by name, unless the exposure's cos^4 law is enough, and that law's slope."""
     optics, sensor, scene = question.optics, question.sensor, question.scene
     displacement = sensor.displacement
     if optics.relative_illumination == "cos4":

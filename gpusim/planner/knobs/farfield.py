@@ -1,21 +1,23 @@
-"""The world without end: what of a blur is left to Gaussians over it, and what is wrong then.
+"""The endless world: the part of a blur that Gaussians over it replace, and the errors of that.
 
-The blur that transforms make ends `reach` samples from the frame, the rest of the lens is a sum of Gaussians
-(`gpusim.optics.ladder`). What is wrong then: transforms join the world's two ends, `reach` samples from the frame; a
-step there spreads waves at the cut-off of the lens, of which the Gaussians know nothing. And a tail of three powers
-leaves out higher ones of lenses that are far from focus.
+The blur by transforms ends `reach` samples from the frame; the rest of the lens is a sum of
+Gaussians (`gpusim.optics.ladder`). There are two errors. Transforms join the world's two ends,
+`reach` samples from the frame, and a step there spreads waves at the cut-off of the lens, which the
+Gaussians do not hold. And a tail of three powers neglects higher ones of lenses that are far from
+focus.
 
-Waves: a lens with rims rho in its pupil, with a wavefront of W waves there, spreads at the distance r, in addition to
-its tail,
+Waves: a lens with rims rho in its pupil, with a wavefront of W waves there, spreads at the distance
+r, in addition to its tail,
 
     2 q / (pi^3 r^3 (1 - e^2)) | sum of a cos(pi rho r / q - 3 pi / 4) exp(2 pi i W) |^2,
 
-a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an annulus's by the
-asymptotic form of J1).
+a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an
+annulus's by the asymptotic form of J1).
 
-Tiles: a transform repeats a tile, so light that is `overlap` samples or more from a pixel of its result is seen at the
-repeated place. Waves reach that far, and so does the part of the tail that the Gaussians do not hold. What this adds is
-computed in windows of the picture twice as wide as a tile, blurred both ways (`ring_errors`).
+Tiles: a transform repeats a tile, so light that is `overlap` samples or more from a pixel of its
+result is seen at the repeated place. Waves reach that far, and so does the part of the tail that
+the Gaussians do not hold. The result is computed in windows of the picture twice as wide as a tile,
+blurred both ways (`ring_errors`).
 """
 
 from dataclasses import dataclass
@@ -80,9 +82,11 @@ HOT = 3.0  # true over predicted error beside few bright points was up to 3.1: t
 class FarField:
     """Gaussians in place of the world beyond a blur's reach.
 
-    sigmas: their standard deviations, shape (G,) [sample], the last one infinite. spacings: of splines in the first of
-    them, see `optics.far`. tails: of every wavelength, shape (L, 3),
-    see `Lens.tails`. border: the rule by which the world goes on.
+    Attributes:
+        sigmas: Standard deviations, shape (G,) [sample], the last one infinite.
+        tails: Of every wavelength, shape (L, 3), see `Lens.tails`.
+        border: Rule that continues the world.
+        spacings: Of splines in the first of the sigmas, see `optics.far`.
     """
 
     sigmas: np.ndarray
@@ -91,11 +95,17 @@ class FarField:
     spacings: float
 
     def energies(self, transfers) -> np.ndarray:
-        """What a plan's transfer tables have of them, shape (groups, planes, G). transfers: see `Plan`."""
+        """Return their part of a plan's transfer tables, shape (groups, planes, G).
+
+        transfers: see `Plan`.
+        """
         return _of_planes(energies(self.sigmas, self.tails), transfers)
 
     def weights(self, mix, transfers) -> np.ndarray:
-        """What a plan's channels get of its planes by them, shape (C, planes, G). mix: see `Plan`."""
+        """Return their part of a plan's channels, by planes, shape (C, planes, G).
+
+        mix: see `Plan`.
+        """
         return np.asarray(mix)[..., None] * _of_planes(
             energies(self.sigmas, self.tails, self.border), transfers
         )
@@ -106,7 +116,7 @@ def _of_planes(each, transfers):
 
 
 def has_far_field(question: Question, by_depth: bool) -> bool:
-    """Whether a lens's light from afar is smooth, the same all over the frame and in the middle of every pixel.
+    """Return whether light from afar is smooth, the same all over the frame and in the middle of every pixel.
 
     Straight blades throw it along lines.
     """
@@ -125,10 +135,14 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
 def far_field(
     question: Question, tails, reach: float, side: int | None = None, spacings: float = SPACINGS
 ) -> FarField | None:
-    """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
+    """Return the Gaussians beyond a blur of so many samples around the frame; None if these are too few.
 
-    tails: see `FarField`. side: of tiles that see so much around them, None: the frame is one transform [sample].
-    spacings: see `FarField`, one of TILES_SPACINGS beside tiles.
+    Args:
+        question: The question.
+        tails: See `FarField`.
+        reach: Samples around the frame.
+        side: Of tiles with that overlap [sample]; None: the frame is one transform.
+        spacings: See `FarField`, one of TILES_SPACINGS for tiles.
     """
     optics = question.optics
     rings = RINGS * question.mean_q
@@ -144,7 +158,7 @@ def far_field(
 
 
 def seam_error(outside: Outside, question: Question, period: tuple[int, int]) -> float:
-    """Relative root mean square error of a frame whose world beyond transforms of this period is left to Gaussians."""
+    """Return the relative RMS error of a frame whose world beyond transforms of this period is left to Gaussians."""
     if not outside.level > 0:
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
@@ -163,10 +177,11 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
 
 
 def _image_error(outside, question, reach):
-    """Relative root mean square error from the waves of points of light that are seen where the transform repeats them.
+    """Relative RMS error from waves of point lights that are seen at the transform's repeated place.
 
-    A point so deep in the frame, from one of its sides, has an image as deep beyond the opposite one, 2 reach farther:
-    those of the brightest in a strip along each side, at some places in a strip along the opposite one.
+    A point near one side of the frame has an image beyond the opposite side, 2 reach farther.
+    Computed for the brightest points in a strip along each side, at some places in a strip along
+    the opposite one.
     """
     depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
     random = np.random.default_rng(depth)  # the same places in every scene
@@ -201,7 +216,7 @@ def _image_error(outside, question, reach):
 
 
 def spline_error(far: FarField, outside: Outside, question: Question) -> float:
-    """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
+    """Return the relative RMS error, the same everywhere, of a frame by tiles from the splines of far light."""
     if not outside.level > 0:
         return 0.0
     each = question.edges @ energies(far.sigmas, far.tails)
@@ -216,10 +231,10 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
 
 
 def _coherence(question, reach, part):
-    """What the waves of all wavelengths leave of one's, in the mean over frame and channels.
+    """Part of one wavelength's waves that remains in the sum over all, in the mean over frame and channels.
 
-    part: of the cut-off, at which they are: their period is q over it. A spread of rays has them come from all of its
-    rim, and leaves all of them.
+    part: of the cut-off, at which they are: their period is q over it. With a spread of rays they
+    come from all of its rim, and all of them remain.
     """
     if question.spread > IN_FOCUS * question.mean_q:
         return 1.0
@@ -250,9 +265,13 @@ def _step(outside, period):
 
 
 def waves(question: Question, r, down, across) -> np.ndarray:
-    """Energy per square sample of a point's waves, shape (L, *shape).
+    """Return the energy per square sample of a point's waves, shape (L, *shape).
 
-    r: distances [sample], of any shape. down, across: the direction's components, of that shape or one for all.
+    Args:
+        question: The question.
+        r: Distances [sample], of any shape.
+        down: The direction's row component, of that shape or one for all.
+        across: The direction's column component.
     """
     optics = question.optics
     hole = optics.pupil.obscuration
@@ -280,7 +299,7 @@ def waves(question: Question, r, down, across) -> np.ndarray:
 
 
 def _seen(question, frequency, down, across):
-    """What pixels leave of a wave of this frequency [1/sample] in this direction."""
+    """Part of a wave of this frequency [1/sample] in this direction that pixels keep."""
     optics, left = question.optics, 1.0
     for along, cell, side, spots in zip(
         (down, across), question.cell, question.aperture, optics.birefringence, strict=True
@@ -295,9 +314,10 @@ def _seen(question, frequency, down, across):
 def ring_errors(
     outside: Outside, question: Question, tiling: Tiling, far: FarField
 ) -> tuple[float, float, float]:
-    """Relative root mean square error of a frame by such tiles; its 99.9 % quantile and maximum in noise.
+    """Return the relative RMS error of a frame by such tiles; its 99.9 % quantile and maximum in noise.
 
-    far: what tiles leave to Gaussians. The last two figures are as `Outside.error` gives them.
+    far: Gaussians for the light that tiles leave out. The last two figures are as in
+    `Outside.error`.
     """
     if not outside.level > 0:
         return 0.0, 0.0, 0.0
@@ -336,7 +356,7 @@ def _middle(light, table, valid):
 
 
 def _beyond(question, tiling, far):
-    """Transforms of what a tile holds of points outside its overlap, at a period twice its side, by channels."""
+    """Transforms of a tile's response to points outside its overlap, at a period twice its side, by channels."""
     side, optics = tiling.side, question.optics
     of = (
         optics,
@@ -362,7 +382,7 @@ def _beyond(question, tiling, far):
 
 
 def _held(question, tiling, far):
-    """What a tile holds of a point at its places below and right of it, by wavelength: float32 (L, side, side)."""
+    """A tile's response to a point at places below and right of it, by wavelength: float32 (L, side, side)."""
     y, x = np.indices((tiling.side, tiling.side), float)
     r = np.maximum(np.hypot(y, x), 1)
     rings = waves(question, r, y / r, x / r)

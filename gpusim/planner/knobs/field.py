@@ -1,4 +1,4 @@
-"""Field: a blur that is not the same all over the frame."""
+"""Field: a blur that varies over the frame."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays
 
 
 def doubt_of(question: Question) -> str:
-    """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
+    """Return why predicted errors are not certain (the lens varies within its kernels, a very wide blur), or ""."""
     if not question.is_blurred:
         return ""
     if _pixels_end_between_samples(question):
@@ -52,11 +52,20 @@ def _pixels_end_between_samples(question):
 
 
 def varying_planes(question: Question, response: Response, prior, flat):
-    """Planes from spectra, transfers on the axis, mix, field-varying rest, error and description of a blur that varies.
+    """Return the planes of a blur that varies over the field.
 
-    prior: E[x^T x] of likely spectra, shape (L, L). flat: see `Plan`.
-    Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
-    kernels share the limit. Raises OutOfRange.
+    Each channel has own planes, so each plane has one kernel at a place. Their number and the
+    field's kernels share the limit. Raises OutOfRange.
+
+    Args:
+        question: The question.
+        response: Channels over wavelength and frequency.
+        prior: E[x^T x] of likely spectra, shape (L, L).
+        flat: See `Plan`.
+
+    Returns:
+        Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
+        description.
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
@@ -124,10 +133,10 @@ def _planes(question, response, prior, limit):
 
 
 def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
-    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1.
+    """Difference of the blur from the blur on the axis.
 
-    limit: of the error of natural scenes. levels, flat_limit: strength of the planes in flat fields, and the limit of
-    the error of these.
+    transfers: of the planes, (planes, L), for lights of 1. limit: of the error of natural scenes.
+    levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
     """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
     of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
@@ -146,18 +155,19 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
 
 
 def _stepped(values):
-    """Values down to the next power of 2^(1/2), so that scenes that are alike take the same plan of the field."""
+    """Values rounded down to a power of 2^(1/2): similar scenes then take the same plan of the field."""
     return np.exp2(np.floor(2 * np.log2(values)) / 2)
 
 
 def _misplaced(question, varying):
     """Relative RMS error of light from outside the frame, and of light that is lost in a dark world.
 
-    Light from outside is spread as at the frame's border, where a lens would go on to vary. The corner's spread moves
-    light by d pixels at R pixels from the axis: a strip d wide, less the margin, is too bright, or too dark, by d / R,
-    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis,
-    and the differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a
-    frame, 1 at the corner, is 0.42 .. 0.45.
+    Light from outside is spread as at the frame's border, although a lens would continue to vary.
+    The corner's spread moves light by d pixels at R pixels from the axis: if light moves inward, a
+    strip d wide, minus the margin, is too bright, or too dark, by d / R. In a dark world nothing
+    comes from outside; the kernels' deficit against the kernels on the axis, which the differences
+    share out evenly, is lost there. It grows with the square of the height h, whose root mean
+    square over a frame, 1 at the corner, is 0.42 .. 0.45.
     """
     wavelengths, size, (rows, cols) = (
         question.content.wavelengths,
@@ -187,7 +197,7 @@ def _misplaced(question, varying):
 
 
 def _blocks(parts):
-    """Rows of each part (n, L) in a place of their own: shape (parts, sum of n, L), 0 elsewhere."""
+    """Rows of the parts (n, L) placed one after another: shape (parts, sum of n, L), 0 elsewhere."""
     ends = np.cumsum([len(part) for part in parts])
     out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
     for own, part, end in zip(out, parts, ends, strict=True):

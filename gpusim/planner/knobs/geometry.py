@@ -1,4 +1,4 @@
-"""Geometry: where the lens puts the samples."""
+"""Geometry: places of the samples in the lens's picture."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +17,7 @@ NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 
 def viewed(question: Question, probes: Probes, notes: Notes):
-    """Say that the frame is a view of the scene, and what its interpolation errs."""
+    """Note that the frame is a view of the scene, with the error of its interpolation."""
     notes.bounds["view"] = _with_rim(
         question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio)
     )
@@ -30,9 +30,10 @@ def viewed(question: Question, probes: Probes, notes: Notes):
 def interpolated(
     question: Question, told: Callable[[], Probes], notes: Notes
 ) -> DistortionGrid | None:
-    """The lens's distortion of the samples, with the error of its interpolation; None if the lens has none.
+    """Return the lens's distortion of the samples, and note the error of its interpolation; None without distortion.
 
-    Of the margin's samples, too, if there is blur to need them. told: gives the scene's probes. Raises OutOfRange.
+    The margin's samples are included if there is blur. told: gives the scene's probes. Raises
+    OutOfRange.
     """
     distortion = question.distortion
     if distortion is None:
@@ -82,7 +83,7 @@ def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
 
 
 def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
-    """The distortion that the frame gets: `made`, or None if it may be left out.
+    """Return the distortion that the frame gets: `made`, or None if it may be left out.
 
     probes: of the scene, if there is a tolerance.
     """
@@ -110,7 +111,7 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
 
 
 def describe_calibration(question: Question, notes: Notes):
-    """Say what the frame takes from a calibration in place of the scene's own field of view."""
+    """Note the parts of a calibration that replace the scene's own field of view."""
     calibration = question.optics.distortion
     if not isinstance(calibration, Calibration):
         return

@@ -1,4 +1,4 @@
-"""Highlights: split off the picture where what is added in their place is known exactly."""
+"""Highlights: split off the picture if their images can be added exactly."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,9 +21,11 @@ from gpusim.planner.question import Notes, Question
 class Picture:
     """The light that goes through the blur.
 
-    brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
-    highlights in it, as the lens shows it. highest: maximum, likewise. highlights: what was split
-    off, or None.
+    Attributes:
+        brightness: Sums over wavelength and channels, float32 (rows, cols).
+        level: Root mean square of the frame as the lens shows it, highlights included.
+        highest: Maximum, likewise.
+        highlights: The highlights that were split off, or None.
     """
 
     brightness: np.ndarray
@@ -37,7 +39,7 @@ class Picture:
         return bool(self.brightness.max(initial=0) > THRESHOLD * median_of(self.brightness))
 
     def from_afar(self, question: Question, distance: float) -> float:
-        """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
+        """Return the relative RMS error of neglecting light that the lens spreads farther than `distance` [sample]."""
         tail = question.lens.tail
         if tail is None or not self.level > 0:
             return 0.0
@@ -51,7 +53,7 @@ class Picture:
         return float(np.sqrt(np.mean(light**2))) / self.level
 
     def operation(self, question: Question, exposure_time: float | None) -> Operation:
-        """How the camera will expose it. exposure_time: given, or None [s]."""
+        """Return the camera's operation for it. exposure_time: [s]; None: the camera's own."""
         return Operation.of(
             question.camera,
             question.facts,
@@ -62,9 +64,11 @@ class Picture:
         )
 
     def mosaic(self, weights, share) -> float | None:
-        """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
+        """Return the mean square of the highlights' mosaic over their channels' together; None without highlights.
 
-        weights: electrons per content, (C, L). share: part of the pixels that has each channel, (C,).
+        Args:
+            weights: Electrons per content, (C, L).
+            share: Part of the pixels that has each channel, (C,).
         """
         split = self.highlights
         if split is None:
@@ -73,7 +77,7 @@ class Picture:
         return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
 
     def describe(self, notes: Notes):
-        """Say what was split off."""
+        """Note the highlights that were split off."""
         split = self.highlights
         if split is None:
             return
@@ -84,13 +88,13 @@ class Picture:
             notes.beside["local error beside further highlights"] = split.residue
 
     def describe_unsplit(self, notes: Notes):
-        """Say what the transforms err beside highlights that stay in the picture."""
+        """Note the transforms' error next to highlights that stay in the picture."""
         if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
             notes.beside["local error beside highlights"] = left
 
 
 def whole(question: Question) -> Picture:
-    """The picture with its highlights."""
+    """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
     return Picture(
         brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None
@@ -98,7 +102,7 @@ def whole(question: Question) -> Picture:
 
 
 def split(question: Question) -> tuple[Question, Picture]:
-    """The question of what is left without highlights, and the picture."""
+    """Return the question without highlights, and the picture."""
     scene, facts, picture = question.scene, question.facts, whole(question)
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
@@ -116,7 +120,7 @@ def split(question: Question) -> tuple[Question, Picture]:
 
 
 def can_be_split(question: Question) -> bool:
-    """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
+    """Return whether highlights can be split off: their kernels are Airy patterns, integrated over squares."""
     lens, (height, width) = question.lens, question.cell
     return (
         lens.is_airy

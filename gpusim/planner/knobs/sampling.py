@@ -1,4 +1,4 @@
-"""Sampling: which of the scene's samples a pixel is made of, and what they leave out."""
+"""Sampling: the scene's samples that make a pixel, and the structure that they miss."""
 
 from math import ceil, inf
 
@@ -18,10 +18,12 @@ from gpusim.planner.question import Notes, Question, displaced
 
 
 def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:
-    """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
+    """Return taps of the rows and the columns of pixels, and the spare samples they use.
 
-    most: spare samples on each side that the blur can give. The blur knows what is beyond the scene's samples; a
+    Taps are None if each pixel is one sample. The blur extends beyond the scene's samples; a
     picture without blur is constant over each of them. Raises OutOfRange.
+
+    most: spare samples on each side that the blur can give.
     """
     ratio, is_blurred = question.ratio, question.is_blurred
     if ratio == 1 and (is_blurred or not question.more):
@@ -34,7 +36,7 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
 
 
 def describe(question: Question, taps, notes: Notes):
-    """Say what pixels are made of, and what structure the samples leave out."""
+    """Note how pixels are made, and the structure that the samples miss."""
     ratio, weights = question.ratio, question.weights
     if taps is not None:
         notes.models["optics.sample"] = (
@@ -81,7 +83,7 @@ def _blurred_axes(question, spare):
 
 
 def _plain_axes(question):
-    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border's rule."""
+    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border rule."""
     axes, ratio, border = [], question.ratio, question.scene.border
     for n, pixels, width, move in _axes(question):
         more = ceil(ratio * abs(move))

@@ -1,4 +1,4 @@
-"""Spectral fusion: which planes go through the blur in place of all wavelengths, and how channels are made of them."""
+"""Spectral fusion: the planes that are blurred in place of all wavelengths, and the channels made of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """What goes through the blur: see `gpusim.planner.plan.Plan` for each."""
+    """The planes that are blurred: see `gpusim.planner.plan.Plan` for each."""
 
     flat: np.ndarray
     table: np.ndarray | None
@@ -46,7 +46,7 @@ class Planes:
     varying: FieldBlur | None = None
 
     def describe(self, question: Question, notes: Notes):
-        """Say what is summed over wavelength."""
+        """Note the sums over wavelength."""
         content = question.content
         if self.table is not None:
             notes.models[_stage(content)] = (
@@ -55,7 +55,7 @@ class Planes:
             )
 
     def describe_tables(self, question: Question, notes: Notes):
-        """Say what tables are summed over wavelength."""
+        """Note the tables that are summed over wavelength."""
         if self.transfers is not None:
             notes.models.setdefault(
                 "spectral.integrate",
@@ -79,7 +79,11 @@ def unblurred(question: Question, notes: Notes) -> Planes:
 class Way:
     """One way to treat the wavelengths.
 
-    count: planes that are transformed. bound: error of what it leaves out. words: what it is. make: gives its planes.
+    Attributes:
+        count: Planes that are transformed.
+        bound: Its error.
+        words: The way in words.
+        make: Makes its planes.
     """
 
     count: int
@@ -89,9 +93,9 @@ class Way:
 
 
 def ways(question: Question, probes: Probes | None) -> list[Way]:
-    """Every way there is, from the fewest planes on; the last is exact. Of a blur that varies over the field, one.
+    """Return all ways, from the fewest planes on; the last is exact. A blur that varies over the field has one.
 
-    probes: of the scene, where there is a tolerance. Raises OutOfRange.
+    probes: of the scene, with a tolerance. Raises OutOfRange.
     """
     flat = _flat(question)
     even = question.weights / flat
@@ -118,7 +122,7 @@ def _varying(question, even, flat, probes):
 
 
 def describe_unseen(question: Question, notes: Notes):
-    """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
+    """Note light that the scene does not hold, with its electrons if it continues as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
     if len(nodes) == 1:
         notes.leave_out(
@@ -161,7 +165,7 @@ def _stage(content):
 
 
 def _flat(question):
-    """What a flat field of each wavelength gives where every sample is a point of light of 1."""
+    """Response to a uniform scene of each wavelength, if each sample is a unit point source."""
     if (
         min(question.cell) < 1
     ):  # points in the middle of the apertures would count too much of a flat scene
@@ -171,7 +175,7 @@ def _flat(question):
 
 
 def _exact(content, weights, flat):
-    """The planes that treat every band, or every entry, by itself."""
+    """The planes that treat every band, or every entry, separately."""
     spectra = content.entry_spectra
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
@@ -194,10 +198,10 @@ def _exact(content, weights, flat):
 
 
 def transfers_at(question: Question, flat, period: int) -> np.ndarray:
-    """Transfer functions of the wavelengths at the frequencies of a square period, what pixels average out with them.
+    """Return transfer functions of the wavelengths at the frequencies of a square period, pixels included.
 
-    Real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); of a blur that varies over the
-    field at FIELD_POINTS, (L, P, n, n // 2 + 1).
+    They are real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); for a
+    blur that varies over the field they are at FIELD_POINTS, (L, P, n, n // 2 + 1).
     """
     scene = question.scene
     if question.lens.is_uniform:
@@ -219,7 +223,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 
 
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
-    """Windows of the scene in which errors are computed."""
+    """Return windows of the scene in which errors are computed."""
     scene = question.scene
     flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
     tables = np.ones((1, SIDE, SIDE // 2 + 1))
@@ -262,7 +266,10 @@ def _seen_part(question, windows):
 
 
 def response_of(question: Question, even, flat) -> Response:
-    """The channels over wavelength and frequency; even: weights of what is flat."""
+    """Return the channels over wavelength and frequency.
+
+    even: weights over the response to flat fields.
+    """
     cfa, tables = question.sensor.cfa_indices, transfers_at(question, flat, SAMPLED_PERIOD)
     return question.kept("response", (even, tables, cfa), lambda: Response.of(even, tables, cfa))
 
@@ -270,7 +277,7 @@ def response_of(question: Question, even, flat) -> Response:
 def _fused(question, response, flat, planes, probes):
     """The joint operators of fewer than `planes` planes.
 
-    Their errors are those of the scene's own spectra whatever the prior: what lies outside the prior is seen.
+    Their errors are computed for the scene's own spectra, so they include light outside the prior.
     """
     prior, content = prior_of(question), question.content
     if not np.trace(prior) > 0:
@@ -306,7 +313,10 @@ def _fused(question, response, flat, planes, probes):
 
 
 def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
-    """Tells what a blur errs that is left out of other scenes. bound: of that of the question's own."""
+    """Return a watch that predicts the error of leaving the blur out of later scenes.
+
+    bound: that error for the question's scene.
+    """
     flat = _flat(question)
     watch, expected = Watch.of_no_blur(
         response_of(question, question.weights / flat, flat),
@@ -321,7 +331,7 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
 
 
 def _guaranteed(question, response, flat, planes, probes):
-    """Operators that are right for every spectrum, to a bound, of fewer than `planes` planes."""
+    """Operators with a bound for every spectrum, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
         operator = question.kept(
@@ -350,10 +360,10 @@ def _guaranteed(question, response, flat, planes, probes):
 
 
 def prior_of(question: Question) -> np.ndarray:
-    """E[x^T x] of likely spectra, shape (L, L).
+    """Return E[x^T x] of likely spectra, shape (L, L).
 
-    The reflectances of PRIOR where a cube's light is known, so that all frames of a film share the operator; otherwise
-    the scene's own.
+    If the light of a cube is known they are the reflectances of PRIOR, and all frames of a film
+    share the operator; otherwise the scene's own.
     """
     if not (question.content.is_spectral and question.scene.light_is_known):
         return question.facts.spectra.values
