@@ -145,7 +145,7 @@ class PointSpread:
             return spreads
         (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-        # back into the table's frame, where the field point lies on +x
+        # back into the table's frame, in which the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
         turned = np.stack(
             [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
@@ -194,7 +194,7 @@ def _disc_below(x, y, r):
 
     w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
     left, right = np.minimum(x, -w), np.clip(x, -w, w)
-    # within the chord the strip goes from the lower arc to y; beside it, the whole disc for y > 0, nothing for y < 0
+    # within the chord the strip goes from the lower arc to y; outside it, it is the disc if y > 0, else empty
     inside = column(-w, right) + y * (right + w)
     beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
     return inside + np.where(y > 0, beside, 0)

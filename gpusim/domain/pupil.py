@@ -14,7 +14,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
 LONGEST_WAVEFRONT = (
-    40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+    40.0  # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
 )
 
 

@@ -23,7 +23,7 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
 
 MOST_KERNELS = 64
-TOLERANCE = 1e-4  # relative root mean square error where none is asked for
+TOLERANCE = 1e-4  # relative root mean square error by default
 
 
 def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength: float = 550.0):

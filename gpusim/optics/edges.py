@@ -7,7 +7,7 @@ import numpy as np
 
 MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
-STEP = 0.25  # [pixel] of circle of confusion between the places where the picture may be cut
+STEP = 0.25  # [pixel] of circle of confusion between possible cuts of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Edges:
         their covariance over the pupil is left out.
         """
         near, far = self.near[some] / 2, self.far[some] / 2
-        jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
+        jump = (self.far - self.near)[some] > JUMP  # a slope hides only its neighbourhood
         return np.hypot(near, far) * (
             np.where(jump, self._hidden(near, far), 0)
             + self._covariance(far) * _edge("covariance", near, far)

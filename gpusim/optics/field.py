@@ -28,7 +28,7 @@ from gpusim.optics.lens import Lens, wavelength_nodes
 
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
-PROBES = 48  # places where a model is compared with the lens
+PROBES = 48  # places for the comparison of a model with the lens
 SPACING = 8  # [pixel] between them, at least
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
@@ -117,7 +117,7 @@ def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = No
             break
         blur = overlap_add(lens, shape, grid, truth=(probes, truth), flat=flat)
         candidates.append(blur)
-        # finer grids cost more: enough, or already dearer than what is good enough
+        # finer grids cost more: stop if this one is enough, or costs more than one that is
         if missed(blur) <= 1 or (missed(candidates[0]) <= 1 and blur.cost > candidates[0].cost):
             break
     good = [blur for blur in candidates if missed(blur) <= 1]
@@ -418,7 +418,7 @@ def image_error(kernels, wanted) -> tuple[float, float]:
     wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
     scene = np.square(
         _weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])
-    ).sum()  # of a point: the weight alone
+    ).sum()  # of a point: only the weight
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
 

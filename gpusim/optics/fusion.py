@@ -27,7 +27,7 @@ SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
 MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
 DARKEST = 1e-30  # light below which there is none: no pixel of any camera gets one electron of it in a year
-ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of what 40 find
+ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of the result of 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +263,7 @@ def joint_operator(response: Response, prior) -> Operator:
     variance, directions = np.linalg.eigh(ridged)
     half = directions * np.sqrt(variance)  # ridged = half half^T
     scale = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, ridged, response.flat))
-    scale = np.where(scale > 0, scale, 1)[:, None]  # every channel counts alike
+    scale = np.where(scale > 0, scale, 1)[:, None]  # channels have equal weights
     exact, _ = np.linalg.qr(half.T @ (response.flat / scale).T)
     scaled = response.weights / scale
     power = half.T @ (response.optical * (scaled.T @ scaled)) @ half

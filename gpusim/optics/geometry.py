@@ -18,7 +18,7 @@ AIM, MOST_CELLS = (
 )  # error of places and fluxes that is small enough; cells along an axis for it, at most
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
-PARTS = 8  # of a frame along an axis, the worst of which has its largest errors
+PARTS = 8  # of a frame along an axis; its largest errors are in the worst part
 LEAST_LOBES = 4.5  # of brightest over darkest of 4 x 4 samples: cubics stay above 0 below it (81 / 18 at the middle)
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
@@ -151,7 +151,7 @@ def view_nodes(
         np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)
     ]
     own, its = ((np.array(one) - 1) / 2 for one in (shape, source_shape))
-    middle = its if distortion is not None else own  # of what the nodes so far tell
+    middle = its if distortion is not None else own  # from the nodes so far
     y, x = (nodes[..., axis] + place - middle[axis] for axis, place in enumerate(np.ix_(*edges)))
     y, x = view.place(y, x, ratio)
     nodes[..., 0], nodes[..., 1] = y + its[0] - edges[0][:, None], x + its[1] - edges[1]

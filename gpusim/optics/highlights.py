@@ -16,10 +16,10 @@ from scipy.special import j1
 from gpusim.domain.content import Content
 
 THRESHOLD = 100.0  # times the median
-MOST = 64  # points; what is beyond them stays in the planes, and its error is reported
+MOST = 64  # points; others stay in the planes, and their error is reported
 MOST_IMAGES = 1024  # of all points and their mirror images
 TRANSFORM_ERROR = 2.5e-7  # of a float32 transform, over the field's root mean square
-NEGLIGIBLE = 1e-6  # of the median: where a point adds less, it is not added
+NEGLIGIBLE = 1e-6  # of the median: smaller contributions of a point are left out
 CORE = 32  # [pixel] kernels are tabled pixel by pixel up to here, by radius beyond
 PER_RING = 64  # samples of a radial table to a diffraction ring
 
@@ -95,7 +95,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     spectra, light, strength = content.points(rows, cols)
     planes = content.planes.astype(
         np.promote_types(content.planes.dtype, np.float32)
-    )  # a copy; what is left is exact
+    )  # a copy; the rest is exact
     rest = content.with_planes(planes)
     stored = planes[..., rows, cols].astype(np.float64)
     planes[..., rows, cols] *= keep

@@ -31,7 +31,7 @@ LIMITS = {
     "edge": 1,
     "zero": 2,
     "reflect": np.inf,
-}  # powers of sigma by which a Gaussian comes to its limit
+}  # powers of sigma with which a Gaussian approaches its limit
 
 
 def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:

@@ -28,7 +28,7 @@ PROBES = 8  # of these, which have to converge in a fast integration
 EXACT, FAST = 1e-10, 1e-7  # errors of the integral; fast: of sines and cosines in float32
 UNTHREADED = (
     2**18
-)  # products up to which OpenBLAS starts no threads of its own, which would fight with the pool's
+)  # products up to which OpenBLAS starts no threads, which would compete with the pool's
 LEAST = {True: 8, False: 20}  # nodes where nothing turns, fast and exact
 # foreseen of all integrals of one table: at 13 (Z45) to 23 (Z28) million a second and core of Zen 4, 55 to 95 s of two
 MOST_POINTS = 2.5e9
@@ -87,7 +87,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     inside = np.flatnonzero(s < 1)
     inside = inside[
         np.argsort(s[inside], kind="stable")
-    ]  # the phase turns alike at frequencies of one length
+    ]  # the phase turns equally fast at frequencies of one length
     parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
     out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
 
@@ -169,7 +169,7 @@ def _integral(rows, s, angle, form, nodes, fast):
     between = chebvander(x, len(few) - 1) @ np.linalg.inv(chebvander(few, len(few) - 1))
     middle, half = (start + end) / 2, (end - start) / 2
     width, height = 1 - s, np.sqrt(1 - s * s)
-    # a piece has whole frequencies' rows or parts of them; what it adds is summed
+    # a piece has rows of whole frequencies or of parts of them; pieces are summed
     size = max(1, min(CHUNK // nodes, UNTHREADED // (len(few) * nodes)))
     for piece in (slice(k, k + size) for k in range(0, len(index), size)):
         i, h = index[piece], half[piece]

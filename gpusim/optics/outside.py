@@ -24,7 +24,7 @@ from scipy.special import j1
 from gpusim.optics.windows import MOST_STEPS, Windows
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
-# Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
+# Most samples of a transform that is made longer for a tolerance: this number, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
 CELLS, LEAST_CELLS = (
@@ -32,18 +32,18 @@ CELLS, LEAST_CELLS = (
     64,
 )  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
 PROBED = 128  # samples along an axis at which it is predicted
-# A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
-# picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
+# A world that repeats itself after some periods differs from an endless one by powers of its width: light of a picture
+# that continues is equal on both sides of a pixel but for its place between them; light on black falls as r^-3
 POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
-# A blur changes the root mean square of a frame whose maximum is so many times that, or that is small, or whose
-# neighbours are less alike: mean product over mean square
+# A blur changes the root mean square of a frame whose maximum is so many times larger, or that is small, or whose
+# neighbours are less similar: mean product over mean square
 SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
-FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
+FARTHEST = 8  # times the distance from which light counts as far: its end
 WINDOWS, WINDOW, INNER = (
     12,
     128,
     48,
-)  # their number; samples of a side, and of that of the part that stands for others
+)  # their number; samples of a side, and of a side of the part that represents others
 FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
 GEOMETRIC = (
     0.7  # part of the reach from which on a disc of light takes the place of the tail's series
@@ -130,7 +130,7 @@ def unseen(
         )
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
-        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
+        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not needed
         return scipy.fft.irfft(rows, part.shape[1])[:, x : x + cells[1]]
 
     worlds = {wide: blurred(wide) for wide in {1, *times}}
@@ -381,13 +381,13 @@ class Outside:
         fade = np.multiply.outer(fade, fade)
         light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade
         power = np.tensordot(windows.weight, np.abs(scipy.fft.rfft2(light)) ** 2, 1)
-        power[:, 1:-1] *= 2  # for those of the other half
+        power[:, 1:-1] *= 2  # for the other half
         power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
         power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
         inside = _inside(self.image, self.margin)
         some = inside[
             :: max(1, round(inside.size / MOST_STEPS))
-        ]  # `level` is of what a lens leaves of it
+        ]  # `level` is of the light behind a lens
         return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
 
     @cached_property

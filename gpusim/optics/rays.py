@@ -17,7 +17,7 @@ from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
-POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's second derivative jumps
+POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
@@ -62,13 +62,13 @@ def polar_table(outline: Pupil, waves, error=None):
 
 @lru_cache(
     maxsize=2
-)  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
+)  # a plan takes few wavelengths and a frame all of them, by the same wavefronts
 def _rays(outline, values, shape, range_, error):
     """The same for the wavefronts that are integrated, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
     sides, _ = outline.cutoff
     sectors = max(1, 2 * outline.sides.size)
-    # of one sector, rays may be few where they are all the same
+    # of one sector; few if all rays are the same
     per_sector = 8 if symmetric(outline, scaled) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
     length = 192 + ceil(48 * range_)
     first = float(outline.sides[0]) if sides else 0.0

@@ -18,7 +18,7 @@ from gpusim.optics.lens import wavelength_nodes
 from gpusim.optics.outside import border_indices
 from gpusim.optics.tables import Tables
 
-NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
+NODES = 6  # of the polynomial of the cumulative integral, smooth by a blur
 AREA = 2  # of a polynomial that takes the picture as constant over each cell
 SPARE = (
     NODES // 2
@@ -26,7 +26,7 @@ SPARE = (
 SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
 RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
 WIDEST = 8  # [cycle/sample] of these frequencies at most
-OPTICS = 6  # wavelengths between whose optics those of all are interpolated in that prediction
+OPTICS = 6  # wavelengths between which optics are interpolated in that prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def pixel_taps(
     centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
     first, below = _cumulative(centres - ratio * aperture / 2, samples, nodes)
     last, above = _cumulative(centres + ratio * aperture / 2, samples, nodes)
-    # the cumulative at node k holds every sample before k: a sample's weight is the sum of those of the nodes behind it
+    # the cumulative at node k holds every sample before k: a sample's weight is the sum of all later nodes' weights
     count = int((last - first).max()) + below.shape[1] - 1
     at = first[:, None] + np.arange(count)
     weights = (_behind(at, last, above) - _behind(at, first, below)) / (ratio * aperture)
@@ -316,7 +316,7 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     if any(displacement):
         down, across = (np.exp(2j * np.pi * move * f) for move in displacement)
         true = true * (down[:, None] * across)
-    seen = np.ones_like(true)  # without blur, a sample is what it is
+    seen = np.ones_like(true)  # without blur
     if optical is not None:
         true = optical * true
         seen = waves.folded(true if ratio == 1 else optical * _box(f))

@@ -30,11 +30,11 @@ LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
 MASK = np.convolve(
     TWICE, np.insert(TWICE, slice(1, None), 0)
-)  # of a level's splines in those of the one before
+)  # of a level's splines in the splines of the level before
 SPREAD = 5.0  # standard deviations at which a filter ends
 SMALLEST = 1e-9  # of a row's largest entry, below which an entry is none
 REPLICAS = 4  # of the grid's frequencies on each side, beyond which sinc^8 is below 1e-10
-WIDE = 4.0  # spacings of a Gaussian from which on it has no error beside others'
+WIDE = 4.0  # spacings of a Gaussian from which its error is negligible
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Bands:
         most = max(int(count.max(initial=1)), 1)
         first = np.minimum(
             start, columns - most
-        )  # so that `most` entries from there on are the matrix's
+        )  # `most` entries from there on are within the matrix
         start, count = first, start + count - first
         values = np.zeros((len(matrices), rows, most), np.float32)
         for own, begin, (row, column, value) in zip(values, start, entries, strict=True):

@@ -11,8 +11,8 @@ import scipy
 
 from gpusim.optics.fusion import in_range
 
-MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
-EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
+MOST_STEPS = 2**18  # between neighbours that are read to locate edges
+EDGES = 0.7  # part of the windows drawn with the energy of edges; the others are drawn evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def _edges(brightness, margin, border, inner):
                 if y <= edge < y + inner:
                     step[row] = np.maximum(step[row], brightness[edge] * unit)
         lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
-        # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
+        # from each start to its end, without the gaps; one more, since an end may not be beyond the last
         found.append(
             [
                 by.reduceat(np.append(line, 0), ends.ravel())[::2]

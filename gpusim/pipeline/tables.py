@@ -78,7 +78,7 @@ class LensTables:
     def transfer(self, plan: Plan):
         """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
-        name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
+        name = f"transfer {plan.mix.shape}"  # tables of its wavelengths next to tables of a plan
         if plan.is_draft and (short := self._short(plan)):
             return self._kept(
                 "drafted", (short, self._key(plan)), lambda: self._widened(plan, short)
@@ -209,7 +209,7 @@ class LensTables:
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
 
         def deviation():
-            # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
+            # four points along a pixel, to exclude frequencies that a grid of pixels folds onto this one
             pitch, sides = sensor.pixel_pitch / 4, tuple(4 * side for side in aperture)
             tables = transfer_tables(self.camera.optics, pitch, 4 * q, sides, 32, 32)
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts

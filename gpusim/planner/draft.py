@@ -13,7 +13,7 @@ from gpusim.planner.plan import Plan
 WIDER, ROOM = (
     1.5,
     0.25,
-)  # times as wide a blur or as narrow, and that much beside [sample]: tiles and planes still do
+)  # largest ratio of blur widths, and an additional width [sample], at which tiles and planes still do
 
 TURNED: dict[str, Any] = {  # what may be other
     "f_number": 8.0,

@@ -159,7 +159,7 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     even = np.ones(len(first))
     if len(first) >= rows - 1:
         return first, even
-    # BLAS scales, so that no square overflows
+    # BLAS scales: no square overflows
     lengths = np.array([scipy.linalg.norm(row, check_finite=False) for row in brightness])
     squares = (lengths / max(lengths.max(), 1e-300)) ** 2
     light = squares[:-1] + squares[1:]

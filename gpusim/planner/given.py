@@ -78,7 +78,7 @@ def judged(
         probes = spectral.probes_of(question, picture, operation)
         question = question.limited(probes)
     if plan.mix is None and question.is_blurred:
-        assert probes is not None  # a blur is left out for a tolerance alone
+        assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
         notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
         question = question.without_blur()

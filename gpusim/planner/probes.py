@@ -23,9 +23,9 @@ from gpusim.planner.facts import Facts
 SIDE, RIM = (
     SAMPLED_PERIOD,
     12,
-)  # of a window, and of what of it does not count, on each side [sample]
+)  # of a window, and of its rim on each side, which does not count [sample]
 INNER = SIDE - 2 * RIM
-UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over that of all channels, from which on it is the error
+UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
 COUNT, LEAST_WINDOWS = (
     12,
     4,
@@ -123,7 +123,7 @@ class Probes:
         rms = np.sqrt(squares) / self._size
         if (
             self.channels is not None
-        ):  # few pixels hold the error, so that it depends on the channels that they have
+        ):  # few pixels hold the error, which then depends on their channels
             own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
             even = self.windows.weight @ _mean_squares(self.signal) @ self.share
             if size > 0 and own * even > UNEVEN * squares * size:

@@ -24,7 +24,7 @@ from gpusim.planner.probes import Probes
 
 MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
-DECLARED = Bound()  # of what camera or scene declare not to be there: leaving it out is no error
+DECLARED = Bound()  # camera or scene declare the absence: leaving it out is no error
 
 
 @dataclass(frozen=True, eq=False)

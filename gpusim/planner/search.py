@@ -22,14 +22,14 @@ CACHED = (
     2**21
 )  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
 # [flop] of one of a tile's transforms, which stay in a core's cache or a GPU's local memory, and of a multiplication of
-# the far field; both measured beside transforms of frames on two cores, and on an H200
+# the far field; both measured against transforms of frames on two cores, and on an H200
 TILE_COST, GPU_TILE_COST = 0.6, 1.4
 FAR_COST, GPU_FAR_COST = 3.5, 21.0
 WIDER = (
     2.0  # times the exact way's samples that transforms may have, for a world without end beyond
 )
-HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
-NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
+HEADROOM = 1.1  # that a choice leaves: sigmas are for an exposure that is not metered yet
+NEAR = 1.1  # ways whose errors are within this factor are equivalent, if none is good enough
 
 REMEDIES = {
     "transforms": "float64 would, so use device numpy",

@@ -38,10 +38,10 @@ OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
 EVEN = (
     2.0,
     2.5,
-)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
-SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
+)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS in its darkest part
+SMALL = 0.25  # of a tolerance: errors predicted within a factor of 2.5 do not break it
 BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
-MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
+MOST_AROUND = 4  # samples on each side whose light approximates the mix of a lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def surroundings(
     outside, ratio = _outside(question, picture, depth, level), question.ratio
     beside = (
         ceil(depth.reach) if depth else 0
-    ) + question.more  # samples that take part beside the reach
+    ) + question.more  # samples that take part in addition to the reach
     shape, reach = outside.image.shape, question.reach
 
     def around(reach, far=None):
@@ -278,7 +278,7 @@ def _outside(question, picture, depth, level):
     if question.period:
         tail = None
     light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
-    if picture.level > BRIGHT:  # all that is told is over the level
+    if picture.level > BRIGHT:  # all results are over the level
         light, power = in_range(light)
         unit = 2.0**-power
     return Outside(

@@ -12,7 +12,7 @@ from gpusim.optics.depth import DepthPlan, plan_depth
 from gpusim.planner.probes import RIM, Probes
 from gpusim.planner.question import DECLARED, Notes, Question
 
-OTHERS = "depth, if "  # begins the names of errors of what was not chosen
+OTHERS = "depth, if "  # begins the names of errors of alternatives
 
 
 def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> DepthPlan | None:

@@ -72,13 +72,13 @@ def _lens(question, notes):
         )
         if (
             optics.distortion is not None
-        ):  # the law is that of the angle at which light comes, not of where it lands
+        ):  # the law is for the angle at which light comes, not for the place
             return {
                 "cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2
             }, 0.0
         if not any(displacement):  # without distortion the axis is in the middle
             return {}, slope
-        # the law that goes with the exposure is that of a grid in the middle
+        # the law in the exposure is for a grid in the middle
         return {
             "cos^4": relative_illumination(
                 "cos4", scene.shape, slope, 1.0, displacement=displacement

@@ -38,34 +38,36 @@ from gpusim.planner.question import Question
 LEAST_SIDE, LEAST_REACH = (
     8,
     16,
-)  # [sample] of a frame along an axis, and of what is blurred around it
+)  # [sample] of a frame along an axis, and of its blurred surroundings
 RINGS, RADII = (
     4.0,
     4.0,
 )  # the least reach in q (twice that over the part between the rims), and in radii of the rays
 LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
-# This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
+# This, and its dependences, were measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
-TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
+TILES_RATIO = 1.8  # of neighbouring Gaussians for tiles, fewer than elsewhere
 TILES_SPACINGS = (
     1.0,
     1.2,
     1.6,
     SPACINGS,
-)  # of splines beside tiles in a Gaussian, from the coarsest on
+)  # of splines for tiles in a Gaussian, from the coarsest on
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
-DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
+DARK_SEAM = (
+    0.15  # of it in a dark world, whose step is the frame's edge, a reach away from the seam
+)
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 FINER, LEAST = (
     3.0,
     0.3,
-)  # q of a pixel of samples below which it averages waves away; what it leaves
+)  # q of a pixel of samples below which it averages waves away; the least part left
 DISTANCES = 64  # from the seam, at which waves are added up
-POINTS, PLACES = 32, 128  # of light in a strip, and where they are seen
+POINTS, PLACES = 32, 128  # of light in a strip, and places at which they are seen
 FARTHEST, FINE, MOST_RADII = (
     8,
     12,
@@ -75,7 +77,7 @@ SLOW = tuple(
     np.geomspace(1 / 4096, 1 / 128, 32)
 )  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
-HOT = 3.0  # true over predicted error beside few bright points was up to 3.1: their rings end in few tiles
+HOT = 3.0  # true over predicted error near few bright points was up to 3.1: their rings end in few tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,7 +353,7 @@ def _middle(light, table, valid):
     spectra = scipy.fft.rfft2(light, workers=-1)[:, None] * table
     rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[
         :, :, inner
-    ]  # the others are not asked for
+    ]  # the others are not needed
     return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
 
 
@@ -377,7 +379,7 @@ def _beyond(question, tiling, far):
     at = np.abs(np.arange(-side, side))
     whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[
         :, at[:, None], at
-    ]  # as far as the windows see, a side away
+    ]  # up to the windows' end, a side away
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
 
 

@@ -13,17 +13,17 @@ from gpusim.optics.field import (
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
 
-FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
+FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur without a tolerance
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
-# beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
+# beyond it predicted over true was .4 to .7 in sigmas: the windows see little of so wide a blur
 WIDEST_Q = 24.0
 BETWEEN_DOUBT = (
     "pixels end between the scene's samples, and light between blurred samples is interpolated"
 )
 WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
-WIDEST_ROOM = 8  # times the limit: what the end of kernels may cost a natural scene at most, if this one is flatter
+WIDEST_ROOM = 8  # times the limit: largest error of a natural scene by the end of kernels, if this scene is flatter
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
@@ -72,8 +72,8 @@ def varying_planes(question: Question, response: Response, prior, flat):
     mix, transfers = (
         each.any(axis=2) * 1.0,
         each.sum(axis=0),
-    )  # a plane is seen by one channel alone
-    # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
+    )  # each plane is seen by only one channel
+    # differences of neighbours in a plane over the channel's: planes of equal strength have equal weights
     spectra, (rows, cols) = question.facts.spectra, question.size
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
