@@ -193,7 +193,7 @@ def expose_motion(
         (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
         scenes[0].view,
     )
-    told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
+    told = {"view": probes.resampling_error(between, scene.samples_per_pixel), "shutter": wrong}
     seen, bounds = made.plan, made.plan.account.bounds | told
     account = dataclasses.replace(seen.account, bounds=bounds)
     verdict = (

@@ -150,7 +150,7 @@ class Optics:
         """Raise BadData for settings that measured point spreads already include."""
         if self.model != "measured":
             return
-        given = self._blurring() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
+        given = self._blur_settings() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
         for name, is_set in given.items():
             if is_set:
                 more = (
@@ -161,7 +161,7 @@ class Optics:
                     f"leave it out{more}"
                 )
 
-    def _blurring(self):
+    def _blur_settings(self):
         """Settings, apart from the pupil, that add to the blur of model "diffraction": name -> bool."""
 
         def has(value):
@@ -185,7 +185,7 @@ class Optics:
                 "diffraction",
                 *(
                     name.removeprefix("optics.").replace("lateral_color", "lateral colour")
-                    for name, is_set in self._blurring().items()
+                    for name, is_set in self._blur_settings().items()
                     if is_set
                 ),
             ]

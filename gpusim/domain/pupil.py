@@ -185,7 +185,7 @@ class Wavefront:
             zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
         w040, w131, w222, w220, w311 = self.seidel
         h = height
-        total = _padded(len(zernike))
+        total = _empty_table(len(zernike))
         total[:5, :5] += w040 * disc_power(2) + w220 * h**2 * np.pad(disc_power(1), (0, 2))
         total[1, 0] += w311 * h**3
         total[2, 0] += w222 * h**2
@@ -195,7 +195,7 @@ class Wavefront:
             if weight:
                 term = noll(j)
                 total[: len(term), : len(term)] += weight * term
-        return _turned(total, azimuth) if azimuth else total
+        return _turn(total, azimuth) if azimuth else total
 
 
 def disc_power(k) -> np.ndarray:
@@ -242,13 +242,13 @@ def noll(j) -> np.ndarray:
     return table
 
 
-def _padded(count):
+def _empty_table(count):
     """Room for Seidel terms and `count` Zernike polynomials."""
     order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
     return np.zeros((max(order, 4) + 1,) * 2)
 
 
-def _turned(table, angle):
+def _turn(table, angle):
     """The polynomial of coordinates turned by -`angle`: what pointed along x points along the angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     out = np.zeros_like(table)

@@ -134,7 +134,7 @@ class DepthPlan:
                 yield kernel, share
 
 
-def flattened(scene: Scene):
+def flatten(scene: Scene):
     """Return content and depth of the picture that a scene with layers shows, each sample from the layer covering half.
 
     The content can be read on the host, and is then there.
@@ -166,7 +166,7 @@ def plan_depth(
             has no effect on even light.
         tolerance: Relative RMS error; kernels take a quarter of it.
         layered: Whether to use layers, instead of deciding it.
-        scene: Scene with layers, whose depth and brightness are `flattened`.
+        scene: Scene with layers, see `flatten` for its depth and brightness.
 
     Raises:
         BadData: The depth map does not fit.
@@ -201,15 +201,15 @@ def plan_depth(
             f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth",
         )
     edges = Edges.of(confusion, light)
-    plain = edges.plain(light, power)
+    plain = edges.plain_error(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
-        "depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
-        "depth, slopes of surfaces": edges.slopes(light, power),
+        "depth, kernels between those computed": float(contrast * _remainder(nodes, every, q)),
+        "depth, slopes of surfaces": edges.slope_error(light, power),
     }
     if sheets:
         predicted |= {
-            "depth, in layers that are given": edges.given(light, power),
+            "depth, in layers that are given": edges.given_error(light, power),
             "depth, if without layers": plain,
         }
         return DepthPlan(
@@ -222,8 +222,8 @@ def plan_depth(
             predicted,
             sheets,
         )
-    cuts = edges.cuts(low, high, tolerance**2 * power * light.size)
-    in_layers = edges.layered(cuts, light, power)
+    cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)
+    in_layers = edges.layered_error(cuts, light, power)
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
@@ -299,13 +299,13 @@ def kernel_nodes(
     """
     grid = np.linspace(low, high, 16 * int(np.ceil(high - low)) + 17)
     one = grid[len(grid) // 2 : len(grid) // 2 + 1]
-    if contrast * _between(one, grid, q) <= tolerance:
+    if contrast * _remainder(one, grid, q) <= tolerance:
         return one
     steps = np.append(0, np.cumsum(np.diff(grid) * _derivative(4, grid[1:], q) ** 0.25))
     count = 4
     while True:
         nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
-        if count > MOST_KERNELS or contrast * _between(nodes, grid, q) <= tolerance:
+        if count > MOST_KERNELS or contrast * _remainder(nodes, grid, q) <= tolerance:
             return nodes
         count += 1 + count // 8
 
@@ -318,7 +318,7 @@ def _stencil(nodes, confusion):
     ), count
 
 
-def _between(nodes, confusion, q):
+def _remainder(nodes, confusion, q):
     """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
 
     It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance

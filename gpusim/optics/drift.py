@@ -123,7 +123,7 @@ class Watch:
         nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
         return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
-    def scaled(self, content: Content) -> "Watch":
+    def with_scale(self, content: Content) -> "Watch":
         """Return the same with scales for a content in host memory.
 
         With them float32 holds the squares of contents up to 1e15 times as bright.
@@ -137,7 +137,7 @@ class Watch:
         )
         return replace(self, scale=(unit, unit * of_table))
 
-    def _unscaled(self, survey):
+    def _in_content_units(self, survey):
         """Result of `spectral.survey` in the content's own units, float64."""
         units = np.full(np.shape(survey)[-1], self.scale[1])
         units[-1] = self.scale[0]
@@ -154,7 +154,7 @@ class Watch:
         Args:
             survey: Result of `spectral.survey`, shape (n, 3, P + 1).
         """
-        found, signals = self._unscaled(survey), len(self.flat)
+        found, signals = self._in_content_units(survey), len(self.flat)
         if not np.isfinite(found).all():
             return np.nan, np.nan
         signal = found[:, 0, :signals].sum() / len(found)
@@ -173,7 +173,7 @@ class Watch:
             (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2,
         )
 
-    def falling(self, moments) -> tuple:
+    def forecast_falls(self, moments) -> tuple:
         """Return `falls` for operators of one plane more, two more and so on, with error moments M'.
 
         For a row b of B it is b M' b^T / |b|^4: the error of M' in the direction of b, over the
@@ -184,14 +184,14 @@ class Watch:
             np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
         )
 
-    def wanting(self, survey, limit: float) -> int:
+    def count_missing_planes(self, survey, limit: float) -> int:
         """Return the number of additional planes with which the error of a content is at most `limit`.
 
         It is one more than `falls` covers if none of those is enough. This is a guess, which the
         next survey checks: differences are taken as independent along the rows of B, and the rest
         is neglected.
         """
-        values, across, down = self._unscaled(survey).mean(0)
+        values, across, down = self._in_content_units(survey).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (limit / self.factor) ** 2 * values[:signals].sum()
         return 1 + next(

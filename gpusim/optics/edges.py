@@ -56,7 +56,7 @@ class Edges:
         """Which of the pairs are edges."""
         return self.far - self.near > JUMP
 
-    def plain(self, light, power):
+    def plain_error(self, light, power):
         """Return the relative error of a blur by depth without occlusion, normalized by an even light's blur.
 
         At an edge between even surfaces f in front of b the picture is E_f I_f + (1 - E_f) I_b, E
@@ -68,7 +68,7 @@ class Edges:
             return 0.0
         return float(np.sqrt(self._plain().sum() / (power * light.size)))
 
-    def slopes(self, light, power):
+    def slope_error(self, light, power):
         """Return the relative error on sloping surfaces, from using the visible point's kernel for the pixel.
 
         A pixel sees the surface at y = x + r(y) u, u even in the pupil. In terms of y its kernel is
@@ -90,11 +90,11 @@ class Edges:
         step = (self.light_near - self.light_far)[some] ** 2
         return np.hypot(near, far) * (
             step * _edge("plain", near, far)
-            + self._hidden(near, far)
+            + self._hidden_error(near, far)
             + self._covariance(far) * _edge("differs", near, far)
         )
 
-    def _hidden(self, near, far):
+    def _hidden_error(self, near, far):
         """Squared error of a hidden surface that is guessed from the visible picture next to it.
 
         It is the difference of pixels a lag apart, half the sum of the radii. The far kernel
@@ -106,13 +106,13 @@ class Edges:
         )
         return guess * _edge("hidden", near, far)
 
-    def given(self, light, power):
-        """Return the relative error of layers that hide nothing unknown: `_layered` without the hidden part."""
+    def given_error(self, light, power):
+        """Return the relative error of layers that hide nothing unknown: `_layered_error` without the hidden part."""
         near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
         left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
         return float(np.sqrt(left.sum() / (power * light.size)))
 
-    def _layered(self, some):
+    def _layered_error(self, some):
         """Squared error of pairs in different layers: hidden surfaces are guessed, and the product is approximate.
 
         The product of transmission and background is exact if one of the two is in focus; otherwise
@@ -121,7 +121,7 @@ class Edges:
         near, far = self.near[some] / 2, self.far[some] / 2
         jump = (self.far - self.near)[some] > JUMP  # a slope hides only its neighbourhood
         return np.hypot(near, far) * (
-            np.where(jump, self._hidden(near, far), 0)
+            np.where(jump, self._hidden_error(near, far), 0)
             + self._covariance(far) * _edge("covariance", near, far)
         )
 
@@ -133,7 +133,7 @@ class Edges:
         """
         return 0.36 * 2 / 3 * np.interp(0.9 * np.abs(radius), self.lags, self.variation) / 2
 
-    def cuts(self, low, high, enough):
+    def choose_cuts(self, low, high, enough):
         """Return circles of confusion at which to cut into layers, increasing, for a squared error below `enough`.
 
         Cuts are made one by one, each at the place that removes the most: the error without layers
@@ -148,13 +148,13 @@ class Edges:
             np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far)
         )
         smooth = (first != last) & ~some
-        cost = _covering(first[smooth], last[smooth], self._layered(smooth), count)
-        plain, layered = self._plain(), self._layered(some)
+        cost = _best_cover(first[smooth], last[smooth], self._layered_error(smooth), count)
+        plain, layered = self._plain(), self._layered_error(some)
         first, last = first[some], last[some]
         cut = np.zeros(len(plain), bool)
         found: list[int] = []
         while len(found) < MOST_LAYERS - 1 and plain[~cut].sum() > enough:
-            gain = _covering(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
+            gain = _best_cover(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
             best = int(np.argmax(gain))
             if not gain[best] > 0:
                 break
@@ -166,11 +166,11 @@ class Edges:
             found.append(best)
         return low + STEP * np.sort(np.array(found, float))
 
-    def layered(self, cuts, light, power):
+    def layered_error(self, cuts, light, power):
         """Return the relative error of a picture cut at `cuts`: at the cuts, and at the edges that stay whole."""
         apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
         left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
-        return float(np.sqrt((left + self._layered(apart).sum()) / (power * light.size)))
+        return float(np.sqrt((left + self._layered_error(apart).sum()) / (power * light.size)))
 
 
 def _variation(confusion, light, lag):
@@ -188,7 +188,7 @@ def _variation(confusion, light, lag):
     return total / max(count, 1)
 
 
-def _covering(first, last, values, count):
+def _best_cover(first, last, values, count):
     """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
     steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[
         :count

@@ -210,7 +210,9 @@ def _window_maps(along_y, along_x):
 
 def _eigen_maps(nodes, vectors, shape):
     """Coefficients of the mean kernel, 1, and of those that `vectors` weight at the nodes."""
-    return np.concatenate([np.ones((1, *shape)), _between(nodes, vectors, *map(np.arange, shape))])
+    return np.concatenate(
+        [np.ones((1, *shape)), _interpolate(nodes, vectors, *map(np.arange, shape))]
+    )
 
 
 class _Window:
@@ -288,17 +290,17 @@ def eigen_kernels(
         Lauer, Proc. SPIE 4847 (2002); with the weight the truncation error is an image's error,
         not a kernel's.
     """
-    nodes, places = _sampled(shape, samples)
+    nodes, places = _sample_places(shape, samples)
     kernels = _kernels(lens, places)
     mean = kernels.mean(axis=0)
     differences = kernels - mean
-    spectra = _weighted(differences).reshape(len(places), -1)
+    spectra = _weigh(differences).reshape(len(places), -1)
     variances, vectors = np.linalg.eigh(spectra @ spectra.T)
     order = np.argsort(variances)[::-1][: MOST_TERMS - 1]
     # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
     vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
     probes, wanted = _truth(lens, shape, truth)
-    at_probes = _between(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
+    at_probes = _interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
     basis = np.einsum(
         "nk,npij->kpij", vectors, differences
     )  # U (U^T D): sums of differences, so their sums are zero
@@ -308,7 +310,7 @@ def eigen_kernels(
             mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted
         )
 
-    between = _between(nodes, vectors, *flat.axes) if flat else None
+    between = _interpolate(nodes, vectors, *flat.axes) if flat else None
 
     def flat_error(count):
         if flat is None:
@@ -348,7 +350,7 @@ def eigen_kernels(
     )
 
 
-def _sampled(shape, samples=SAMPLES):
+def _sample_places(shape, samples=SAMPLES):
     """Places along rows and columns whose kernels are analysed, and all of them, (n, 2)."""
     nodes = [
         np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
@@ -372,14 +374,14 @@ class FlatField:
     """
 
     def __init__(self, lens: Kernels, shape, levels, tolerance: float):
-        nodes, places = _sampled(shape)
+        nodes, places = _sample_places(shape)
         self.levels, self.tolerance = np.asarray(levels, np.float64), tolerance
         self.axes = [
             np.linspace(0, size - 1, min(4 * len(at), size))
             for size, at in zip(shape, nodes, strict=True)
         ]
         moments = _moments(_kernels(lens, places))
-        self.moments = _between(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
+        self.moments = _interpolate(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
             *moments.shape[1:], *map(len, self.axes)
         )
 
@@ -415,9 +417,9 @@ def image_error(kernels, wanted) -> tuple[float, float]:
     Both have the shape (n, planes, m, m). Returns the root mean square over the n places, and the
     largest of them; planes have equal weights.
     """
-    wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
+    wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
     scene = np.square(
-        _weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])
+        _weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])
     ).sum()  # of a point: only the weight
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
@@ -436,7 +438,7 @@ def natural_difference() -> float:
     )
 
 
-def _weighted(kernels, size=0):
+def _weigh(kernels, size=0):
     """Half spectra times the amplitude spectrum of scenes, as real numbers whose squares sum to the whole's energy."""
     period = max(PERIOD, size, kernels.shape[-1])
     spectra = np.fft.rfft2(kernels, (period, period))
@@ -489,7 +491,7 @@ def _probes(shape):
     return np.floor(fractions * shape).astype(int)
 
 
-def _between(nodes, vectors, rows, cols, grid=True):
+def _interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = [len(node) for node in nodes]
     shape = (len(rows), len(cols)) if grid else (len(rows),)
@@ -567,7 +569,7 @@ class Differences:
         if key not in self._known:
             kernels = self.lens.kernels(self.nodes, (y, x), self.size)
             self._known[key] = np.tensordot(
-                self.mix, self._whole(_even(kernels - self._axis), (y, x)), 1
+                self.mix, self._whole(_with_zero_sum(kernels - self._axis), (y, x)), 1
             )
         return self._known[key]
 
@@ -607,7 +609,7 @@ class Differences:
         )
         for size in SIZES:
             if size >= least:
-                cut = _even(whole - axis)[None]
+                cut = _with_zero_sum(whole - axis)[None]
                 inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
                 cut[..., inner, inner] = 0
                 if image_error(cut, np.zeros_like(cut))[0] <= error:
@@ -625,6 +627,6 @@ def farthest_corner(shape, axis) -> np.ndarray:
     return np.where(axis <= last / 2, last - axis, -axis)
 
 
-def _even(differences):
+def _with_zero_sum(differences):
     """The same with sums of zero: light beyond the kernels, on the axis or elsewhere, is spread evenly."""
     return differences - differences.mean(axis=(1, 2), keepdims=True)

@@ -245,7 +245,7 @@ class Operator:
         """Weight of O_l in the transfer function of plane k in channel c, shape (C, rank, L)."""
         return self.response.weights[:, None] * self.w_out[:, :rank].T
 
-    def predicted(self, rank: int, spectra: Spectra) -> float:
+    def predict_error(self, rank: int, spectra: Spectra) -> float:
         """Relative root mean square error of the mosaic's electrons for content with these moments."""
         return self.response.error(self.w_in[:, :rank].T, self.transfers(rank), spectra)
 

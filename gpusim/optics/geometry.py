@@ -331,7 +331,7 @@ def relative_illumination(
         gain = np.interp(h, heights, values) / values[0]
     else:
         gain = np.polynomial.polynomial.polyval(h, (1.0, *model))
-    return _checked("relative illumination", gain)
+    return _check_gain("relative illumination", gain)
 
 
 def microlens_gain(
@@ -379,7 +379,7 @@ def _heights(shape, displacement):
     return np.hypot(y[:, None], x)
 
 
-def _checked(what, gain):
+def _check_gain(what, gain):
     if not (np.isfinite(gain).all() and gain.min() >= 0):
         worst = np.unravel_index(np.argmin(gain), gain.shape)
         raise OutOfRange(

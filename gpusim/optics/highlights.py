@@ -123,7 +123,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
             q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size
         )
         for axis, n in enumerate(shape):
-            places, image = _mirrored(places, image, axis, n, reach)
+            places, image = _mirror(places, image, axis, n, reach)
     return rest, Highlights(
         places - margin,
         light[image].astype(np.int32),
@@ -135,7 +135,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     )
 
 
-def _mirrored(places, image, axis, n, reach):
+def _mirror(places, image, axis, n, reach):
     """Places with all mirror images along an axis of n pixels that reach into the frame, and which point each is of."""
     parts = []
     for turn in range(-(max(reach) // n) - 1, max(reach) // n + 2):  # a frame's width each

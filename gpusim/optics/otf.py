@@ -6,8 +6,8 @@ over the overlap of two copies of the pupil, s = frequency x lambda N from the c
 Source: Hopkins, Proc. R. Soc. A 231 (1955); Goodman, Introduction to Fourier Optics, 6.4. The overlap is cut into
 panels along the direction perpendicular to s, at every point where its outline is not smooth, so that Gauss-Legendre
 nodes converge exponentially in both directions. How many nodes it takes depends on how fast the phase turns, not on
-its range: a first number comes from its steepest turn along and across the overlap (`turning`), and nodes are added
-until more of them change nothing. Places in the overlap are u along the frequency s and v across it.
+its range: a first number comes from its steepest turn along and across the overlap (`steepest_turns`), and nodes are
+added until more of them change nothing. Places in the overlap are u along the frequency s and v across it.
 """
 
 import os
@@ -83,7 +83,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     waves = np.asarray(waves, np.float64)
     sx, sy = np.asarray(sx, np.float64), np.asarray(sy, np.float64)
     s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
-    form = separated(waves)
+    form = separate(waves)
     inside = np.flatnonzero(s < 1)
     inside = inside[
         np.argsort(s[inside], kind="stable")
@@ -95,7 +95,9 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         """Frequencies at which the phase turns most, along and across, and some others; more if rims touch."""
         if not fast or len(part) <= PROBES:
             return part
-        few = [np.argsort(turn)[-PROBES // 2 :] for turn in turning(s[part], angle[part], form)]
+        few = [
+            np.argsort(turn)[-PROBES // 2 :] for turn in steepest_turns(s[part], angle[part], form)
+        ]
         few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
         return part[np.unique(np.concatenate(few))]
 
@@ -108,7 +110,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         few = probes(part)
         along, across = (
             LEAST[fast] + int(degree(turn.max(), form) / 2)
-            for turn in turning(s[few], angle[few], form)
+            for turn in steepest_turns(s[few], angle[few], form)
         )
         if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
@@ -122,7 +124,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
     def settle(part, known):
         few, nodes = known
-        nodes, values = _converged(lambda *nodes: integral(few, *nodes), nodes, error)
+        nodes, values = _converge(lambda *nodes: integral(few, *nodes), nodes, error)
         out[:, part] = values if len(few) == len(part) else integral(part, *nodes, fast)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -139,7 +141,7 @@ def _spread(length, count):
     )
 
 
-def _converged(integral, nodes, error):
+def _converge(integral, nodes, error):
     """Numbers of nodes along and across that `integral(along, across)` needs, and its value."""
     along, across = nodes
     integral = cache(integral)
@@ -324,7 +326,7 @@ class Budget:
             )
 
 
-def separated(waves):
+def separate(waves):
     """Shapes (R, n, n) without constants, and factors (bands, R): bands mostly have one wavefront, scaled."""
     waves = waves.copy()
     waves[:, 0, 0] = 0
@@ -337,7 +339,7 @@ def separated(waves):
     return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
 
 
-def turning(s, angle, form):
+def steepest_turns(s, angle, form):
     """Return the steepest phase [rad] at each frequency, per radian of the angles with cosines along and across.
 
     A Gauss rule of n nodes is exact for phases that turn by 2 n.

@@ -144,14 +144,14 @@ def unseen(
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     """Return the result of `unseen` for an image of `shape` at samples `rows` x `cols`, which may lie around it."""
     down, across = (
-        _between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
+        _spline_weights(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
         for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)
     )
     return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
 
 
 @lru_cache(maxsize=32)
-def _between(count, places):
+def _spline_weights(count, places):
     """Weights of the coefficients of a periodic cubic spline through `count` cells, at places."""
     places = np.frombuffer(places)[None]
     return scipy.sparse.csr_array(
@@ -185,7 +185,7 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
     if is_smooth or not deviation or not level > 0:
         return float(level), float(highest)
-    blurred = _shown(inside, deviation, "constant" if border == "zero" else "reflect")
+    blurred = _blur_to_pixels(inside, deviation, "constant" if border == "zero" else "reflect")
     return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
 
 
@@ -198,7 +198,7 @@ def _likeness(image):
     )
 
 
-def _shown(image, deviation, mode):
+def _blur_to_pixels(image, deviation, mode):
     """The image blurred by a Gaussian and integrated over pixels, which keeps points below a lens's peak.
 
     mode: of `scipy.ndimage`, for the surroundings.
@@ -314,7 +314,7 @@ class Outside:
             rays=self.rays,
             straight=self.straight,
         )
-        rows, cols, sigma = self._probed
+        rows, cols, sigma = self._probes
         error = (
             np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         )
@@ -344,14 +344,14 @@ class Outside:
         inner: side of the part of a window that represents other parts of the frame [sample].
         """
         if inner not in self._windows:
-            self._windows[inner] = self._made(inner)
+            self._windows[inner] = self._make_windows(inner)
         return self._windows[inner]
 
     @cached_property
     def _windows(self) -> dict[int, tuple[Windows, np.ndarray]]:
         return {}
 
-    def _made(self, inner):
+    def _make_windows(self, inner):
         windows = Windows.of(
             self.image,
             self.margin,
@@ -403,10 +403,10 @@ class Outside:
     @property
     def sigmas(self) -> np.ndarray:
         """Standard deviations of the noise at the probed places, over the root of the electrons at the level."""
-        return self._probed[2]
+        return self._probes[2]
 
     @cached_property
-    def _probed(self):
+    def _probes(self):
         """Rows and columns where the error is computed, and the root of light and noise over the level there."""
         light, margin = self.image, self.margin
         rows, cols = (
@@ -490,15 +490,15 @@ def _kernel(cells, steps, tail, disc, soft, rays, straight):
         )
     )
     f = np.hypot(fy[:, None], fx)
-    kernel = tail * (1 - straight) * 2 * np.pi * _softened(soft, f)
+    kernel = tail * (1 - straight) * 2 * np.pi * _soften(soft, f)
     for angle in rays:
         along = np.abs(fy[:, None] * np.sin(angle) + fx * np.cos(angle))
-        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _softened(soft, along)
+        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _soften(soft, along)
     if disc:
         v = np.maximum(2 * np.pi * disc * f, 1e-9)
         kernel = kernel + 2 * j1(v) / v * np.exp(-((np.pi * soft * f) ** 2))
     return kernel
 
 
-def _softened(soft, f):
+def _soften(soft, f):
     return (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6) / soft

@@ -48,7 +48,7 @@ def psf_tables(
         OutOfRange: The samples are too coarse, the spread is larger than the period, or
             energies of pixels are displaced by parts of a pixel.
     """
-    between = _between(spread, wavelengths)
+    between = _neighbours(spread, wavelengths)
     ratio = spread.spacing / pitch
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
         raise OutOfRange(
@@ -79,7 +79,7 @@ def psf_tables(
             )
     fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
     left, right = (
-        _sampled(f, size, ratio, width, spread.integrated, move)
+        _sample_transform(f, size, ratio, width, spread.integrated, move)
         for f, size, width, move in zip(
             (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True
         )
@@ -93,7 +93,7 @@ def psf_tables(
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
+def _sample_transform(frequencies, count, ratio, aperture, integrated, displacement):
     """Transform of the share of each of `count` samples `ratio` pixels apart in the pixels, (frequencies, count)."""
     places = (np.arange(count) - (count - 1) / 2) * ratio - displacement
     if integrated:
@@ -117,12 +117,12 @@ def spread_at(spread: PointSpread, wavelengths, place=(0.0, 0.0)) -> np.ndarray:
 
     Between its wavelengths the spread is linear. Raises OutOfRange beyond them.
     """
-    low, high, rest = _between(spread, wavelengths)
+    low, high, rest = _neighbours(spread, wavelengths)
     values = spread.at(*place)
     return values[low] * (1 - rest) + values[high] * rest
 
 
-def _between(spread, wavelengths):
+def _neighbours(spread, wavelengths):
     """Indices of the known wavelengths on both sides of each one, and the share of the upper. Raises OutOfRange."""
     known, wavelengths = spread.wavelengths, np.asarray(wavelengths, np.float64)
     if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:

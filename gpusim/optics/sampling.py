@@ -79,7 +79,7 @@ def pixel_taps(
     return Taps(begin.astype(np.int32), kept, centres)
 
 
-def bordered(taps: Taps, samples: int, more: int, border: str) -> Taps:
+def apply_border(taps: Taps, samples: int, more: int, border: str) -> Taps:
     """Return taps of `samples` from taps of as many with `more` on each side, which follow the border rule."""
     at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more
     inside = border_indices(at, samples, border)
@@ -250,7 +250,7 @@ class _Waves:
         """Of a scene with edges, of these frequencies along both axes."""
         return _porod(self.all)
 
-    def folded(self, transfer) -> np.ndarray:
+    def fold(self, transfer) -> np.ndarray:
         """The sum over waves whole cycles per sample apart, which give the same samples, at each of them."""
         k, n = len(self.replicas), len(self.places)
         return np.tile(transfer.reshape(k, n, k, n).sum(axis=(0, 2)), (k, k))
@@ -319,7 +319,7 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     seen = np.ones_like(true)  # without blur
     if optical is not None:
         true = optical * true
-        seen = waves.folded(true if ratio == 1 else optical * _box(f))
+        seen = waves.fold(true if ratio == 1 else optical * _box(f))
         seen = seen / np.real(seen[flat])  # flat fields are exact
     errors = []
     for means in (False, True):

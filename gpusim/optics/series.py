@@ -21,7 +21,7 @@ from gpusim.optics.otf import (
     degree,
     hopkins,
     phases,
-    separated,
+    separate,
     steepest,
     transfer,
 )
@@ -72,7 +72,7 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
     """
     edges = np.unique(np.clip([0, 1, *_kinks(pupil)], 0, 1))
     strongest = _strongest(waves)
-    count, rays, repeats, nodes = _foreseen(pupil, strongest, edges, error >= UNRESOLVED)
+    count, rays, repeats, nodes = _foresee(pupil, strongest, edges, error >= UNRESOLVED)
     if not defocus_only(pupil, waves):
         Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
 
@@ -92,7 +92,7 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
 def require_points(pupil: Pupil, waves, frequencies):
     """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
     Budget(len(waves)).need(
-        frequencies * _foreseen(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
+        frequencies * _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
     )
 
 
@@ -100,13 +100,13 @@ def _strongest(waves):
     return waves[np.argmax((waves**2).sum(axis=(1, 2)))][None]
 
 
-def _foreseen(pupil, wave, edges, fast):
+def _foresee(pupil, wave, edges, fast):
     """Terms in radius and angle of one wavefront's series, repeats in half a turn, points per frequency.
 
     O is a mean of waves whose phases turn, as s goes outwards or around, in coordinates of the
     overlap that move with s. Its series ends with the series of the wave that turns fastest.
     """
-    form, fold = separated(wave), _turns(wave)
+    form, fold = separate(wave), _turns(wave)
     steps = 8 + form[0].shape[-1]
     around = 2 * steps
     theta = (np.arange(steps) + 0.5) * np.pi / steps

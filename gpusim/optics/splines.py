@@ -178,14 +178,14 @@ class Axis:
         world, count = self._world(level, 4 * COARSER), self.size(level + 1) + 5
         at = 4 * COARSER + COARSER * np.arange(-2, count - 2)
         return Bands.of(
-            [_banded(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
+            [_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
         )
 
     def prolongation(self, level: int) -> Bands:
         """From the next level's coefficients c_-2 .. to a level's."""
         count, splines = self.size(level + 1) + 5, self.size(level) + 5
         at = COARSER * np.arange(-2, count - 2) + 2
-        return Bands.of([_banded(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
+        return Bands.of([_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
 
     def filters(self, level: int) -> Bands:
         """Return the maps from a level's values to the coefficients c_-2 .. of its Gaussians."""
@@ -197,7 +197,7 @@ class Axis:
             taps = _taps(sigma / step) / step
             world = self._world(level, len(taps) // 2 + 2)
             found.append(
-                _banded(
+                _band_matrix(
                     np.arange(size + 5),
                     np.broadcast_to(taps, (size + 5, len(taps))),
                     world.shape[0],
@@ -210,7 +210,7 @@ class Axis:
         """Splines -more .. fine + more of the first level at samples, sparse (samples, fine + 2 more + 1)."""
         place = (np.asarray(at) + 0.5) / self.step + more
         first = np.floor(place).astype(int) - 1
-        return _banded(
+        return _band_matrix(
             first,
             _cubic(place[:, None] - first[:, None] - np.arange(4)),
             self.size(0) + 2 * more + 1,
@@ -327,7 +327,7 @@ def multiplications(
     return float(total)
 
 
-def _banded(first, values, columns):
+def _band_matrix(first, values, columns):
     """Sparse matrix whose rows have `values` (rows, entries) from the columns `first` on; others are cut off."""
     at = np.asarray(first)[:, None] + np.arange(values.shape[1])
     there = (at >= 0) & (at < columns)

@@ -63,7 +63,7 @@ class _OnHost:
     def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
         """See `Stages`."""
         even = symmetric(outline, waves)
-        return _folded(
+        return _fold(
             _along_rays(outline, waves, even),
             even,
             np.asarray(q, np.float32),
@@ -190,7 +190,7 @@ def pupil(
         len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
     )
     value = _integral if few else _spline_radial if even else _spline_polar
-    return _folded(
+    return _fold(
         (value(outline, wave[None]) for wave in waves),
         even,
         q,
@@ -216,7 +216,7 @@ def exact_tables(lens: Lens, q, rows: int, cols: int, distance: float | None = N
     return lens.tables(q, rows, cols, _Exact(), distance)
 
 
-def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
+def _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
     """Tables of transfer functions `otfs` of (sx, sy), one per wavelength; even: they are the same at every angle."""
     real = even and not any(displacement)
     fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)

@@ -50,7 +50,7 @@ class Windows:
         if beside:
             grid = energy.reshape([len(first) for first in starts])
             energy = scipy.ndimage.uniform_filter(grid, 2 * beside + 1, mode="constant").ravel()
-        drawn, weight = _drawn(energy, count)
+        drawn, weight = _draw(energy, count)
         places = [(y, x) for y in starts[0] for x in starts[1]]
         first = np.array([places[k] for k in drawn]) + margin - rim
         seen = largest[drawn].max()
@@ -121,7 +121,7 @@ def _starts(n, inner):
     return np.unique(np.minimum(np.arange(0, max(n, 1), inner), max(n - inner, 0)))
 
 
-def _drawn(energy, count):
+def _draw(energy, count):
     """Indices that are drawn, each once, and their weights; all of them if they are few.
 
     One is drawn after each `count`-th part of the total probability. An index that would be drawn
@@ -152,14 +152,16 @@ def quantile(values, weight, part):
     The largest values of each row give a lower limit, below which values are skipped.
     """
     above = (1 - part) * weight.sum() * values[0, 0].size
-    least = _reached(values.max(axis=-1), weight[..., None], above)
+    least = _level_above(values.max(axis=-1), weight[..., None], above)
     some = values >= least
     return float(
-        _reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above)
+        _level_above(
+            values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above
+        )
     )
 
 
-def _reached(values, weight, above):
+def _level_above(values, weight, above):
     """The value down to which, from the largest on, the weights add up to `above`."""
     weight = np.broadcast_to(weight, values.shape).ravel()
     order = np.argsort(values, axis=None)[::-1]

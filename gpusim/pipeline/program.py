@@ -490,7 +490,10 @@ class Program:
             self.before.plan = None
             if plan.fits(light, None):
                 probing.unfit(
-                    plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene
+                    plan,
+                    scene,
+                    plan.watch.count_missing_planes(found, plan.limit),
+                    scene is self.scene,
                 )
 
     @property

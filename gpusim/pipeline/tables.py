@@ -80,13 +80,11 @@ class LensTables:
         assert plan.mix is not None  # a plan with blur
         name = f"transfer {plan.mix.shape}"  # tables of its wavelengths next to tables of a plan
         if plan.is_draft and (short := self._short(plan)):
-            return self._kept(
-                "drafted", (short, self._key(plan)), lambda: self._widened(plan, short)
-            )
+            return self._kept("drafted", (short, self._key(plan)), lambda: self._widen(plan, short))
         return self._kept(
             name,
             self._key(plan),
-            lambda: self._near(plan, self.combined(plan, self.all_bands(plan))),
+            lambda: self._near(plan, self.combine(plan, self.all_bands(plan))),
         )
 
     def _near(self, plan, tables):
@@ -118,12 +116,12 @@ class LensTables:
         short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
         return short if 2 * short <= min(plan.period) else 0
 
-    def _widened(self, plan, short):
+    def _widen(self, plan, short):
         """Tables of the plan's period from kernels of a short period and few wavelengths, padded with zeros."""
         rows, cols = plan.period
         nodes, between = wavelength_nodes(plan.q)  # q goes with the wavelength
         few = replace(plan, q=nodes, transfers=plan.transfers @ between, period=(short, short))
-        tables = self.device.numpy(self.combined(few, self.all_bands(few)))
+        tables = self.device.numpy(self.combine(few, self.all_bands(few)))
         kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
         middle = short // 2
         wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
@@ -184,7 +182,7 @@ class LensTables:
             if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
                 bands = integrate(bands, self.device.array(np.diag(flat / own)), device=self.device)
             cover = integrate(bands, self.device.array(white / flat), device=self.device)
-            return self.combined(plan, bands), self.device.reshape(
+            return self.combine(plan, bands), self.device.reshape(
                 cover, (len(white), 1, *bands.shape[1:])
             )
 
@@ -223,7 +221,7 @@ class LensTables:
 
         return self._kept("deviation", (self._made_of, q, plan.weights), deviation)
 
-    def combined(self, plan, bands):
+    def combine(self, plan, bands):
         """Return transfer tables of the plan's planes from tables of its wavelengths."""
         device = self.device
         if plan.transfers is None:

@@ -30,9 +30,9 @@ def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
     )
     probes = spectral.probes_of(question, picture, operation)
     if plan.transfers is None:
-        bound = probes.unblurred
+        bound = probes.without_blur
     else:
-        *_, (_, bound) = probes.fused(plan.watch.inputs, plan.transfers)
+        *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
     account = plan.account.at(operation.seconds)
     return replace(account, bounds=account.bounds | {plan.watched: bound})
 

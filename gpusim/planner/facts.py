@@ -10,7 +10,7 @@ import scipy
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
-from gpusim.optics.depth import flattened
+from gpusim.optics.depth import flatten
 from gpusim.optics.fusion import Spectra, row_pairs
 from gpusim.optics.sampling import Moments, moments
 
@@ -100,10 +100,10 @@ class Facts:
             scene = replace(
                 scene, content=scene.content.on_host(), layers=layers
             )  # which looks at the values
-        return cls(*flattened(scene))
+        return cls(*flatten(scene))
 
     @cached_property
-    def _chosen(self):
+    def _rows(self):
         """Upper rows of the pairs, int (n,), and their weights, 1 in the mean."""
         first = row_pairs(*self.content.shape)
         if self._brightness is None:
@@ -116,7 +116,7 @@ class Facts:
 
         Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
         """
-        first = self._chosen[0]
+        first = self._rows[0]
         return self.samples.rows(
             np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel()
         )
@@ -124,7 +124,7 @@ class Facts:
     @cached_property
     def spectra(self) -> Spectra:
         """Second moments of the spectra and of their differences between neighbours."""
-        return Spectra.of_pairs(self.pairs, self._chosen[1])
+        return Spectra.of_pairs(self.pairs, self._rows[1])
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), not to be written to."""
@@ -146,7 +146,7 @@ class Facts:
 
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
-        return moments(self.pairs, self.channels(weights), self._chosen[1])
+        return moments(self.pairs, self.channels(weights), self._rows[1])
 
 
 def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:

@@ -80,7 +80,7 @@ def judged(
     if plan.mix is None and question.is_blurred:
         assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
-        notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
+        notes.leave_out("blur", total([probes.without_blur, afar]), "blur left out")
         question = question.without_blur()
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
@@ -146,7 +146,7 @@ def _planes(plan, probes):
         return own
     if plan.watch is None or plan.transfers is None:
         return probes.local(own.rms)
-    *_, (_, bound) = probes.fused(plan.watch.inputs, plan.transfers)
+    *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
     return bound
 
 
@@ -158,7 +158,9 @@ def _geometry(plan, made, question, probes, notes):
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
         notes.leave_out(
-            f"distortion by up to {move:.2g} of a sample", probes.moved(move), "distortion left out"
+            f"distortion by up to {move:.2g} of a sample",
+            probes.shift_error(move),
+            "distortion left out",
         )
     geometry.describe_calibration(question, notes)
     gains, _ = falloff.falloff_of(question, None, own)

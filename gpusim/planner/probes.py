@@ -78,14 +78,14 @@ class Probes:
         planes -= means[..., None, None]
         spectra = scipy.fft.rfft2(planes, workers=-1)
         if entries is not None:
-            spectra, means = _mixed(entries.T, spectra), means @ entries
+            spectra, means = _mix(entries.T, spectra), means @ entries
         return cls(windows, spectra, means.astype(np.float64), **known)
 
     @cached_property
     def exact(self) -> np.ndarray:
         """Transforms of the channels less their means, complex (n, C, SIDE, SIDE // 2 + 1)."""
         tables = self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
-        return _mixed(self.even, self.spectra * tables)
+        return _mix(self.even, self.spectra * tables)
 
     @cached_property
     def signal(self) -> np.ndarray:
@@ -149,26 +149,26 @@ class Probes:
         return replace(self, tables=np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
 
     @cached_property
-    def unblurred(self) -> Bound:
+    def without_blur(self) -> Bound:
         """The error of leaving the blur out."""
         return self.bound(
-            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
+            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
         )
 
-    def changed(self, share: float) -> Bound:
+    def change_error(self, share: float) -> Bound:
         """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
         return self.bound(
-            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
+            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
         )
 
-    def moved(self, move: float) -> Bound:
+    def shift_error(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
         f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)
         return self.bound(
             self.exact * (np.exp(2j * np.pi * move / np.sqrt(2) * f) - 1).astype(np.complex64)
         )
 
-    def resampled(self, view: View, ratio: float) -> Bound:
+    def resampling_error(self, view: View, ratio: float) -> Bound:
         """Return the error of a picture that is interpolated at a view's places, or of one like it.
 
         It is the mean over all places between samples: a view displaced by half a sample has 1.4
@@ -176,9 +176,9 @@ class Probes:
         """
         if view.is_whole(ratio):
             return Bound()
-        return (self if view.zoom == 1 else self._magnified(view.zoom)).interpolated()
+        return (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
 
-    def _magnified(self, zoom: float) -> "Probes":
+    def _magnify(self, zoom: float) -> "Probes":
         """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
         places = np.meshgrid(
             np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
@@ -189,7 +189,7 @@ class Probes:
         ]
         return replace(self, tables=np.stack(tables))
 
-    def interpolated(self, phases=None, width: float | None = None) -> Bound:
+    def interpolation_bound(self, phases=None, width: float | None = None) -> Bound:
         """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
 
         Between samples the truth is the wave of each frequency that runs through them.
@@ -200,21 +200,19 @@ class Probes:
             ).astype(np.float32)
             for one in ((None, 1.0) if width is None else (width,))
         ]
-        if width is not None or not np.any(self.uninterpolated):
+        if width is not None or not np.any(self.area_light):
             return self.bound(self.exact * wrong[0])
-        return self.bound(
-            (self.exact - self.uninterpolated) * wrong[0] + self.uninterpolated * wrong[1]
-        )
+        return self.bound((self.exact - self.area_light) * wrong[0] + self.area_light * wrong[1])
 
     @cached_property
-    def uninterpolated(self) -> np.ndarray:
+    def area_light(self) -> np.ndarray:
         """Transforms of the light that `optics.distort` takes by area, as `exact`.
 
         Cubics would fall below 0 next to it.
         """
         means = (self.means @ self.weights.T)[..., None, None]
         light = np.maximum(
-            scipy.fft.irfft2(_mixed(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
+            scipy.fft.irfft2(_mix(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
         )
         left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
         for n, share in enumerate(left):
@@ -223,7 +221,7 @@ class Probes:
                     scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
                 )
                 part = scipy.fft.rfft2((planes * share).astype(np.float32))
-                found[n] = _mixed(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+                found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
         return found
 
     def between(self, step: float, path: float) -> Bound:
@@ -242,7 +240,7 @@ class Probes:
 
     def local(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is located where blur is visible, at edges."""
-        shape = self.unblurred
+        shape = self.without_blur
         if not shape.rms > 0:
             return Bound(rms, rms * self._sigmas, rms * self._sigmas)
         return shape.times(rms / shape.rms)
@@ -259,7 +257,7 @@ class Probes:
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / low), float(5 * size / least))
 
-    def brightened(self, share: float) -> Bound:
+    def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
         sigma = share * self.signal * self.seconds / self._sigma
         return Bound(
@@ -268,7 +266,7 @@ class Probes:
             float(sigma.max()),
         )
 
-    def fused(self, table, transfers):
+    def fused_bounds(self, table, transfers):
         """Yield bounds of the first n planes for each n from the number of channels on.
 
         Args:
@@ -276,7 +274,7 @@ class Probes:
             transfers: Weight of each wavelength's transfer function in a plane's, by channel,
                 (C, planes, L).
         """
-        planes, left = _mixed(table, self.spectra), self.exact.copy()
+        planes, left = _mix(table, self.spectra), self.exact.copy()
         responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)
         responses = responses.astype(np.complex64 if np.iscomplexobj(responses) else np.float32)
         for k in range(len(table)):
@@ -307,7 +305,7 @@ def _planes(facts, windows, border):
     return planes, spectra
 
 
-def _mixed(weights, spectra):
+def _mix(weights, spectra):
     """Sums of planes' transforms, complex64 (n, planes, SIDE, SIDE // 2 + 1), by real weights (sums, planes)."""
     numbers = spectra.reshape(*spectra.shape[:2], -1).view(np.float32)
     return (

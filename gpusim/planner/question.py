@@ -259,7 +259,7 @@ class Question:
             )
 
 
-def displaced(displacement) -> str:
+def displacement_suffix(displacement) -> str:
     """Return a suffix such as ", displaced by 0.5, 0 pixels", or "" without a displacement."""
     return (
         f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"

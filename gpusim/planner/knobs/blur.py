@@ -5,7 +5,7 @@ from gpusim.optics.depth import DepthPlan
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Notes, Question, displaced
+from gpusim.planner.question import Notes, Question, displacement_suffix
 
 ENDINGS = {
     "optics.mosaic": ", folded into the mosaic",
@@ -37,7 +37,11 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
 def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
     """Note the blur's stages. words: the planes."""
-    over = f"the pixel{displaced(question.moved)}" if question.ratio == 1 else "each scene sample"
+    over = (
+        f"the pixel{displacement_suffix(question.moved)}"
+        if question.ratio == 1
+        else "each scene sample"
+    )
     stage, pupil = question.lens.describe(has_depth)
     notes.models[stage] = f"{pupil}, integrated over {over}"
     notes.models[form] = words + ENDINGS[form]
@@ -67,7 +71,7 @@ def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes)
     assert question.tolerance is not None
     if _must_stay(question, picture):
         return question
-    bound = probes.unblurred
+    bound = probes.without_blur
     if SAFETY * bound.ratio(question.tolerance) <= 1:
         bound = total([bound, probes.even_error(picture.from_afar(question, SIDE / 2))])
     if SAFETY * bound.ratio(question.tolerance) > 1:

@@ -120,7 +120,7 @@ def _one_distance(question, probes):
     if shift / optics.working_f_number / 2 > RIM * question.pitch:
         return UNKNOWN
     waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
-    return probes().changed(min(2 * np.pi * waves, 2.0))
+    return probes().change_error(min(2 * np.pi * waves, 2.0))
 
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:

@@ -283,7 +283,13 @@ def waves(question: Question, r, down, across) -> np.ndarray:
         found, question.q, optics.waves(question.scene.wavelengths), strict=True
     ):
         for rho, a in rims:
-            own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * _seen(question, rho / q, down, across)
+            own -= (
+                a
+                * a
+                / 2
+                * np.sin(2 * pi * rho * r / q)
+                * _pixel_response(question, rho / q, down, across)
+            )
         for (one, a), (other, b) in combinations(rims, 2):
             path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
             less, more = (one - other) / (2 * q), (one + other) / (2 * q)
@@ -292,15 +298,15 @@ def waves(question: Question, r, down, across) -> np.ndarray:
                 * b
                 * np.cos(2 * pi * path)
                 * (
-                    np.cos(2 * pi * less * r) * _seen(question, less, down, across)
-                    - np.sin(2 * pi * more * r) * _seen(question, more, down, across)
+                    np.cos(2 * pi * less * r) * _pixel_response(question, less, down, across)
+                    - np.sin(2 * pi * more * r) * _pixel_response(question, more, down, across)
                 )
             )
         own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
     return found
 
 
-def _seen(question, frequency, down, across):
+def _pixel_response(question, frequency, down, across):
     """Part of a wave of this frequency [1/sample] in this direction that pixels keep."""
     optics, left = question.optics, 1.0
     for along, cell, side, spots in zip(
@@ -324,7 +330,7 @@ def ring_errors(
     if not outside.level > 0:
         return 0.0, 0.0, 0.0
     side, valid = tiling.side, tiling.valid
-    (windows, light), table = outside.windows(valid), _beyond(question, tiling, far)
+    (windows, light), table = outside.windows(valid), _repeated_response(question, tiling, far)
     part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
     light = light[:, part, part]
     within = slice(side // 2, side // 2 + side)
@@ -357,7 +363,7 @@ def _middle(light, table, valid):
     return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
 
 
-def _beyond(question, tiling, far):
+def _repeated_response(question, tiling, far):
     """Transforms of a tile's response to points outside its overlap, at a period twice its side, by channels."""
     side, optics = tiling.side, question.optics
     of = (
@@ -371,7 +377,7 @@ def _beyond(question, tiling, far):
     held = question.kept(
         f"held by tiles of {side} that share {tiling.overlap}",
         (*of, far.sigmas, far.tails),
-        lambda: _held(question, tiling, far),
+        lambda: _tile_response(question, tiling, far),
     )
     quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(
         -1, side, side
@@ -383,7 +389,7 @@ def _beyond(question, tiling, far):
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
 
 
-def _held(question, tiling, far):
+def _tile_response(question, tiling, far):
     """A tile's response to a point at places below and right of it, by wavelength: float32 (L, side, side)."""
     y, x = np.indices((tiling.side, tiling.side), float)
     r = np.maximum(np.hypot(y, x), 1)

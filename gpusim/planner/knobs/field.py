@@ -82,7 +82,7 @@ def varying_planes(question: Question, response: Response, prior, flat):
     whole = np.sqrt(
         np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0)
     )
-    strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
+    strength = _round_down(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
     contrast = (
@@ -93,11 +93,11 @@ def varying_planes(question: Question, response: Response, prior, flat):
         np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300)
     )
     varying = _rest(
-        question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit)
+        question, transfers * flat, _round_down(limit / contrast), count, levels, _round_down(limit)
     )
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
-    error = float(np.hypot(error, _misplaced(question, varying)))
+    error = float(np.hypot(error, _border_error(question, varying)))
     return (
         table,
         transfers[None],
@@ -140,7 +140,7 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
     """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
     of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
-    levels = _stepped(np.maximum(levels, 1e-12))
+    levels = _round_down(np.maximum(levels, 1e-12))
 
     def made():
         differences = Differences(*of[:-1], of[-1] / 8)
@@ -154,12 +154,12 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
     return question.kept("field plan", (*of, limit, count, levels, flat_limit), made)
 
 
-def _stepped(values):
+def _round_down(values):
     """Values rounded down to a power of 2^(1/2): similar scenes then take the same plan of the field."""
     return np.exp2(np.floor(2 * np.log2(values)) / 2)
 
 
-def _misplaced(question, varying):
+def _border_error(question, varying):
     """Relative RMS error of light from outside the frame, and of light that is lost in a dark world.
 
     Light from outside is spread as at the frame's border, although a lens would continue to vary.

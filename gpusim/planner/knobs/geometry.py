@@ -19,7 +19,7 @@ NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 def viewed(question: Question, probes: Probes, notes: Notes):
     """Note that the frame is a view of the scene, with the error of its interpolation."""
     notes.bounds["view"] = _with_rim(
-        question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio)
+        question, probes, lambda seen: seen.resampling_error(question.scene.view, question.ratio)
     )
     notes.models["optics.distort"] = (
         "a view of the scene, interpolated by cubics: displaced, turned or magnified as "
@@ -46,7 +46,9 @@ def interpolated(
     ):  # else it is an error of the view, whose places are anywhere
         width = sum(made.ratio) / 2 if made.method == "area" else None
         everywhere, worst = (
-            _with_rim(question, told(), partial(Probes.interpolated, phases=phases, width=width))
+            _with_rim(
+                question, told(), partial(Probes.interpolation_bound, phases=phases, width=width)
+            )
             for phases in place_phases(made, seen)
         )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
@@ -71,8 +73,8 @@ def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Boun
 def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
     """The error of places and fluxes between the nodes of a grid."""
     (move, flux), (most, largest) = made.typical, made.error
-    usual, worst = probes.moved(move), probes.moved(most)
-    bright, brightest = probes.brightened(flux), probes.brightened(largest)
+    usual, worst = probes.shift_error(move), probes.shift_error(most)
+    bright, brightest = probes.brightness_error(flux), probes.brightness_error(largest)
     return Bound(
         hypot(usual.rms, bright.rms),
         *(
@@ -92,7 +94,7 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
     move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
-        bound = probes.moved(move)
+        bound = probes.shift_error(move)
         others = [
             one
             for name, one in notes.bounds.items()

@@ -9,12 +9,12 @@ from gpusim.optics.sampling import (
     NODES,
     SPARE,
     Taps,
-    bordered,
+    apply_border,
     frame_start,
     pixel_taps,
     sampling_error,
 )
-from gpusim.planner.question import Notes, Question, displaced
+from gpusim.planner.question import Notes, Question, displacement_suffix
 
 
 def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:
@@ -41,7 +41,7 @@ def describe(question: Question, taps, notes: Notes):
     if taps is not None:
         notes.models["optics.sample"] = (
             f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
-            f"its aperture{displaced(question.sensor.displacement)}"
+            f"its aperture{displacement_suffix(question.sensor.displacement)}"
         )
     finer = sampling_error(
         question.facts.moments(weights),
@@ -97,5 +97,5 @@ def _plain_axes(question):
                 f"{move:.6g} pixels, beyond the frame",
                 'within it, as optics model "none" sees no surroundings; or border = "edge"',
             )
-        axes.append(bordered(taps, n, more, border) if more else taps)
+        axes.append(apply_border(taps, n, more, border) if more else taps)
     return axes

@@ -101,17 +101,17 @@ def ways(question: Question, probes: Probes | None) -> list[Way]:
     even = question.weights / flat
     exact = _exact(question.content, even, flat)
     if not question.lens.is_uniform:
-        return [_varying(question, even, flat, probes)]
+        return [_varying_way(question, even, flat, probes)]
     if probes is None:
         return [exact]
     response = response_of(question, even, flat)
-    found = (_guaranteed if question.guaranteed else _fused)(
+    found = (_guaranteed_ways if question.guaranteed else _fused_ways)(
         question, response, flat, exact.count, probes
     )
     return [*found, exact]
 
 
-def _varying(question, even, flat, probes):
+def _varying_way(question, even, flat, probes):
     inputs, transfers, mix, varying, wrong, words = varying_planes(
         question, response_of(question, even, flat), prior_of(question), flat
     )
@@ -247,11 +247,11 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
         seconds=operation.seconds,
         noise=operation.noise,
         apart=picture.mosaic(question.weights, question.share),
-        **_seen_part(question, windows),
+        **_inner_part(question, windows),
     )
 
 
-def _seen_part(question, windows):
+def _inner_part(question, windows):
     """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
     scene, sensor = question.scene, question.sensor
     inner = tuple(min(n, INNER) for n in scene.samples)
@@ -274,7 +274,7 @@ def response_of(question: Question, even, flat) -> Response:
     return question.kept("response", (even, tables, cfa), lambda: Response.of(even, tables, cfa))
 
 
-def _fused(question, response, flat, planes, probes):
+def _fused_ways(question, response, flat, planes, probes):
     """The joint operators of fewer than `planes` planes.
 
     Their errors are computed for the scene's own spectra, so they include light outside the prior.
@@ -286,15 +286,15 @@ def _fused(question, response, flat, planes, probes):
     if not operator.ranks:
         return  # fewer wavelengths than channels
     most = min(operator.ranks[-1], planes - 1)
-    for rank, bound in probes.fused(operator.w_in[:, :most].T, operator.transfers(most)):
+    for rank, bound in probes.fused_bounds(operator.w_in[:, :most].T, operator.transfers(most)):
         if rank < question.least:
             continue
 
         def make(rank=rank, bound=bound):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
-            watch = Watch.of(response, inputs, transfers, content).scaled(question.facts.pairs)
-            expected = operator.predicted(rank, question.facts.spectra)
-            falls = watch.falling(
+            watch = Watch.of(response, inputs, transfers, content).with_scale(question.facts.pairs)
+            expected = operator.predict_error(rank, question.facts.spectra)
+            falls = watch.forecast_falls(
                 wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
                 for more in range(rank + 1, most + 1)
             )
@@ -325,12 +325,12 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
         question.facts.spectra,
     )
     return replace(
-        watch.scaled(question.facts.pairs),
+        watch.with_scale(question.facts.pairs),
         factor=max(1.0, bound.rms / expected if expected else 1.0),
     )
 
 
-def _guaranteed(question, response, flat, planes, probes):
+def _guaranteed_ways(question, response, flat, planes, probes):
     """Operators with a bound for every spectrum, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
