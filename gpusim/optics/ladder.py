@@ -98,13 +98,16 @@ def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
         aperture: Variances along both axes of everything that spreads light a little
             [sample^2], see `variance`.
     """
-    q, rims = np.asarray(q, np.float64), _rims(pupil)
+    q, inner = np.asarray(q, np.float64), pupil.obscuration
     cusp = edge_tail(pupil) * q
+    rims = (1.0, inner) if inner else (1.0,)  # radii; their lengths weigh them
     squares = np.tensordot(
-        [_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0)
+        [_squares(waves, q, rim) for rim in rims], [rim / (1 + inner) for rim in rims], (0, 0)
     )
     spread = 9 / 4 * sum(aperture)
-    third = 9 / (16 * pi**4) * _third(pupil) * q**3
+    # factor of |s|^3 in the transfer function of a round pupil in focus
+    cubic = 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
+    third = 9 / (16 * pi**4) * cubic * q**3
     return np.stack(
         [cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1
     )
@@ -120,18 +123,6 @@ def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
         for side, spots in zip(aperture, optics.birefringence, strict=True)
     )
     return first, second
-
-
-def _rims(pupil):
-    """Radii of the pupil's rims, and the part that each has of their lengths."""
-    inner = pupil.obscuration
-    return [(1.0, 1 / (1 + inner)), *([(inner, inner / (1 + inner))] if inner else [])]
-
-
-def _third(pupil):
-    """Factor of |s|^3 in the transfer function of a round pupil in focus."""
-    inner = pupil.obscuration
-    return 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
 
 
 def _squares(waves, q, radius):

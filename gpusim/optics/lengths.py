@@ -17,26 +17,28 @@ LANES = 8  # lines that a CPU transforms at once
 
 
 def fft_length(minimum: int) -> int:
-    """Smallest length not below `minimum` that is a product of 2, 3 and 5 (up to 32768)."""
+    """Return the smallest length not below `minimum` that is a product of 2, 3 and 5 (up to 32768)."""
     return next(length for length in LENGTHS if length >= minimum)
 
 
 def transform_lengths(minimum, cfa_shape):
-    """Transform lengths of at least `minimum` (rows, cols), and whether the mosaic folds into transforms of these.
+    """Return transform lengths of at least `minimum` (rows, cols), and whether the mosaic folds into them.
 
-    cfa_shape: rows and columns of the mosaic's period. Folding takes multiples of it. Lengths are products of 2, 3 and
-    5, so a period of 7 cannot be. A length is None where even the largest one is too short.
+    Folding takes multiples of the mosaic's period. Lengths are products of 2, 3 and 5, so a period of 7 cannot fold.
+    A length is None if even the largest one is too short.
+
+    Args:
+        minimum: Rows and columns.
+        cfa_shape: Rows and columns of the mosaic's period.
     """
-
-    def smallest(size, multiple):
-        return next(
-            (length for length in LENGTHS if length >= size and length % multiple == 0), None
+    for period, folds in ((cfa_shape, True), ((1, 1), False)):
+        found = tuple(
+            next((length for length in LENGTHS if length >= size and length % multiple == 0), None)
+            for size, multiple in zip(minimum, period, strict=True)
         )
-
-    folded = tuple(smallest(size, period) for size, period in zip(minimum, cfa_shape, strict=True))
-    if None in folded:
-        return tuple(smallest(size, 1) for size in minimum), False
-    return folded, True
+        if None not in found:
+            return found, folds
+    return found, False
 
 
 @dataclass(frozen=True)

@@ -338,15 +338,11 @@ class PupilLens(_OnGrid):
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
-        waves = self.optics.waves(wavelengths, height, distance=distance)
-        return max(
-            (
-                2 * one * _steepest(wave)
-                for one, wave in zip(self._q(wavelengths), waves, strict=True)
-                if wave.any()
-            ),
-            default=0.0,
-        )
+        waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
+        for q, wave in zip(self._q(wavelengths), waves, strict=True):
+            if wave.any():
+                radius = max(radius, 2 * q * _steepest(wave))
+        return radius
 
     def cutoff(self, wavelength) -> float:
         """See `Lens`."""
@@ -705,7 +701,7 @@ def open_lens(
 def lens_of(camera: Camera) -> Lens:
     """Return a camera's lens in front of its pixels."""
     sensor, pitch = camera.sensor, camera.sensor.pixel_pitch
-    aperture = tuple(side / pitch for side in sensor.aperture)
+    aperture = np.divide(sensor.aperture, pitch)
     return open_lens(camera.optics, pitch, aperture, displacement=sensor.displacement)
 
 

@@ -12,7 +12,7 @@ it is q / (pi^3 r^3). Light from far away is smooth, so a coarse grid is enough 
 blades throw their light along their normals, as r^-2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import ceil, prod, sqrt
 from typing import Any
@@ -277,6 +277,9 @@ class Outside:
     straight: float = 0.0
     deviation: float = 0.0
     is_moved: bool = False
+    _windows: dict[int, tuple[Windows, np.ndarray]] = field(
+        init=False, repr=False, default_factory=dict
+    )
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -343,15 +346,8 @@ class Outside:
 
         inner: side of the part of a window that represents other parts of the frame [sample].
         """
-        if inner not in self._windows:
-            self._windows[inner] = self._make_windows(inner)
-        return self._windows[inner]
-
-    @cached_property
-    def _windows(self) -> dict[int, tuple[Windows, np.ndarray]]:
-        return {}
-
-    def _make_windows(self, inner):
+        if inner in self._windows:
+            return self._windows[inner]
         windows = Windows.of(
             self.image,
             self.margin,
@@ -371,6 +367,7 @@ class Outside:
         )
         if self.border == "zero":
             light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+        self._windows[inner] = windows, light
         return windows, light
 
     @cached_property
@@ -392,18 +389,16 @@ class Outside:
 
     @cached_property
     def darkest(self) -> tuple[float, float]:
-        """99.9 % quantile and maximum over the frame of 1 / `sigmas`."""
-        least = 1 / self.sigmas
+        """99.9 % quantile and maximum over the frame of 1 over the noise's standard deviations.
+
+        These are over the root of the electrons at the level.
+        """
+        least = 1 / self._probes[2]
         return float(np.quantile(least, 0.999)), float(least.max())
 
     @cached_property
     def _squares(self):
         return np.square(self.image, dtype=np.float64)
-
-    @property
-    def sigmas(self) -> np.ndarray:
-        """Standard deviations of the noise at the probed places, over the root of the electrons at the level."""
-        return self._probes[2]
 
     @cached_property
     def _probes(self):

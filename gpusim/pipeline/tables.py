@@ -68,12 +68,9 @@ class LensTables:
         cell, and pixels share them.
         """
         sensor = self.camera.sensor
-        return (
-            sensor.pixel_pitch / samples_per_pixel,
-            tuple(side / sensor.pixel_pitch for side in sensor.aperture)
-            if samples_per_pixel == 1
-            else (1.0, 1.0),
-        )
+        (height, width), pitch = sensor.aperture, sensor.pixel_pitch
+        aperture = (height / pitch, width / pitch) if samples_per_pixel == 1 else (1.0, 1.0)
+        return pitch / samples_per_pixel, aperture
 
     def transfer(self, plan: Plan):
         """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
@@ -81,23 +78,16 @@ class LensTables:
         name = f"transfer {plan.mix.shape}"  # tables of its wavelengths next to tables of a plan
         if plan.is_draft and (short := self._short(plan)):
             return self._kept("drafted", (short, self._key(plan)), lambda: self._widen(plan, short))
-        return self._kept(
-            name,
-            self._key(plan),
-            lambda: self._near(plan, self.combine(plan, self.all_bands(plan))),
-        )
 
-    def _near(self, plan, tables):
-        """Tables minus the Gaussians of the endless world."""
-        if plan.far is None:
-            return tables
-        return near(
-            tables,
-            plan.far.energies(plan.transfers),
-            plan.far.sigmas,
-            plan.period,
-            device=self.device,
-        )
+        def make():
+            tables, far = self.combine(plan, self.all_bands(plan)), plan.far
+            if far is None:
+                return tables
+            # without the Gaussians of the endless world
+            energies = far.energies(plan.transfers)
+            return near(tables, energies, far.sigmas, plan.period, device=self.device)
+
+        return self._kept(name, self._key(plan), make)
 
     def _short(self, plan):
         """A short period that holds most of the light of points, if a CPU would be slow at the plan's; or 0.

@@ -122,8 +122,7 @@ class Question:
         )
         check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
-        made._check_displacement()
-        made._check_q()
+        made._check()
         return made
 
     def without_blur(self) -> "Question":
@@ -225,13 +224,11 @@ class Question:
             (self.ratio * down, self.ratio * across),
         )
 
-    def _check_displacement(self):
-        """Refuse a displacement of the apertures from a centred grid that nothing honours."""
-        scene, displacement = self.scene, self.sensor.displacement
-        shown = f"{displacement[0]:.6g}, {displacement[1]:.6g} pixels"
-        if any(
-            abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)
-        ):
+    def _check(self):
+        """Refuse displacements of the apertures that no stage honours, and pixels far too coarse for the lens."""
+        scene, (down, across) = self.scene, self.sensor.displacement
+        shown = f"{down:.6g}, {across:.6g} pixels"
+        if abs(down) > max(1, scene.shape[0] / 4) or abs(across) > max(1, scene.shape[1] / 4):
             raise OutOfRange(
                 "sensor.offset + sensor.centre",
                 shown,
@@ -240,16 +237,13 @@ class Question:
         if (
             not self.is_blurred
             and scene.samples_per_pixel == 1
-            and any(abs(move - round(move)) > 1e-9 for move in displacement)
+            and max(abs(down - round(down)), abs(across - round(across))) > 1e-9
         ):
             raise OutOfRange(
                 "sensor.offset + sensor.centre",
                 f"{shown}, with one scene sample per pixel and no blur",
                 "whole pixels; or raise samples_per_pixel, or blur",
             )
-
-    def _check_q(self):
-        """Refuse pixels that are far too coarse for the lens."""
         if self.is_blurred and self.q.min() < SMALLEST_Q:
             step = "pixel pitch" if self.ratio == 1 else "distance of scene samples"
             raise OutOfRange(

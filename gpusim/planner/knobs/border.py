@@ -170,9 +170,10 @@ def surroundings(
         reaches = [
             max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape
         ]
-        period, folds = _lengths(
-            question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
-        )
+        period, folds = question.period, False
+        if not period:
+            least = [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
+            period, folds = transform_lengths(least, np.shape(question.sensor.cfa_indices))
         if None in period:
             rows, cols = question.size
             raise OutOfRange(
@@ -261,13 +262,6 @@ def surroundings_of(
         made,
         question,
     )
-
-
-def _lengths(question, least):
-    """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
-    if question.period:
-        return question.period, False
-    return transform_lengths(least, np.shape(question.sensor.cfa_indices))
 
 
 def _outside(question, picture, depth, level):
