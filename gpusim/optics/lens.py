@@ -721,7 +721,7 @@ def _polar(place) -> tuple[float, float]:
 
 def _checked_frequencies(wavelengths, fy, fx):
     """Wavelengths (L,) and frequencies (F,), (F,) as arrays."""
-    fy, fx = (np.asarray(f, np.float64) for f in np.broadcast_arrays(fy, fx))
+    fy, fx = (np.atleast_1d(np.asarray(f, np.float64)) for f in np.broadcast_arrays(fy, fx))
     return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy, fx
 
 
