@@ -234,7 +234,7 @@ def plan_depth(
     if layered:
         model = f"{count} layers by depth; {span}"
         predicted |= {
-            "depth, in layers (what they hide is continued)": in_layers,
+            "depth, in layers (hidden parts are continued)": in_layers,
             "depth, if without layers": plain,
         }
     else:

@@ -129,7 +129,7 @@ def _neighbours(spread, wavelengths):
         raise OutOfRange(
             "wavelengths",
             f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
-            f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm",
+            f"within the point spread's, {known[0]:g} .. {known[-1]:g} nm",
         )
     share = np.interp(wavelengths, known, np.arange(len(known)))
     low = np.minimum(share.astype(int), max(len(known) - 2, 0))

@@ -27,7 +27,7 @@ PIXELS = (
     "vignetting",
     "binning",
 )  # of a sensor, which plans depend on
-REMEDY = "a plan of its own may meet it"
+REMEDY = "a plan made for this scene may meet it"
 
 
 def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
@@ -72,7 +72,7 @@ def judged(
     operation = picture.operation(question, exposure_time)
     if plan.mix is not None and picture.is_spiky and highlights.can_be_split(question):
         notes.leave_out(
-            "highlights, which a plan of this scene's own would add exactly", UNKNOWN, "highlights"
+            "highlights, which a plan made for this scene would add exactly", UNKNOWN, "highlights"
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)

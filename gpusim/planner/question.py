@@ -249,7 +249,7 @@ class Question:
             raise OutOfRange(
                 f"{self.camera.name}: wavelength x f-number / {step}",
                 f"{self.q.min():.2g}",
-                f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"',
+                f'>= {SMALLEST_Q}; the blur is a fraction of a pixel: use optics model = "none"',
             )
 
 

@@ -123,21 +123,19 @@ class Surroundings:
         reach = min(self.reaches)
         if self.far is not None:
             notes.bounds["border"] = self.bound
-            beyond = (
-                f"{self.reach} pixels outside the frame"
-                if self.tiling is None
-                else f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}"
-            )
-            notes.models["optics.far"] = (
-                f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
-            )
-            notes.models["optics.near"] = "transfer functions less those of the Gaussians"
+            outside = f"more than {self.reach} pixels outside the frame"
+            if self.tiling is not None:
+                side, overlap = self.tiling.side, self.tiling.overlap
+                outside = f"outside each {side} x {side} tile ({overlap} samples overlap)"
+            count = len(self.far.sigmas)
+            notes.models["optics.far"] = f"light from {outside}: {count} Gaussians"
+            notes.models["optics.near"] = "transfer functions minus the Gaussians'"
             return
         notes.bounds["border"] = self.bound
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.leave_out(
-                f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
-                "transforms repeat it",
+                f"light from more than {reach / question.ratio:.4g} pixels outside the frame: the periodic "
+                "transforms take it from the repeated picture",
                 self.bound,
                 "border",
             )
@@ -179,7 +177,7 @@ def surroundings(
             raise OutOfRange(
                 "scene size with surroundings",
                 f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
-                "what the transforms take: a smaller scene, reach or aperture",
+                "what fits into the transforms: a smaller scene, reach or aperture",
             )
         return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
 

@@ -141,8 +141,8 @@ def describe(depth: DepthPlan | None, notes: Notes):
     if depth.layers > 1 and not depth.sheets:
         name = next(name for name in depth.predicted if name.startswith("depth, in layers"))
         notes.leave_out(
-            "surfaces that nearer things hide: one picture does not show them, so the picture next to them "
-            "goes on there",
+            "surfaces hidden by nearer objects: one picture does not show them; the picture next to them is "
+            "continued there",
             notes.bounds.get(name) or Bound(depth.predicted[name]),
             name,
         )

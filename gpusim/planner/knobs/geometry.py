@@ -123,8 +123,8 @@ def describe_calibration(question: Question, notes: Notes):
     fov = question.scene.fov
     if fov and abs(2 * np.tan(fov / 2) / across - 1) > NEGLIGIBLE:
         notes.leave_out(
-            f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
-            f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg",
+            f"the scene's field of view, {np.degrees(fov):.4g} deg: the calibration's, "
+            f"{np.degrees(2 * np.arctan(across / 2)):.4g} deg, is used",
             UNKNOWN,
             "field of view",
         )

@@ -85,12 +85,12 @@ class Picture:
             f"{len(split.places)} highlights added exactly, each with its own spectrum"
         )
         if split.residue:
-            notes.beside["local error beside further highlights"] = split.residue
+            notes.beside["local error next to further highlights"] = split.residue
 
     def describe_unsplit(self, notes: Notes):
         """Note the transforms' error next to highlights that stay in the picture."""
         if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
-            notes.beside["local error beside highlights"] = left
+            notes.beside["local error next to highlights"] = left
 
 
 def whole(question: Question) -> Picture:

@@ -59,7 +59,7 @@ class Planes:
         if self.transfers is not None:
             notes.models.setdefault(
                 "spectral.integrate",
-                f"tables of {len(question.scene.wavelengths)} wavelengths to those of the planes",
+                f"tables of {len(question.scene.wavelengths)} wavelengths combined into the planes'",
             )
 
 
@@ -134,7 +134,7 @@ def describe_unseen(question: Question, notes: Notes):
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         notes.leave_out(
             f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
-            "it goes on as at the ends",
+            "it continues as at the ends",
             Bound(_light_outside(question)),
             "light outside the wavelengths",
             of_scene=True,
