@@ -225,7 +225,7 @@ def expose_motion(
         (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
         scenes[0].view,
     )
-    bounds = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
+    bounds = {"view": probes.resampling_error(between, scene.samples_per_pixel), "shutter": wrong}
     plan_made = exposure.plan
     account = dataclasses.replace(plan_made.account, bounds=plan_made.account.bounds | bounds)
     verdict = (

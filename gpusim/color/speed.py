@@ -12,6 +12,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.spectrum import photons_from_energy
+from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import product_weights
 
 LIGHT = "D55"  # daylight of ISO 7589, which ISO 12232 prescribes
@@ -149,7 +150,7 @@ def operate_camera(
         )
     lens: dict[str, Any] = {"f_number": f_number, "object_distance": focus}
     lens = {key: value for key, value in lens.items() if value is not None}
-    if lens and optics.psf is not None:
+    if lens and not lens_of(camera).is_adjustable:
         raise BadData(
             "--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
             "neither, or a camera without [optics] psf"

@@ -19,23 +19,35 @@ AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1, divided by pi: the "1.
 
 @dataclass(frozen=True)
 class Optics:
-    """A thin lens, focused at `object_distance`, with the pupil and the aberrations given.
+    """A thin lens, focused at `object_distance`, with a pupil and aberrations.
 
-    f_number: N = focal length / aperture diameter [1].
-    focal_length: [m].
-    model: what blurs the image: "diffraction" (at the pupil, with its wavefront), "measured" (`psf`) or "none".
-    transmission: T(lambda) in 0 .. 1, one number or a Spectrum of one function.
-    relative_illumination: fall-off toward the corner: "cos4", "none", the coefficients (a1, a2, ...) of
-        1 + a1 h + a2 h^2 + ... of the field height h, 1 at the corner, or two arrays (heights, values).
-    object_distance: distance of the plane in focus [m]; infinity by default.
-    pupil: shape of the aperture; the f-number is that of its circumscribed circle. wavefront: aberrations.
-    defocus: how far behind the image the sensor is [m], one number or a Spectrum (axial colour).
-    birefringence: distance of the two images that a low-pass plate makes along (y, x) [m], 0 for one image.
-    diffuser: standard deviation of a Gaussian diffuser [m at the sensor].
-    psf: the point spreads of model "measured", in place of pupil, wavefront, defocus and low-pass.
-    distortion: where the lens puts a point against where a pinhole would; None: there.
-    lateral_color: image height over that of the nominal wavelength, less one [1], one number or a Spectrum.
-    Raises BadData, OutOfRange, UnknownName.
+    Attributes:
+        f_number: N = focal length / aperture diameter [1].
+        focal_length: [m].
+        model: Cause of the blur: "diffraction" (at the pupil, with its wavefront), "measured"
+            (`psf`) or "none".
+        transmission: T(lambda) in 0 .. 1, one number or a Spectrum of one function.
+        relative_illumination: Fall-off toward the corner: "cos4", "none", the coefficients (a1,
+            a2, ...) of 1 + a1 h + a2 h^2 + ... of the field height h, 1 at the corner, or two
+            arrays (heights, values).
+        object_distance: Distance of the plane in focus [m]; infinity by default.
+        pupil: Shape of the aperture. The f-number refers to its circumscribed circle.
+        wavefront: Aberrations.
+        defocus: Distance of the sensor behind the image [m], one number or a Spectrum (axial
+            colour).
+        birefringence: Distance of the two images that a low-pass plate makes along (y, x) [m],
+            0 for one image.
+        diffuser: Standard deviation of a Gaussian diffuser [m at the sensor].
+        psf: Point spreads of model "measured", in place of pupil, wavefront, defocus and
+            low-pass.
+        distortion: Displacement of points from a pinhole's image; None: none.
+        lateral_color: Image height over the height at the nominal wavelength, minus one [1],
+            one number or a Spectrum.
+
+    Raises:
+        BadData: Settings contradict one another.
+        OutOfRange: A number is out of its range.
+        UnknownName: A name is not one of those allowed.
     """
 
     f_number: float
@@ -135,10 +147,10 @@ class Optics:
         self._check_measured()
 
     def _check_measured(self):
-        """Refuse settings that measured point spreads hold already."""
+        """Raise BadData for settings that measured point spreads already include."""
         if self.model != "measured":
             return
-        given = self._blurring() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
+        given = self._blur_settings() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
         for name, is_set in given.items():
             if is_set:
                 more = (
@@ -149,8 +161,8 @@ class Optics:
                     f"leave it out{more}"
                 )
 
-    def _blurring(self):
-        """Which settings, apart from the pupil, add to the blur of model "diffraction": name -> bool."""
+    def _blur_settings(self):
+        """Settings, apart from the pupil, that add to the blur of model "diffraction": name -> bool."""
 
         def has(value):
             return bool(np.any(value.values if isinstance(value, Spectrum) else value))
@@ -167,13 +179,13 @@ class Optics:
 
     @property
     def unused(self) -> str:
-        """Settings that model "none" leaves without effect on the blur, in words."""
+        """Settings that have no effect on the blur with model "none", in words."""
         return ", ".join(
             [
                 "diffraction",
                 *(
                     name.removeprefix("optics.").replace("lateral_color", "lateral colour")
-                    for name, is_set in self._blurring().items()
+                    for name, is_set in self._blur_settings().items()
                     if is_set
                 ),
             ]
@@ -191,7 +203,7 @@ class Optics:
 
     @property
     def working_f_number(self) -> float:
-        """N (1 + |m|) [1]: what the image sees when the lens is focused nearer than infinity."""
+        """N (1 + |m|) [1]: f-number seen from the image of a lens focused nearer than infinity."""
         return self.f_number * (1 + abs(self.magnification))
 
     @property
@@ -203,21 +215,35 @@ class Optics:
         """
         return self.pupil.area * np.pi / (1 + 4 * self.working_f_number**2)
 
-    def transmission_at(self, wavelengths) -> np.ndarray:
-        """T at `wavelengths` [nm], shape (L,); beyond the ends of a table the end values go on."""
+    def transmission_at(self, wavelengths: np.ndarray) -> np.ndarray:
+        """Return T; beyond the ends of a table the end values continue.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+
+        Returns:
+            T in 0 .. 1, shape (L,).
+        """
         if isinstance(self.transmission, Spectrum):
             return self.transmission.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.transmission))
 
-    def lateral_color_at(self, wavelengths) -> np.ndarray:
-        """Relative excess of the image height at `wavelengths` [nm], shape (L,)."""
+    def lateral_color_at(self, wavelengths: np.ndarray) -> np.ndarray:
+        """Return the relative excess of the image height.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+
+        Returns:
+            Excess [1], shape (L,).
+        """
         if isinstance(self.lateral_color, Spectrum):
             return self.lateral_color.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.lateral_color))
 
     @cached_property
     def is_ideal(self) -> bool:
-        """Whether nothing but the diffraction at a clear circle blurs the image."""
+        """Whether on the axis nothing blurs the image but diffraction at a clear circle."""
         return (
             self.model != "measured"
             and self.pupil == Pupil()
@@ -233,21 +259,21 @@ class Optics:
 
     @cached_property
     def is_symmetric(self) -> bool:
-        """Whether the blur on the axis is even along rows and columns because it is the same at every angle."""
+        """Whether the blur on the axis is the same at every angle, and so even along rows and columns."""
         return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
 
-    @property
+    @cached_property
     def has_mirror(self) -> bool:
-        """Whether the blur at a field point is the mirror image of that at the point on the other side of the axis."""
+        """Whether the blur at a field point mirrors the blur at the point on the other side of the axis."""
         odd = [
             self.wavefront.polynomial(height)[:, 1::2]
             for height in (0.5, 1.0, *self.wavefront.heights)
         ]
-        return self.psf is None and self.pupil.blades == 0 and not np.any(odd)
+        return not self.pupil.sides.size and not np.any(odd)
 
     @property
     def varies(self) -> bool:
-        """Whether the blur is not the same all over the field."""
+        """Whether the blur varies over the field."""
         if self.model == "none":
             return False
         lateral = self.lateral_color
@@ -257,8 +283,20 @@ class Optics:
             return self.psf.heights is not None or self.psf.grid is not None
         return bool(self.wavefront.heights) or any(self.wavefront.seidel[1:])
 
+    def without_blur(self) -> "Optics":
+        """Return the same lens without blur.
+
+        Returns:
+            A lens of model "none".
+        """
+        return replace(self, model="none", psf=None)
+
     def on_axis(self) -> "Optics":
-        """The lens whose blur everywhere is that of this one on the axis."""
+        """Return a lens whose blur everywhere is this one's blur on the axis.
+
+        Returns:
+            The lens.
+        """
         own = self.wavefront
         zernike = own.zernike[0] if own.heights else own.zernike
         wavefront = Wavefront(zernike, (), (own.seidel[0], 0.0, 0.0, 0.0, 0.0), own.reference)
@@ -267,7 +305,7 @@ class Optics:
 
     @property
     def description(self) -> str:
-        """The pupil and what is in it, in words."""
+        """The pupil and its effects, in words."""
         if self.psf is not None:
             near = (
                 ""
@@ -287,14 +325,28 @@ class Optics:
         return ", ".join(words)
 
     def waves(
-        self, wavelengths, height: float = 0.0, azimuth: float = 0.0, distance: float | None = None
+        self,
+        wavelengths: np.ndarray,
+        height: float = 0.0,
+        azimuth: float = 0.0,
+        distance: float | None = None,
     ) -> np.ndarray:
-        """Wavefront coefficients [l, i, j] of x^i y^j [waves of each wavelength], shape (L, n, n), n >= 5.
+        """Return the wavefront's coefficients [l, i, j] of x^i y^j. The constant term is left out.
 
-        wavelengths: [nm]. height, azimuth: the field point, see `Wavefront.polynomial`. distance: of the object [m];
-        that in focus if not given. The constant term is left out. Defocus is W020 = d / (8 N^2 (1 + |m|)^2) for the
-        displacement d, Goodman (Introduction to Fourier Optics, 6.4) to first order in d; raises OutOfRange beyond
-        LONGEST_WAVEFRONT waves.
+        Defocus is W020 = d / (8 N^2 (1 + |m|)^2) for the displacement d, Goodman (Introduction to
+        Fourier Optics, 6.4) to first order in d.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            height: Of the field point, see `Wavefront.polynomial`.
+            azimuth: Of the field point, see `Wavefront.polynomial`.
+            distance: Of the object [m]; None: the plane in focus.
+
+        Returns:
+            Coefficients [waves of each wavelength], shape (L, n, n), n >= 5.
+
+        Raises:
+            OutOfRange: The defocus is more than LONGEST_WAVEFRONT waves.
         """
         wavelengths = np.asarray(wavelengths, np.float64)
         table = (
@@ -320,19 +372,41 @@ class Optics:
         return table
 
     def diopters(self, distance: float) -> float:
-        """Defocus of an object at `distance` [m] in dioptres [1/m]: 1 / object_distance - 1 / distance, > 0 beyond."""
+        """Return the defocus of an object in dioptres: 1 / object_distance - 1 / distance.
+
+        Args:
+            distance: Of the object [m].
+
+        Returns:
+            [1/m], > 0 beyond the plane in focus.
+        """
         return 1 / self.object_distance - 1 / distance
 
     def displacement(self, diopters: float) -> float:
-        """Sensor displacement [m] that defocuses as much as `diopters`: D times the image distance squared.
+        """Return the sensor displacement with the same defocus as `diopters`: D times the image distance squared.
 
-        Both stand for the same W020: D a^2 / 2, a the pupil's radius, is d / (8 N^2 (1 + |m|)^2) for this d.
+        Both have the same W020: D a^2 / 2, a the pupil's radius, equals d / (8 N^2 (1 + |m|)^2) for
+        this d.
+
+        Args:
+            diopters: Defocus [1/m].
+
+        Returns:
+            Displacement [m].
         """
         return diopters * self.image_distance**2
 
-    def airy_radius(self, wavelength) -> np.ndarray:
-        """Radius of the first dark ring [m] at `wavelength` [nm]: 1.21967 lambda N (1 + |m|).
+    def airy_radius(self, wavelength: float | np.ndarray) -> np.ndarray:
+        """Return the radius of the first dark ring: 1.21967 lambda N (1 + |m|).
 
-        Source: Born and Wolf, Principles of Optics, 8.5.2; N (1 + |m|) is N for a scene at infinity.
+        Args:
+            wavelength: [nm], any shape.
+
+        Returns:
+            Radius [m], of that shape.
+
+        Source:
+            Born and Wolf, Principles of Optics, 8.5.2; N (1 + |m|) is N for a scene at
+            infinity.
         """
         return AIRY_FIRST_ZERO * np.asarray(wavelength) * 1e-9 * self.working_f_number

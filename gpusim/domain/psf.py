@@ -15,15 +15,25 @@ from gpusim.domain.short_repr import brief
 class PointSpread:
     """Measured or traced point spreads, one per wavelength, each of energy 1; of one field point or of many.
 
-    wavelengths: [nm], increasing, shape (L,). values: shape (L, rows, cols), not negative; scaled to sum 1 here. The
-    ideal image point is at ((rows - 1) / 2, (cols - 1) / 2). spacing: distance of the samples [m].
-    integrated: whether the samples are the energies in pixels of that pitch; else they are samples of the irradiance
-    that the lens alone makes, fine enough to tell all of it: spacing <= lambda N / 2.
-    heights: field heights, rising from 0 to 1 at the frame's corner, shape (H,): values (H, L, rows, cols) are those of
-    field points on the side of growing columns, of a lens that is the same at every angle.
-    grid: or the field points' rows and columns, in the same unit, two rising lists of Y and X: values
-    (Y, X, L, rows, cols). Between field points, as between wavelengths, the spread is linear.
-    `np.asarray` gives the values. Raises BadData, OutOfRange.
+    `np.asarray` gives the values. Between field points and wavelengths the spread is linear.
+
+    Attributes:
+        wavelengths: [nm], increasing, shape (L,).
+        values: Not negative, shape (L, rows, cols), scaled to sum 1 here. The ideal image point
+            is at ((rows - 1) / 2, (cols - 1) / 2).
+        spacing: Distance of the samples [m].
+        integrated: Whether the samples are the energies in pixels of that pitch. Else they are
+            samples of the irradiance that the lens makes without pixels, fine enough to
+            determine it: spacing <= lambda N / 2.
+        heights: Field heights, rising from 0 to 1 at the frame's corner, shape (H,): values (H,
+            L, rows, cols) are of field points on the side of growing columns, of a lens that is
+            the same at every angle.
+        grid: Or the field points' rows and columns, in the same unit, two rising lists of Y and
+            X: values (Y, X, L, rows, cols).
+
+    Raises:
+        BadData: The arrays do not fit one another.
+        OutOfRange: The spacing is not positive.
     """
 
     wavelengths: np.ndarray
@@ -105,7 +115,18 @@ class PointSpread:
         object.__setattr__(self, "_axes", tuple(axes))
 
     def at(self, y: float, x: float) -> np.ndarray:
-        """Point spreads of one field point, 1 the frame's corner, shape (L, rows, cols). Raises OutOfRange."""
+        """Return the point spreads of one field point.
+
+        Args:
+            y: Row of the field point, 1 the frame's corner.
+            x: Column of the field point.
+
+        Returns:
+            Values, shape (L, rows, cols).
+
+        Raises:
+            OutOfRange: The point is outside the field points given.
+        """
         if not self._axes:
             return self.values
         point = (y, x) if self.grid else (np.hypot(y, x),)
@@ -124,7 +145,7 @@ class PointSpread:
             return spreads
         (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-        # back into the table's frame, where the field point lies on +x
+        # back into the table's frame, in which the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
         turned = np.stack(
             [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
@@ -133,9 +154,10 @@ class PointSpread:
 
 
 def gaussian_kernel(sigma, radius) -> np.ndarray:
-    """Energy of a Gaussian of standard deviation `sigma` in unit pixels up to `radius` from its own, shape (n, n).
+    """Return the energy of a Gaussian in unit pixels up to `radius` from its own, shape (n, n).
 
-    Exact: differences of the error function. Its sum is what falls into these pixels, not scaled to 1.
+    Exact: differences of the error function. Its sum is the energy within these pixels, not scaled
+    to 1. sigma: standard deviation [pixel].
     """
     if not (0 < sigma < np.inf and radius >= 0):
         raise OutOfRange("gaussian", f"sigma {sigma:g}, radius {radius}", "sigma > 0, radius >= 0")
@@ -145,7 +167,7 @@ def gaussian_kernel(sigma, radius) -> np.ndarray:
 
 
 def pillbox_kernel(diameter) -> np.ndarray:
-    """Energy of an even disc in unit pixels about its centre, shape (n, n), n odd; sum 1.
+    """Return the energy of an even disc in unit pixels about its centre, shape (n, n), n odd; sum 1.
 
     Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 - x^2).
     """
@@ -160,7 +182,7 @@ def pillbox_kernel(diameter) -> np.ndarray:
 
 
 def _disc_below(x, y, r):
-    """Area of the disc where its coordinates are below x and below y, both in -r .. r."""
+    """Area of the part of the disc with coordinates below x and below y, both in -r .. r."""
 
     def column(a, b):  # integral over a .. b of sqrt(r^2 - t^2)
         def primitive(t):
@@ -172,7 +194,7 @@ def _disc_below(x, y, r):
 
     w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
     left, right = np.minimum(x, -w), np.clip(x, -w, w)
-    # within the chord the strip goes from the lower arc to y; beside it, the whole disc for y > 0, nothing for y < 0
+    # within the chord the strip goes from the lower arc to y; outside it, it is the disc if y > 0, else empty
     inside = column(-w, right) + y * (right + w)
     beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
     return inside + np.where(y > 0, beside, 0)

@@ -1,8 +1,8 @@
-"""The exit pupil of a lens: the shape that lets light through, and the wavefront in it.
+"""The exit pupil of a lens: the shape of its opening, and the wavefront in it.
 
-Coordinates are those of the image: x along the columns, y along the rows (down), in units of the pupil's radius. The
-wavefront W(x, y) is in waves; its sign is that of Welford (Aberrations of Optical Systems, 1986, eq. 7.16): a ray
-through (x, y) meets the image at -2 lambda N grad W from the ideal point.
+Coordinates are the image's: x along the columns, y along the rows (down), in units of the pupil's
+radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations of Optical Systems,
+1986, eq. 7.16): a ray through (x, y) meets the image at -2 lambda N grad W from the ideal point.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import brief
 
 LONGEST_WAVEFRONT = (
-    40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+    40.0  # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
 )
 
 
@@ -22,9 +22,14 @@ LONGEST_WAVEFRONT = (
 class Pupil:
     """A circle or a regular polygon inscribed in it, with a central circular obstruction.
 
-    blades: corners of the polygon, 3 .. 64, or 0 for a circle. obscuration: radius of the obstruction over that of the
-    (circumscribed) circle, to which the f-number refers. rotation: angle of the first corner from x towards y [rad].
-    Raises OutOfRange.
+    Attributes:
+        blades: Corners of the polygon, 3 .. 64, or 0 for a circle.
+        obscuration: Radius of the obstruction over the radius of the (circumscribed) circle, to
+            which the f-number refers.
+        rotation: Angle of the first corner from x towards y [rad].
+
+    Raises:
+        OutOfRange: A number is out of its range.
     """
 
     blades: int = 0
@@ -36,35 +41,76 @@ class Pupil:
             raise OutOfRange(
                 "optics.pupil.blades", self.blades, "0 (a circle) or 3 <= blades <= 64"
             )
-        inner = np.cos(np.pi / self.blades) if self.blades else 1.0
-        if not 0 <= self.obscuration < inner:
+        if not 0 <= self.obscuration < self.inner_radius:
             raise OutOfRange(
                 "optics.pupil.obscuration",
                 self.obscuration,
-                f"0 <= obscuration < {inner:.4g}, the radius of the circle that fits in",
+                f"0 <= obscuration < {self.inner_radius:.4g}, the radius of the circle that fits in",
             )
         if not np.isfinite(self.rotation):
             raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
 
     @property
     def area(self) -> float:
-        """Open area over that of the circumscribed circle [1]: the share of a full circle's light that passes."""
+        """Open area over the area of the circumscribed circle [1]: the share of a full circle's light that passes."""
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
+
+    @property
+    def is_clear_circle(self) -> bool:
+        """Whether it is a circle without an obstruction."""
+        return not (self.blades or self.obscuration)
+
+    @property
+    def sides(self) -> np.ndarray:
+        """Directions of the normals of its straight sides [rad], from x towards y; empty for a circle."""
+        n = self.blades
+        return self.rotation + (2 * np.arange(n) + 1) * np.pi / max(n, 1)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Directions of its corners [rad], from x towards y; empty for a circle."""
+        n = self.blades
+        return self.rotation + 2 * np.pi * np.arange(n) / max(n, 1)
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the largest circle that fits into its outline: the distance of straight sides [1]."""
+        return float(np.cos(np.pi / self.blades)) if self.blades else 1.0
+
+    @property
+    def outline(self) -> float:
+        """Length of its outer edge over the radius [1]."""
+        return 2 * self.blades * np.sin(np.pi / self.blades) if self.blades else 2 * np.pi
+
+    @property
+    def cutoff(self) -> tuple[int, float]:
+        """Sides and inner radius of the polygon beyond which its transfer function is 0; 0 sides: a circle."""
+        n = self.blades
+        if n % 2 == 0:
+            return n, self.inner_radius
+        return 2 * n, (1 + self.inner_radius) / 2  # a polygon and its mirror image, halfway
 
 
 @dataclass(frozen=True)
 class Wavefront:
     """Aberrations that are the same optical path for every wavelength.
 
-    zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H lists of J for the H field
-        heights `heights`, linear between them. Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).
-    heights: field heights of `zernike`, increasing, 1 at the corner; none if it is the same everywhere.
-    seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field curvature, distortion) at
-        field height 1 [waves at `reference`]: W = W040 r^4 + W131 h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2
-        + W311 h^3 r cos t, t from the direction of the field point. Source: Welford, chapter 7.
-    reference: wavelength [nm] at which the coefficients are counted in waves.
-    Raises BadData, OutOfRange.
+    Attributes:
+        zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H
+            lists of J for the H field heights `heights`, linear between them. Source: Noll, J.
+            Opt. Soc. Am. 66, 207 (1976).
+        heights: Field heights of `zernike`, increasing, 1 at the corner; none if it is the same
+            everywhere.
+        seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field
+            curvature, distortion) at field height 1 [waves at `reference`]: W = W040 r^4 + W131
+            h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2 + W311 h^3 r cos t, t from the
+            direction of the field point. Source: Welford, chapter 7.
+        reference: Wavelength [nm] at which the coefficients are counted in waves.
+
+    Raises:
+        BadData: The coefficients have the wrong form.
+        OutOfRange: There are too many coefficients or waves.
     """
 
     zernike: tuple = ()
@@ -123,17 +169,23 @@ class Wavefront:
             object.__setattr__(self, name, value)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
-        """Coefficients [i, j] of x^i y^j [waves at `reference`] at one field point, shape (n, n).
+        """Return the coefficients [i, j] of x^i y^j at one field point.
 
-        height: 1 at the corner. azimuth: direction of the field point from the image centre, from x towards y [rad].
-        Both kinds of coefficients are those of a lens that is symmetric about its axis: at other azimuths they turn.
+        The lens is symmetric about its axis: at other azimuths both kinds of coefficients turn.
+
+        Args:
+            height: Field height, 1 at the corner.
+            azimuth: Direction of the field point from the image centre, from x towards y [rad].
+
+        Returns:
+            Coefficients [waves at `reference`], shape (n, n).
         """
         zernike = np.array(self.zernike)
         if self.heights:
             zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
         w040, w131, w222, w220, w311 = self.seidel
         h = height
-        total = _padded(len(zernike))
+        total = _empty_table(len(zernike))
         total[:5, :5] += w040 * disc_power(2) + w220 * h**2 * np.pad(disc_power(1), (0, 2))
         total[1, 0] += w311 * h**3
         total[2, 0] += w222 * h**2
@@ -143,11 +195,11 @@ class Wavefront:
             if weight:
                 term = noll(j)
                 total[: len(term), : len(term)] += weight * term
-        return _turned(total, azimuth) if azimuth else total
+        return _turn(total, azimuth) if azimuth else total
 
 
 def disc_power(k) -> np.ndarray:
-    """Coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
+    """Return the coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
     table = np.zeros((2 * k + 1, 2 * k + 1))
     for i in range(k + 1):
         table[2 * i, 2 * (k - i)] = comb(k, i)
@@ -155,7 +207,7 @@ def disc_power(k) -> np.ndarray:
 
 
 def symmetric(pupil: Pupil, waves) -> bool:
-    """Whether pupil and wavefronts look the same at every angle: the transfer function is then real and radial."""
+    """Return whether pupil and wavefronts are the same at every angle, with a real, radial transfer function."""
     order = waves.shape[-1]
     turned = np.zeros_like(waves)
     for k in range((order - 1) // 2 + 1):
@@ -165,7 +217,7 @@ def symmetric(pupil: Pupil, waves) -> bool:
 
 
 def noll(j) -> np.ndarray:
-    """Coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
+    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
     n = int((np.sqrt(8 * j - 7) - 1) / 2)
     rank = j - n * (n + 1) // 2 - 1  # place among the n + 1 polynomials of order n
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1
@@ -190,13 +242,13 @@ def noll(j) -> np.ndarray:
     return table
 
 
-def _padded(count):
+def _empty_table(count):
     """Room for Seidel terms and `count` Zernike polynomials."""
     order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
     return np.zeros((max(order, 4) + 1,) * 2)
 
 
-def _turned(table, angle):
+def _turn(table, angle):
     """The polynomial of coordinates turned by -`angle`: what pointed along x points along the angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     out = np.zeros_like(table)

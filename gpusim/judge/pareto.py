@@ -22,6 +22,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import require_truth, true_mean
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 
@@ -54,7 +55,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
         DoesNotFit: The truth needs more memory than there is.
     """
     require_truth(camera, scene)
-    if camera.optics.varies:
+    if not lens_of(camera).is_uniform:
         raise BadData(
             "bench --pareto: a blur that varies over the field; wanted one that is the same everywhere"
         )

@@ -3,7 +3,8 @@
 Every wavelength by itself, nothing split off and nothing folded, in a world that goes on without end as its border
 says. Light is put where the lens and a view put it by Fourier series (`gpusim.judge.truth_light`), blurred and
 integrated over each pixel wherever it lies (`gpusim.judge.truth_blur`), and spread by each sample's own kernel, about
-where the axis meets the frame, if the blur varies over the field (`gpusim.judge.truth_field`).
+where the axis meets the frame, if the blur varies over the field (`gpusim.judge.truth_field`). What it asks about a
+lens is in `gpusim.judge.truth_lens`.
 
 What the frame and the truth both still use, and what judges it from outside (tests/judges, but where another is named):
 - electrons per content, cubics in the wavelength between the scene's (`planner.weights`): tests/host/test_weights.py;
@@ -23,45 +24,13 @@ from math import ceil
 
 import numpy as np
 
-from gpusim.domain.errors import OutOfRange
 from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
-from gpusim.judge.truth_light import axis_of, falloff_gain, pixel_places, placed_light, plain_rates
+from gpusim.judge.truth_lens import require_truth as require_truth
+from gpusim.judge.truth_light import falloff_gain, pixel_places, placed_light, plain_rates
+from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
-
-
-def require_truth(camera, scene):
-    """Raise OutOfRange for a camera and a scene of which the truth is not known."""
-    optics = camera.optics
-    for what, allowed, is_so in (
-        (
-            f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
-            "1 sample per pixel",
-            optics.varies and scene.samples_per_pixel != 1,
-        ),
-        (
-            f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
-            "1 sample per pixel, or samples of the irradiance",
-            optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1,
-        ),
-        (
-            "depth beside distortion, a calibration or measured point spreads",
-            "a scene without depth, or a lens without them",
-            scene.depth is not None
-            and optics.model != "none"
-            and (optics.distortion is not None or optics.psf is not None),
-        ),
-    ):
-        if is_so:
-            raise OutOfRange("verify", what, allowed)
-    if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
-        raise OutOfRange(
-            "verify",
-            "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
-            "middle".format(*axis),
-            "an axis in the middle",
-        )
 
 
 def true_error(simulator, scene, exposure) -> Error:
@@ -77,7 +46,7 @@ def true_error(simulator, scene, exposure) -> Error:
     """
     camera = simulator.camera
     error = Error.between(*seen(simulator, scene, exposure), camera.sensor.read_sigma)
-    if camera.optics.varies and len(blocks(scene.shape)) > 1:
+    if not lens_of(camera).is_uniform and len(blocks(scene.shape)) > 1:
         words = f"{BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over the field"
         return dataclasses.replace(error, places=words)
     return error
@@ -90,7 +59,7 @@ def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     `blocks`.
     """
     mean, camera = np.array(simulator.device.numpy(exposure.mean), np.float32), simulator.camera
-    parts = blocks(scene.shape) if camera.optics.varies else [(slice(None), slice(None))]
+    parts = [(slice(None), slice(None))] if lens_of(camera).is_uniform else blocks(scene.shape)
     found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
     if len(parts) == 1:
         return mean, found[0]
@@ -127,9 +96,9 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
 
 def _electrons(simulator, camera, scene, exposure_time, parts):
     """Mean electrons of parts of a frame: see `true_mean`."""
-    optics, cfa = camera.optics, camera.sensor.cfa_indices
+    optics, cfa, lens = camera.optics, camera.sensor.cfa_indices, lens_of(camera)
     light = placed_light(camera, scene)
-    if optics.model == "none":
+    if lens.is_pointlike:
         rates = plain_rates(
             np.tensordot(electrons_per_content(scene, camera), light, 1), camera, scene
         )
@@ -140,9 +109,9 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
     else:
         rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
     more = (
-        varying_rates(light, camera, scene, _within(parts, scene.shape))
-        if optics.varies
-        else [0.0] * len(parts)
+        [0.0] * len(parts)
+        if lens.is_uniform
+        else varying_rates(light, camera, scene, _within(parts, scene.shape))
     )
     gain = exposure_time * falloff_gain(camera, scene)
     y, x = np.indices(scene.shape)

@@ -16,11 +16,10 @@ import numpy as np
 import scipy
 
 from gpusim.domain.optics import Optics
+from gpusim.judge.truth_lens import transfer_of
 from gpusim.judge.truth_light import MODES, pixel_places
-from gpusim.optics import tables
-from gpusim.optics.lens import spread_radius, tail_of
+from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import at_samples, rule_of, unseen
-from gpusim.optics.response import spread_at
 from gpusim.optics.weights import electrons_per_content
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
@@ -33,15 +32,16 @@ def period_of(
 ) -> tuple[int, int]:
     """Rows and columns of the transforms that this scene needs; pitch: of its samples [m], displaced: how far, too."""
     shape = [n + 2 * scene.margin for n in scene.samples]
-    reach = ceil(max(depth_reach, spread_radius(optics, scene.wavelengths, pitch))) + 2
+    lens = open_lens(optics, pitch)
+    reach = ceil(max(depth_reach, lens.spread(scene.wavelengths))) + 2
     if scene.border == "reflect":
         return tuple(
-            2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n))
+            2 * n * ceil((n + 2 * displaced + (0 if lens.tail else 2 * reach)) / (2 * n))
             for n in shape
         )
-    if tail_of(optics):
+    if lens.tail:
         q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
-        reach = max(RADII * reach, ceil(RINGS * q), BLADES_REACH if optics.pupil.blades else REACH)
+        reach = max(RADII * reach, ceil(RINGS * q), BLADES_REACH if lens.tail.lines else REACH)
     return tuple(scipy.fft.next_fast_len(n + 2 * (reach + displaced), real=True) for n in shape)
 
 
@@ -75,7 +75,7 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
     for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
         if weight.any() and plane.any():
             spectrum = scipy.fft.rfft2(np.pad(plane, pads, mode=MODES[scene.border]), workers=-1)
-            transfer, cut = _transfer(optics, scene.wavelengths[k], pitch)
+            transfer, cut = transfer_of(optics, scene.wavelengths[k], pitch)
             seen, even = _at_pixels(spectrum, period, transfer, cut, wide, at)
             total += weight[:, None, None] * seen
             tails[:, k] /= even
@@ -84,8 +84,8 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
 
 def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
     """What light from beyond the transforms adds at places (rows, cols) among the samples; weights: times q, (C, L)."""
-    border, tail = rule_of(scene.border), tail_of(optics)
-    if border == "reflect" or not tail:
+    border, tail = rule_of(scene.border), open_lens(optics, 1.0).tail
+    if border == "reflect" or tail is None:
         return 0.0
     seen = np.tensordot(weights, light, 1)
     around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2
@@ -93,7 +93,15 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
     return np.stack(
         [
             at_samples(
-                unseen(one, period, border, max(around / CELLS, 1), tail, times=(3, 5, 7), soft=2),
+                unseen(
+                    one,
+                    period,
+                    border,
+                    max(around / CELLS, 1),
+                    tail.strength,
+                    times=(3, 5, 7),
+                    soft=2,
+                ),
                 one.shape,
                 period,
                 rows,
@@ -150,56 +158,3 @@ def _replicas(cut):
     """Return the whole frequencies around which sampling repeats the spectrum of the lens."""
     reach = range(-ceil(cut + 0.5), ceil(cut + 0.5) + 1) if cut else (0,)
     return [(a, b) for a in reach for b in reach]
-
-
-def _transfer(optics: Optics, wavelength, pitch):
-    """Transfer function of the lens at all fy and fx [cycle/sample], and the frequency that ends it."""
-    if optics.psf is not None:
-        return _measured(optics.psf, wavelength, pitch)
-    q, waves = (
-        wavelength * 1e-9 * optics.working_f_number / pitch,
-        optics.waves(np.array([wavelength])),
-    )
-    if optics.is_ideal:
-        own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
-    else:
-        own = tables.exact_otf(optics.pupil, waves)
-    spots, diffuser = [length / pitch for length in optics.birefringence], optics.diffuser / pitch
-
-    def transfer(fy, fx):
-        out = np.zeros((len(fy), len(fx)), complex)
-        inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
-        out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
-        down, across = (
-            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
-            for spot, f in zip(spots, (fy, fx), strict=True)
-        )
-        return out * down[:, None] * across
-
-    return transfer, 1 / q
-
-
-def _measured(spread, wavelength, pitch):
-    """The same of a spread that is given. Its samples are of what has no frequency beyond half their rate."""
-    values, step = spread_at(spread, [wavelength])[0], spread.spacing / pitch
-    along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
-
-    def transfer(fy, fx):
-        to_y, to_x = (
-            np.exp(-2j * np.pi * step * np.outer(f, at))
-            for f, at in zip((fy, fx), along, strict=True)
-        )
-        if (
-            not spread.integrated
-        ):  # a frequency of exactly half the rate counts half for either sign
-            to_y, to_x = (
-                to * _passed(np.abs(f) * step)[:, None]
-                for to, f in zip((to_y, to_x), (fy, fx), strict=True)
-            )
-        return to_y @ values @ to_x.T
-
-    return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
-
-
-def _passed(rate):
-    return np.where(rate < 0.5 - 1e-12, 1.0, np.where(rate < 0.5 + 1e-12, 0.5, 0.0))

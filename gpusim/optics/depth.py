@@ -1,11 +1,12 @@
-"""From a depth map to kernels and layers: what is out of focus by how much, and what hides what.
+"""From a depth map to kernels and layers: how far out of focus each pixel is, and which surface hides which.
 
-Within a surface, each point's light is spread by the kernel of its own distance. Kernels are computed for a few
-distances, spaced so that cubic interpolation between them keeps a stated error; a pixel's light is shared among the
-four nearest. That leaves out that near things hide far ones: where the circle of confusion jumps by more than about a
-pixel, it errs by percents. There the picture is cut into layers, each blurred together with its coverage and laid over
-what is farther (Barsky and Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics", 2008).
-Cuts are placed where they remove the most predicted error.
+Within a surface, each point's light is spread with the kernel of its own distance. Kernels are
+computed for a few distances, spaced for a stated error of cubic interpolation between them; a
+pixel's light is shared among the four nearest. This neglects that near things hide far ones: if the
+circle of confusion jumps by more than about a pixel, the error is percents. Then the picture is cut
+into layers, each blurred together with its coverage and laid over the farther ones (Barsky and
+Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics", 2008). Cuts are
+placed where they remove the most predicted error.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
 
 MOST_KERNELS = 64
-TOLERANCE = 1e-4  # relative root mean square error where none is asked for
+TOLERANCE = 1e-4  # relative root mean square error by default
 
 
 def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength: float = 550.0):
@@ -59,12 +60,18 @@ def _defocus(optics, wavelength):
 
 @dataclass(frozen=True, eq=False)
 class DepthPlan:
-    """How a picture with depth is blurred.
+    """Plan for the blur of a picture with depth.
 
-    distances: at which kernels are computed [m], increasing, shape (P,). kernels: their signed circles of confusion
-    [pixel], shape (P,). confusion: that of every pixel, shape (rows, cols). layer: of each pixel, 0 the nearest,
-    uint8 (rows, cols). layers: how many. model: in words. predicted: relative root mean square errors, of this choice
-    and of the other. sheets: content, coverage and circles of confusion of each layer, where the scene gives them.
+    Attributes:
+        distances: Distances at which kernels are computed [m], increasing, shape (P,).
+        kernels: Their signed circles of confusion [pixel], shape (P,).
+        confusion: Circle of confusion of every pixel [pixel], shape (rows, cols).
+        layer: Layer of each pixel, 0 the nearest, uint8 (rows, cols).
+        layers: Number of layers.
+        model: The plan in words.
+        predicted: Relative RMS errors, of this choice and of the alternative.
+        sheets: Content, coverage and circles of confusion of each layer, if the scene has
+            layers.
     """
 
     distances: np.ndarray
@@ -82,12 +89,16 @@ class DepthPlan:
         return float(np.abs(self.kernels).max() / 2)
 
     def sheet(self, layer: int, content):
-        """Content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
+        """Return the content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
 
-        content: the picture's, for what follows from it. A layer that the scene gives is as given.
+        One picture does not show the surfaces behind a nearer layer: there the nearest pixel that
+        is not of a nearer layer continues. So the farthest layer covers everything; another one
+        ends behind a nearer one where a farther one is closer. A layer that the scene gives is
+        returned unchanged.
 
-        What a nearer layer hides is unknown from one picture: the nearest pixel that is not of a nearer layer goes on
-        there. The farthest layer so covers everything; another one ends behind a nearer one where a farther is closer.
+        Args:
+            layer: Number of the layer.
+            content: The picture's content.
         """
         if self.sheets:
             return self.sheets[layer]
@@ -123,10 +134,10 @@ class DepthPlan:
                 yield kernel, share
 
 
-def flattened(scene: Scene):
-    """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half.
+def flatten(scene: Scene):
+    """Return content and depth of the picture that a scene with layers shows, each sample from the layer covering half.
 
-    Of content that can be read on the host, where the content is then.
+    The content can be read on the host, and is then there.
     """
     content, depth = scene.content.on_host(), scene.depth
     for layer in reversed(scene.layers):
@@ -147,11 +158,19 @@ def plan_depth(
 ) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
-    pitch: of the pixels [m]. depth: distance of every pixel [m], shape (rows, cols). brightness: what the sensor would
-    see of every pixel without blur, any unit, same shape: where it is even, blur does not matter.
-    tolerance: relative root mean square error that is asked for; kernels take a quarter of it. layered: whether to use
-    layers, instead of deciding it. scene: with layers of its own, of which depth and brightness are `flattened`.
-    Raises BadData, OutOfRange (a distance without an image, too many kernels).
+    Args:
+        optics: Settings of the lens.
+        pitch: Of the pixels [m].
+        depth: Distance of every pixel [m], shape (rows, cols).
+        brightness: The sensor's signal of every pixel without blur, any unit, same shape. Blur
+            has no effect on even light.
+        tolerance: Relative RMS error; kernels take a quarter of it.
+        layered: Whether to use layers, instead of deciding it.
+        scene: Scene with layers, see `flatten` for its depth and brightness.
+
+    Raises:
+        BadData: The depth map does not fit.
+        OutOfRange: A distance has no image, or there are too many kernels.
     """
     tolerance = tolerance or TOLERANCE
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
@@ -182,15 +201,15 @@ def plan_depth(
             f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth",
         )
     edges = Edges.of(confusion, light)
-    plain = edges.plain(light, power)
+    plain = edges.plain_error(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
-        "depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
-        "depth, slopes of surfaces": edges.slopes(light, power),
+        "depth, kernels between those computed": float(contrast * _remainder(nodes, every, q)),
+        "depth, slopes of surfaces": edges.slope_error(light, power),
     }
     if sheets:
         predicted |= {
-            "depth, in layers that are given": edges.given(light, power),
+            "depth, in layers that are given": edges.given_error(light, power),
             "depth, if without layers": plain,
         }
         return DepthPlan(
@@ -203,8 +222,8 @@ def plan_depth(
             predicted,
             sheets,
         )
-    cuts = edges.cuts(low, high, tolerance**2 * power * light.size)
-    in_layers = edges.layered(cuts, light, power)
+    cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)
+    in_layers = edges.layered_error(cuts, light, power)
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
@@ -215,7 +234,7 @@ def plan_depth(
     if layered:
         model = f"{count} layers by depth; {span}"
         predicted |= {
-            "depth, in layers (what they hide is continued)": in_layers,
+            "depth, in layers (hidden parts are continued)": in_layers,
             "depth, if without layers": plain,
         }
     else:
@@ -266,21 +285,27 @@ def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
 def kernel_nodes(
     low: float, high: float, contrast: float, tolerance: float, q: float = 1.0
 ) -> np.ndarray:
-    """Circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
+    """Return circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
 
-    Kernels are as far apart as the fourth root of the fourth derivative allows; one is enough where the first is small.
-    contrast: root mean square difference of neighbouring pixels over that of the picture. q: wavelength times f-number
-    over pitch.
+    The distance of kernels follows the fourth root of the fourth derivative; one kernel is enough
+    if the first derivative is small.
+
+    Args:
+        low: Smallest circle of confusion [pixel].
+        high: Largest circle of confusion [pixel].
+        contrast: RMS difference of neighbouring pixels over the RMS of the picture.
+        tolerance: Relative RMS error.
+        q: Wavelength times f-number over pitch.
     """
     grid = np.linspace(low, high, 16 * int(np.ceil(high - low)) + 17)
     one = grid[len(grid) // 2 : len(grid) // 2 + 1]
-    if contrast * _between(one, grid, q) <= tolerance:
+    if contrast * _remainder(one, grid, q) <= tolerance:
         return one
     steps = np.append(0, np.cumsum(np.diff(grid) * _derivative(4, grid[1:], q) ** 0.25))
     count = 4
     while True:
         nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
-        if count > MOST_KERNELS or contrast * _between(nodes, grid, q) <= tolerance:
+        if count > MOST_KERNELS or contrast * _remainder(nodes, grid, q) <= tolerance:
             return nodes
         count += 1 + count // 8
 
@@ -293,7 +318,7 @@ def _stencil(nodes, confusion):
     ), count
 
 
-def _between(nodes, confusion, q):
+def _remainder(nodes, confusion, q):
     """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
 
     It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance

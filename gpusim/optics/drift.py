@@ -1,21 +1,24 @@
-"""Whether a plan still fits: the error of its joint operator for another content, from a few projections of it.
+"""Error of a plan's joint operator for other content, from a few projections of that content.
 
-`Response.error` takes the moments V of a content's spectra and D of their differences between neighbours, over all
-pairs of wavelengths. With W_c the matrix of what channel c gets wrong, W_c[l, m] being the weight of O_l that
-wavelength m gets too much, and G the response's `optical`, the error of the mosaic is
+`Response.error` takes the moments V of a content's spectra and D of their differences between
+neighbours, over all pairs of wavelengths. W_c is the error matrix of channel c: W_c[l, m] is the
+excess weight of O_l for wavelength m. G is the response's `optical`. The mean square error of the
+mosaic is
 
     sum over c of  share_c sum over l, m, n, o of  W_c[l, m] G[l, n] W_c[n, o] D[m, o]  =  trace(M D),
     M = sum over c of  share_c W_c^T G W_c,
 
-and the signal trace(S V), S = sum over c of  share_c flat_c^T flat_c. A row b projects spectra x to b x, whose mean
-square is b V b^T, and differences to b d, whose mean square is b D b^T. So S = F^T F and M = B^T B + R give
+and the signal is trace(S V), S = sum over c of  share_c flat_c^T flat_c. A row b projects spectra x
+to b x, with mean square b V b^T, and differences to b d, with mean square b D b^T. With S = F^T F
+and M = B^T B + R,
 
     signal = sum over rows f of F of  E[(f x)^2],     error = sum over rows b of B of  E[(b d)^2]  +  trace(R D),
 
-where the few largest eigenvalues are nearly all of M. With P on the rows of F, which see most of natural spectra, and
-Q = 1 - P, the root of trace(R D) is at most |R^1/2 P| that of E[|P d|^2], which F tells, and |R^1/2 Q| that of
-E[|Q d|^2] = E[|d|^2] - E[|P d|^2]. The stage `spectral.survey` measures all of them on a device, without moments and in
-one pass over a few rows.
+and the few largest eigenvalues are nearly all of M. P projects on the rows of F, which hold most of
+natural spectra, and Q = 1 - P. The root of trace(R D) is at most |R^1/2 P| times the root of E[|P
+d|^2], which follows from F, plus |R^1/2 Q| times the root of E[|Q d|^2] = E[|d|^2] - E[|P d|^2].
+The stage `spectral.survey` measures all of them on a device, in one pass over a few rows and
+without moments.
 """
 
 from dataclasses import dataclass, replace
@@ -39,15 +42,24 @@ FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What to measure of a content that takes a plan's input table, and what its error is by that.
+    """Projections to measure of a content that a plan's input table takes, and the error that follows.
 
-    flat: F, shape (up to 8, L). wrong: B, shape (up to 15, L). left: largest eigenvalue of what B leaves of M, over the
-    coefficients of content entries. table: projections from entries, those of `flat` first, float32 (P, entries), as
-    `spectral.survey` takes it. seen: what the squares of the projections by `flat` give to |P d|^2, shape (up to 8,).
-    beside: |R^1/2 P| and |R^1/2 Q|, over the coefficients, too. first: upper rows of the pairs to survey, int32 (n,).
-    inputs: planes from spectra, which the plan's table gives from entries, shape (planes, L). factor: of the error, as
-    probes of the plan's scene told it. falls: what of the square of each row of B one plane more leaves, two more ...,
-    shape (up to 15,) each. scale: of the content and of its projections, as `spectral.survey` takes it.
+    Attributes:
+        flat: F, shape (up to 8, L).
+        wrong: B, shape (up to 15, L).
+        left: Largest eigenvalue of R, the part of M that B does not hold, over coefficients of
+            content entries.
+        table: Projections from entries, `flat` first, float32 (P, entries), for
+            `spectral.survey`.
+        seen: Weights of the squares of the projections by `flat` in |P d|^2, shape (up to 8,).
+        beside: |R^1/2 P| and |R^1/2 Q|, over coefficients.
+        first: Upper rows of the pairs to survey, int32 (n,).
+        inputs: Planes from spectra, shape (planes, L). The plan's table gives the same planes
+            from entries.
+        factor: Correction of the error, measured by probes of the plan's scene.
+        falls: Part of the square of each row of B that remains with one plane more, two more
+            and so on, shape (up to 15,) each.
+        scale: Scales of the content and of its projections, for `spectral.survey`.
     """
 
     flat: np.ndarray
@@ -64,10 +76,16 @@ class Watch:
 
     @classmethod
     def of(cls, response: Response, table, transfers, content: Content, shape=None) -> "Watch":
-        """Of an operator, as `Response.error` takes it, and contents that differ from this one in their samples alone.
+        """Return the watch of an operator.
 
-        table: planes from spectra, shape (planes, L). transfers: shape (C, planes, L). shape: rows and columns of the
-        samples that are surveyed, by default all.
+        Other contents may differ from `content` only in their samples.
+
+        Args:
+            response: Channels over wavelength and frequency.
+            table: Planes from spectra, shape (planes, L).
+            transfers: Weights of the transfer functions, shape (C, planes, L).
+            content: The content.
+            shape: Rows and columns of the samples that are surveyed; by default all.
         """
         entries, signal = content.entry_spectra, (response.flat.T * response.share) @ response.flat
         flat, _, _ = _rows(signal, content, min(FLAT_ROWS, len(response.flat)))
@@ -95,18 +113,21 @@ class Watch:
     def of_no_blur(
         cls, response: Response, content: Content, shape, spectra: Spectra
     ) -> tuple["Watch", float]:
-        """The same where the blur is left out, and the error of a content with these moments.
+        """Return the watch for a blur that is left out, and the error of a content with moments `spectra`.
 
-        What a channel gets wrong of a wavelength is then its transfer function less that of a flat field. shape: of the
-        samples that are surveyed.
+        A channel's error at a wavelength is then its transfer function minus the one of a flat
+        field. shape: rows and columns of the samples that are surveyed.
         """
         wrong = replace(response, tables=response.tables - response.tables[:, :1])
         channels, bands = response.weights.shape
         nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
         return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
-    def scaled(self, content: Content) -> "Watch":
-        """The same for a content in host memory and others up to 1e15 times as bright, whose squares float32 holds."""
+    def with_scale(self, content: Content) -> "Watch":
+        """Return the same with scales for a content in host memory.
+
+        With them float32 holds the squares of contents up to 1e15 times as bright.
+        """
         unit, of_table = (
             2.0 ** -float(np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT))
             for largest in (
@@ -116,20 +137,24 @@ class Watch:
         )
         return replace(self, scale=(unit, unit * of_table))
 
-    def _unscaled(self, survey):
-        """What `spectral.survey` gave, in the content's own units, float64."""
+    def _in_content_units(self, survey):
+        """Result of `spectral.survey` in the content's own units, float64."""
         units = np.full(np.shape(survey)[-1], self.scale[1])
         units[-1] = self.scale[0]
         return np.asarray(survey, np.float64) / units**2
 
     def errors(self, survey) -> tuple[float, float]:
-        """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
+        """Return the relative RMS error of the mosaic's electrons, predicted from a survey, overall and at its largest.
 
-        survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger: with
-        the most that R can give; 0 without a signal. NaN where the content has NaN, or squares beyond float32: compare
-        so that it fails. Then the same of the pair of rows where it is largest, over the signal of all.
+        The error is the one of `Response.error` for the moments over the same rows, or larger: R
+        counts with its upper bound. It is 0 without a signal, and NaN if the content has NaN or
+        squares beyond float32, so comparisons must fail for NaN. The second figure is of the pair
+        of rows with the largest error, over the signal of all rows.
+
+        Args:
+            survey: Result of `spectral.survey`, shape (n, 3, P + 1).
         """
-        found, signals = self._unscaled(survey), len(self.flat)
+        found, signals = self._in_content_units(survey), len(self.flat)
         if not np.isfinite(found).all():
             return np.nan, np.nan
         signal = found[:, 0, :signals].sum() / len(found)
@@ -140,7 +165,7 @@ class Watch:
         return self.factor * sqrt(each.mean() / signal), self.factor * sqrt(each.max() / signal)
 
     def _rest(self, squares):
-        """What R gives at most, of pairs of rows (n, P + 1)."""
+        """Upper bound of the part of R, of pairs of rows (n, P + 1)."""
         whole, along = squares[:, -1], squares[:, : len(self.flat)] @ self.seen
         across = np.maximum(whole - along, ROUNDING * whole)
         return np.fmin(
@@ -148,23 +173,25 @@ class Watch:
             (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2,
         )
 
-    def falling(self, moments) -> tuple:
-        """`falls` where operators of one plane more, two more ... have such moments M'.
+    def forecast_falls(self, moments) -> tuple:
+        """Return `falls` for operators of one plane more, two more and so on, with error moments M'.
 
-        Of a row b of B it is b M' b^T / |b|^4: what M' makes of the direction of b, over what M does, |b|^2.
+        For a row b of B it is b M' b^T / |b|^4: the error of M' in the direction of b, over the
+        error |b|^2 of M.
         """
         size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
         return tuple(
             np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
         )
 
-    def wanting(self, survey, limit: float) -> int:
-        """How many planes more would err up to `limit` for a content; one more than `falls` tells where none of those.
+    def count_missing_planes(self, survey, limit: float) -> int:
+        """Return the number of additional planes with which the error of a content is at most `limit`.
 
-        A guess, which the next survey checks: differences are taken as independent along the rows of B, and what these
-        leave out is none.
+        It is one more than `falls` covers if none of those is enough. This is a guess, which the
+        next survey checks: differences are taken as independent along the rows of B, and the rest
+        is neglected.
         """
-        values, across, down = self._unscaled(survey).mean(0)
+        values, across, down = self._in_content_units(survey).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (limit / self.factor) ** 2 * values[:signals].sum()
         return 1 + next(
@@ -178,7 +205,7 @@ class Watch:
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:
-    """M, shape (L, L): d M d^T is the mosaic's mean square error where neighbouring pixels differ by d (L,)."""
+    """Return M, shape (L, L): d M d^T is the mosaic's mean square error for neighbours that differ by d (L,)."""
     wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(
         table.shape[1]
     )
@@ -188,14 +215,13 @@ def wrong_moments(response: Response, table, transfers) -> np.ndarray:
 
 
 def _rows(moments, content, count):
-    """Rows B (count, L) of most of positive moments M = H^T H, the largest eigenvalue that is left out, and the rest.
+    """Rows B (count, L) that hold most of positive moments M = H^T H, the largest eigenvalue left, and the rest.
 
-    The rest is of shape (L, entries), of coefficients.
-
-    The rows are those of most of what entries give, the columns of H E^T, E their spectra. What is left out of them,
-    H E^T - Q Q^T H E^T with Q the largest eigenvectors of their products, has a largest eigenvalue over all mixes of
-    entries. A sample of one entry, its spectrum e, differs by a e - b e' from its neighbour, so that twice the largest
-    square of a column bounds it, too.
+    The rest has the shape (L, entries), of coefficients. The rows hold most of the columns of H
+    E^T, E the spectra of the entries. The remainder, H E^T - Q Q^T H E^T with Q the largest
+    eigenvectors of their products, has a largest eigenvalue over all mixes of entries. A sample of
+    one entry with spectrum e differs from its neighbour by a e - b e', so twice the largest square
+    of a column is a bound, too.
     """
     variance, directions = np.linalg.eigh(moments)
     half = np.sqrt(np.maximum(variance, 0))[:, None] * directions.T

@@ -7,7 +7,7 @@ import numpy as np
 
 MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
-STEP = 0.25  # [pixel] of circle of confusion between the places where the picture may be cut
+STEP = 0.25  # [pixel] of circle of confusion between possible cuts of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +56,24 @@ class Edges:
         """Which of the pairs are edges."""
         return self.far - self.near > JUMP
 
-    def plain(self, light, power):
-        """Relative error where light is spread by depth alone, and divided by what even light would give.
+    def plain_error(self, light, power):
+        """Return the relative error of a blur by depth without occlusion, normalized by an even light's blur.
 
-        At an edge between even surfaces f before b the picture is E_f I_f + (1 - E_f) I_b, E the edge spread of a disc;
-        without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f - E_b). Besides, each point of the pupil sees other
-        parts of b than it should: the covariance of that with what b varies by.
+        At an edge between even surfaces f in front of b the picture is E_f I_f + (1 - E_f) I_b, E
+        the edge spread of a disc; without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f -
+        E_b). In addition each point of the pupil sees other parts of b than it should: the
+        covariance of this with the variation of b.
         """
         if not self.jumps.any():
             return 0.0
         return float(np.sqrt(self._plain().sum() / (power * light.size)))
 
-    def slopes(self, light, power):
-        """Relative error on surfaces that slope, where the kernel of the point that is seen stands for the pixel's.
+    def slope_error(self, light, power):
+        """Return the relative error on sloping surfaces, from using the visible point's kernel for the pixel.
 
-        A pixel sees the surface at y = x + r(y) u, u even in the pupil: in terms of y its kernel is that of the point
-        times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] = 1/4). Of gradients of a 1/f picture a
-        disc of radius r leaves about 0.75 / r.
+        A pixel sees the surface at y = x + r(y) u, u even in the pupil. In terms of y its kernel is
+        the point's kernel times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] =
+        1/4). A disc of radius r leaves about 0.75 / r of the gradients of a 1/f picture.
         """
         some = ~self.jumps
         moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
@@ -89,15 +90,15 @@ class Edges:
         step = (self.light_near - self.light_far)[some] ** 2
         return np.hypot(near, far) * (
             step * _edge("plain", near, far)
-            + self._hidden(near, far)
+            + self._hidden_error(near, far)
             + self._covariance(far) * _edge("differs", near, far)
         )
 
-    def _hidden(self, near, far):
-        """Squared error of what is hidden, if it is guessed from what is visible beside it.
+    def _hidden_error(self, near, far):
+        """Squared error of a hidden surface that is guessed from the visible picture next to it.
 
-        It errs as much as pixels a lag apart differ, half the sum of the radii; the far kernel averages that over its
-        chord, of which pieces a lag long are independent.
+        It is the difference of pixels a lag apart, half the sum of the radii. The far kernel
+        averages it over its chord, in which pieces of a lag's length are independent.
         """
         lag = (np.abs(near) + np.abs(far)) / 2
         guess = np.interp(lag, self.lags, self.variation) / (
@@ -105,22 +106,22 @@ class Edges:
         )
         return guess * _edge("hidden", near, far)
 
-    def given(self, light, power):
-        """Relative error of layers of which nothing has to be guessed: `_layered` without what is hidden."""
+    def given_error(self, light, power):
+        """Return the relative error of layers that hide nothing unknown: `_layered_error` without the hidden part."""
         near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
         left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
         return float(np.sqrt(left.sum() / (power * light.size)))
 
-    def _layered(self, some):
-        """Squared error of pairs in different layers: what is hidden is guessed, and the product is an approximation.
+    def _layered_error(self, some):
+        """Squared error of pairs in different layers: hidden surfaces are guessed, and the product is approximate.
 
-        The product of transmission and background is exact where one of the two is in focus; otherwise their covariance
-        over the pupil is left out.
+        The product of transmission and background is exact if one of the two is in focus; otherwise
+        their covariance over the pupil is left out.
         """
         near, far = self.near[some] / 2, self.far[some] / 2
-        jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
+        jump = (self.far - self.near)[some] > JUMP  # a slope hides only its neighbourhood
         return np.hypot(near, far) * (
-            np.where(jump, self._hidden(near, far), 0)
+            np.where(jump, self._hidden_error(near, far), 0)
             + self._covariance(far) * _edge("covariance", near, far)
         )
 
@@ -132,11 +133,12 @@ class Edges:
         """
         return 0.36 * 2 / 3 * np.interp(0.9 * np.abs(radius), self.lags, self.variation) / 2
 
-    def cuts(self, low, high, enough):
-        """Circles of confusion at which to cut into layers, increasing; the squared error left is below `enough`.
+    def choose_cuts(self, low, high, enough):
+        """Return circles of confusion at which to cut into layers, increasing, for a squared error below `enough`.
 
-        One by one, each where it removes the most: the error without layers of the edges that it cuts, less the error
-        with layers of these and of the surfaces that it cuts.
+        Cuts are made one by one, each at the place that removes the most: the error without layers
+        of the edges that it cuts, minus the error with layers of these and of the surfaces that it
+        cuts.
         """
         some = self.jumps
         if not some.any():
@@ -146,13 +148,13 @@ class Edges:
             np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far)
         )
         smooth = (first != last) & ~some
-        cost = _covering(first[smooth], last[smooth], self._layered(smooth), count)
-        plain, layered = self._plain(), self._layered(some)
+        cost = _best_cover(first[smooth], last[smooth], self._layered_error(smooth), count)
+        plain, layered = self._plain(), self._layered_error(some)
         first, last = first[some], last[some]
         cut = np.zeros(len(plain), bool)
         found: list[int] = []
         while len(found) < MOST_LAYERS - 1 and plain[~cut].sum() > enough:
-            gain = _covering(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
+            gain = _best_cover(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
             best = int(np.argmax(gain))
             if not gain[best] > 0:
                 break
@@ -164,11 +166,11 @@ class Edges:
             found.append(best)
         return low + STEP * np.sort(np.array(found, float))
 
-    def layered(self, cuts, light, power):
-        """Relative error where the picture is cut at `cuts`: of what is cut, and of the edges that are not."""
+    def layered_error(self, cuts, light, power):
+        """Return the relative error of a picture cut at `cuts`: at the cuts, and at the edges that stay whole."""
         apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
         left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
-        return float(np.sqrt((left + self._layered(apart).sum()) / (power * light.size)))
+        return float(np.sqrt((left + self._layered_error(apart).sum()) / (power * light.size)))
 
 
 def _variation(confusion, light, lag):
@@ -186,7 +188,7 @@ def _variation(confusion, light, lag):
     return total / max(count, 1)
 
 
-def _covering(first, last, values, count):
+def _best_cover(first, last, values, count):
     """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
     steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[
         :count
@@ -208,8 +210,9 @@ def _edge(what, near, far):
 def _edge_tables():
     """Integrals over t of squared errors for radii (cos, sin) of an angle: see `Edges`.
 
-    plain: of even surfaces. hidden: share of a pixel's light that is guessed. covariance: variance over the pupil of
-    what hides; differs: of where that is wrong when b's kernel is taken for f's.
+    plain: between even surfaces. hidden: share of a pixel's light that is guessed. covariance:
+    variance over the pupil of the occluder; differs: over the part of the pupil in which using b's
+    kernel for f's is wrong.
     """
     angles = np.linspace(0, np.pi, 257)
     t = (np.arange(4000) + 0.5) / 2000 - 1

@@ -1,14 +1,18 @@
 """Blur that varies over the field, as a sum of few convolutions: overlap-add of kernels, or eigen-kernels.
 
-A lens is a function `lens(places)` that gives the kernels at `places`, (row, column) of source pixels, shape (n, 2):
-float64 (n, planes, m, m), m odd, those of one plane with the same sum everywhere (one; or zero, for differences from a
-kernel that all places share). Both methods give the maps, kernels and tiles of the stage
-`optics.field`, and say what image error they leave, which is always computed from kernels they have not used.
+A lens is a function `lens(places)` that returns the kernels at `places`, (row, column) of source
+pixels, shape (n, 2): float64 (n, planes, m, m), m odd. The kernels of one plane have the same sum
+everywhere (one; or zero, for differences from a kernel that all places share). Both methods return
+the maps, kernels and tiles of the stage `optics.field`, and their image error, which is always
+computed from kernels they have not used.
 
-The error is that of the image of a natural scene, of amplitude spectrum 1/|f| and RMS contrast c over a window of m
-pixels: for a difference D of kernels c / sqrt(1 + c^2) sqrt(sum |D(f)|^2 W^2 / sum W^2), W = 1 / max(|f|, 1 / (2 m)),
-the sums without f = 0 (the mean is kept). It takes for granted that the field varies little within
-one kernel: true of frames of megapixels; a frame of 270 rows has up to four times this error where a centroid moves.
+The error is for the image of a natural scene, of amplitude spectrum 1/|f| and RMS contrast c over a
+window of m pixels: for a difference D of kernels c / sqrt(1 + c^2) sqrt(sum |D(f)|^2 W^2 / sum
+W^2), W = 1 / max(|f|, 1 / (2 m)), the sums without f = 0 (the mean is kept). It assumes that the
+field varies little within one kernel: true for frames of megapixels; a frame of 270 rows has up to
+four times this error if a centroid moves.
+
+`Differences` makes such a function of a lens: its kernels minus the kernels on the axis.
 """
 
 from collections.abc import Callable
@@ -20,10 +24,11 @@ import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.lengths import fft_length
+from gpusim.optics.lens import Lens, wavelength_nodes
 
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
-PROBES = 48  # places where a model is compared with the lens
+PROBES = 48  # places for the comparison of a model with the lens
 SPACING = 8  # [pixel] between them, at least
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
@@ -35,7 +40,9 @@ GRIDS = (
     (57, 97),
 )  # each holds the places of those before and of SAMPLES
 
-Lens = Callable[[np.ndarray], np.ndarray]
+Kernels = Callable[[np.ndarray], np.ndarray]
+WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
+SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +92,7 @@ class FieldBlur:
 
     @property
     def report(self) -> str:
-        """One line of what a user should know."""
+        """Line of the report."""
         return (
             f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
             f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
@@ -93,7 +100,7 @@ class FieldBlur:
         )
 
 
-def choose(lens: Lens, shape, tolerance: float, flat: "FlatField | None" = None) -> FieldBlur:
+def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = None) -> FieldBlur:
     """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does.
 
     flat: what flat fields look like, and how wrong that may be; None: that does not count.
@@ -110,25 +117,38 @@ def choose(lens: Lens, shape, tolerance: float, flat: "FlatField | None" = None)
             break
         blur = overlap_add(lens, shape, grid, truth=(probes, truth), flat=flat)
         candidates.append(blur)
-        # finer grids cost more: enough, or already dearer than what is good enough
+        # finer grids cost more: stop if this one is enough, or costs more than one that is
         if missed(blur) <= 1 or (missed(candidates[0]) <= 1 and blur.cost > candidates[0].cost):
             break
     good = [blur for blur in candidates if missed(blur) <= 1]
     return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=missed)
 
 
-def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None, flat=None) -> FieldBlur:
-    """Kernels on a grid of places, mixed for each source pixel by weights that sum to one.
+def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat=None) -> FieldBlur:
+    """Return kernels on a grid of places, mixed for each source pixel with weights that sum to one.
 
-    shape: (rows, cols) of the frame. grid: kernels along the rows and columns, corner to corner, each >= 2. truth:
-    (places, kernels) to take the error from. flat: see `choose`. window: how kernels go between the grid's places,
-      "bilinear"   4 terms, the cheapest at 1e-3; but where a kernel's centre of gravity moves with the field, its speed
-                   jumps from cell to cell, and a flat field has steps there: second differences of 2e-4 for a mild lens
-                   on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
-      "cosine"     4 terms, sin^2 instead of a ramp: steps of 2e-5 and 2e-4, twice the error;
-      "quadratic"  9 terms, B-splines through the kernels: steps below 1e-5, a seventh of the error; "cubic" has 16.
-    Source: Hirsch et al., CVPR 2010 (efficient filter flow), for the first two.
-    Raises BadData, OutOfRange, UnknownName.
+    window: interpolation of kernels between the grid's places:
+
+          "bilinear"   4 terms, the cheapest at 1e-3; but if a kernel's centre of gravity moves with the field, its
+                       speed jumps from cell to cell, and a flat field has steps there: second differences of 2e-4
+                       for a mild lens on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
+          "cosine"     4 terms, sin^2 instead of a ramp: steps of 2e-5 and 2e-4, twice the error;
+          "quadratic"  9 terms, B-splines through the kernels: steps below 1e-5, a seventh of the error;
+          "cubic"      16 terms.
+
+    Args:
+        lens: Kernels at places.
+        shape: (rows, cols) of the frame.
+        grid: Kernels along the rows and columns, corner to corner, each >= 2.
+        window: See above.
+        truth: (places, kernels) from which the error is computed.
+        flat: See `choose`.
+
+    Raises:
+        BadData, OutOfRange, UnknownName: The grid or the window is none of these.
+
+    Source:
+        Hirsch et al., CVPR 2010 (efficient filter flow), for the first two.
     """
     for size, count in zip(shape, grid, strict=True):
         if not 2 <= count <= max(size, 2):
@@ -190,7 +210,9 @@ def _window_maps(along_y, along_x):
 
 def _eigen_maps(nodes, vectors, shape):
     """Coefficients of the mean kernel, 1, and of those that `vectors` weight at the nodes."""
-    return np.concatenate([np.ones((1, *shape)), _between(nodes, vectors, *map(np.arange, shape))])
+    return np.concatenate(
+        [np.ones((1, *shape)), _interpolate(nodes, vectors, *map(np.arange, shape))]
+    )
 
 
 class _Window:
@@ -247,26 +269,38 @@ class _Window:
 
 
 def eigen_kernels(
-    lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None
+    lens: Kernels, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None
 ) -> FieldBlur:
-    """The mean kernel and the principal differences from it, as a natural scene weighs them.
+    """Return the mean kernel and the principal differences from it, weighted for a natural scene.
 
-    terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
-    and columns whose kernels are analysed. The mean takes part with coefficient one and the others sum to zero, so that
-    no light is lost at any number of terms. One set of coefficients serves all planes. flat: see `choose`.
-    Source: Lauer, Proc. SPIE 4847 (2002); the weight makes the truncation error that of an image, not of a kernel.
+    The mean has the coefficient one and the other kernels sum to zero, so no light is lost at any
+    number of terms. One set of coefficients serves all planes.
+
+    Args:
+        lens: Kernels at places.
+        shape: (rows, cols) of the frame.
+        terms: Convolutions in all; by default the fewest that keep `tolerance`, at most
+            MOST_TERMS.
+        tolerance: Relative RMS error.
+        samples: Places along rows and columns whose kernels are analysed.
+        truth: (places, kernels) from which the error is computed.
+        flat: See `choose`.
+
+    Source:
+        Lauer, Proc. SPIE 4847 (2002); with the weight the truncation error is an image's error,
+        not a kernel's.
     """
-    nodes, places = _sampled(shape, samples)
+    nodes, places = _sample_places(shape, samples)
     kernels = _kernels(lens, places)
     mean = kernels.mean(axis=0)
     differences = kernels - mean
-    spectra = _weighted(differences).reshape(len(places), -1)
+    spectra = _weigh(differences).reshape(len(places), -1)
     variances, vectors = np.linalg.eigh(spectra @ spectra.T)
     order = np.argsort(variances)[::-1][: MOST_TERMS - 1]
     # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
     vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
     probes, wanted = _truth(lens, shape, truth)
-    at_probes = _between(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
+    at_probes = _interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
     basis = np.einsum(
         "nk,npij->kpij", vectors, differences
     )  # U (U^T D): sums of differences, so their sums are zero
@@ -276,7 +310,7 @@ def eigen_kernels(
             mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted
         )
 
-    between = _between(nodes, vectors, *flat.axes) if flat else None
+    between = _interpolate(nodes, vectors, *flat.axes) if flat else None
 
     def flat_error(count):
         if flat is None:
@@ -316,7 +350,7 @@ def eigen_kernels(
     )
 
 
-def _sampled(shape, samples=SAMPLES):
+def _sample_places(shape, samples=SAMPLES):
     """Places along rows and columns whose kernels are analysed, and all of them, (n, 2)."""
     nodes = [
         np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
@@ -326,24 +360,28 @@ def _sampled(shape, samples=SAMPLES):
 
 
 class FlatField:
-    """What a lens makes of flat fields: the sum of its points, brighter where it moves them together.
+    """Flat fields through a lens: the sum of its points, brighter where the lens moves points together.
 
-    Kernels K(d; s) that sum to the same everywhere give a flat field of 1 the light sum_s K(x - s; s): their sum less
-    the divergence of their first moments, plus half of the second derivatives of their second moments. What a model
-    errs there is that of the moments that it misses.
+    Kernels K(d; s) that sum to the same everywhere give a flat field of 1 the light sum_s K(x - s;
+    s): their sum minus the divergence of their first moments, plus half of the second derivatives
+    of their second moments. The error of a model follows from the error of its moments.
 
-    lens, shape: see `choose`. levels: strength of each plane [1], of which `error` is relative to 1. tolerance: of it.
+    Args:
+        lens: See `choose`.
+        shape: See `choose`.
+        levels: Strength of each plane [1]; `error` is relative to 1.
+        tolerance: Of the error.
     """
 
-    def __init__(self, lens: Lens, shape, levels, tolerance: float):
-        nodes, places = _sampled(shape)
+    def __init__(self, lens: Kernels, shape, levels, tolerance: float):
+        nodes, places = _sample_places(shape)
         self.levels, self.tolerance = np.asarray(levels, np.float64), tolerance
         self.axes = [
             np.linspace(0, size - 1, min(4 * len(at), size))
             for size, at in zip(shape, nodes, strict=True)
         ]
         moments = _moments(_kernels(lens, places))
-        self.moments = _between(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
+        self.moments = _interpolate(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
             *moments.shape[1:], *map(len, self.axes)
         )
 
@@ -374,14 +412,15 @@ def _moments(kernels):
 
 
 def image_error(kernels, wanted) -> tuple[float, float]:
-    """Relative RMS error of a natural image blurred by `kernels` in place of `wanted`, both (n, planes, m, m).
+    """Return the relative RMS error of a natural image blurred with `kernels` instead of `wanted`.
 
-    Returns the root mean square over the n places, and the largest of them; planes count alike.
+    Both have the shape (n, planes, m, m). Returns the root mean square over the n places, and the
+    largest of them; planes have equal weights.
     """
-    wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
+    wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
     scene = np.square(
-        _weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])
-    ).sum()  # of a point: the weight alone
+        _weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])
+    ).sum()  # of a point: only the weight
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
 
@@ -399,7 +438,7 @@ def natural_difference() -> float:
     )
 
 
-def _weighted(kernels, size=0):
+def _weigh(kernels, size=0):
     """Half spectra times the amplitude spectrum of scenes, as real numbers whose squares sum to the whole's energy."""
     period = max(PERIOD, size, kernels.shape[-1])
     spectra = np.fft.rfft2(kernels, (period, period))
@@ -452,7 +491,7 @@ def _probes(shape):
     return np.floor(fractions * shape).astype(int)
 
 
-def _between(nodes, vectors, rows, cols, grid=True):
+def _interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = [len(node) for node in nodes]
     shape = (len(rows), len(cols)) if grid else (len(rows),)
@@ -478,3 +517,116 @@ def _cost(edges, reach, terms):
     tiles = np.prod([len(edge) - 1 for edge in edges])
     size = np.prod([float(fft_length(int(np.diff(edge).max()) + 2 * reach)) for edge in edges])
     return float(2.5 * tiles * (terms + 1) * size * np.log2(max(size, 2)))
+
+
+class Differences:
+    """Kernels of planes minus the kernels on the axis, as a function of places; they sum to 0 at all places.
+
+    So a point's energy is the same all over the field, and a flat field is the sum of its points:
+    brighter where a lens moves them together.
+
+    The part of a lens that reaches farthest, diffraction at its pupil's edge, is nearly the same
+    all over the field. The differences end earlier than the kernels, and a convolution of the whole
+    frame with the kernels on the axis gives the rest.
+
+    Args:
+        lens: The lens in front of the planes' samples.
+        wavelengths: [nm], shape (L,).
+        mix: Weight of each wavelength in each plane, shape (planes, L).
+        shape: (rows, cols) of the planes.
+        corner: Distance of the frame's corner from the middle [pixel].
+        error: Relative RMS of a natural image that the end of the kernels may cost.
+
+    Raises:
+        OutOfRange: No size of SIZES is enough.
+    """
+
+    def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error):
+        self.lens, self.shape, self.corner = lens, shape, corner
+        self.middle = (np.array(shape) - 1) / 2 + lens.axis
+        self.nodes, between = wavelength_nodes(wavelengths)
+        self.mix = mix @ between
+        self.size = self._enough(error)
+        self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
+        self._known: dict = {}
+
+    def __call__(self, places) -> np.ndarray:
+        """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
+        kernels = np.empty((len(places), len(self.mix), self.size, self.size))
+        for kernel, (y, x) in zip(
+            kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True
+        ):
+            if self.lens.symmetry.is_mirrored:  # the other quadrants are mirror images
+                kernel[:] = self._at(abs(y), abs(x))[
+                    :, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1
+                ]
+            else:
+                kernel[:] = self._at(y, x)
+        return kernels
+
+    def _at(self, y, x):
+        key = round(y, 9), round(x, 9)
+        if key not in self._known:
+            kernels = self.lens.kernels(self.nodes, (y, x), self.size)
+            self._known[key] = np.tensordot(
+                self.mix, self._whole(_with_zero_sum(kernels - self._axis), (y, x)), 1
+            )
+        return self._known[key]
+
+    def _whole(self, differences, place):
+        """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
+        if self.lens.tail is None:
+            return differences  # the kernels hold all light
+        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(
+            self.nodes, (0.0, 0.0)
+        )
+        at = np.arange(self.size) - self.size // 2
+        left = wanted - np.stack(
+            [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1
+        )
+        y, x = left.T[..., None, None] / (self.size * (at @ at))
+        return differences + y * at[:, None] + x * at
+
+    def _enough(self, error):
+        """Size of kernels beyond which the differences at the corners cost less than `error`."""
+        least = self.lens.least_size
+        corner = farthest_corner(self.shape, self.middle) / self.corner
+        shift = (
+            np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
+            * self.corner
+            * np.hypot(*corner)
+        )
+        if shift > WIDEST_SHIFT:
+            raise OutOfRange(
+                "optics.lateral_color",
+                f"{shift:.3g} pixels at the frame's corner",
+                f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
+            )
+        middle = [self.nodes[len(self.nodes) // 2]]
+        whole, axis = (
+            self.lens.kernels(middle, place, max(SIZES[-1], least))
+            for place in (corner, (0.0, 0.0))
+        )
+        for size in SIZES:
+            if size >= least:
+                cut = _with_zero_sum(whole - axis)[None]
+                inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
+                cut[..., inner, inner] = 0
+                if image_error(cut, np.zeros_like(cut))[0] <= error:
+                    return size
+        raise OutOfRange(
+            "field variation",
+            f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
+            "narrower ones; or a coarser pixel",
+        )
+
+
+def farthest_corner(shape, axis) -> np.ndarray:
+    """The corner of a frame of `shape` that lies farthest from `axis`, (row, column) [pixel], seen from there."""
+    last = np.array(shape) - 1.0
+    return np.where(axis <= last / 2, last - axis, -axis)
+
+
+def _with_zero_sum(differences):
+    """The same with sums of zero: light beyond the kernels, on the axis or elsewhere, is spread evenly."""
+    return differences - differences.mean(axis=(1, 2), keepdims=True)

@@ -1,12 +1,13 @@
-"""The joint spectral-optical operator: a few weighted planes in place of all wavelengths, and the error that costs.
+"""The joint spectral-optical operator: a few weighted planes in place of all wavelengths, and its error.
 
-A camera's channel is e_c(f) = sum over l of  a_cl(f) x_l(f),  a_cl = weights[c, l] O_l(f), with x the content's
-samples and O_l the transfer function of wavelength l. A rank-r operator transforms r planes z = W_in^T x instead and
-takes a_c(f) W_out z: what it gets wrong is a_c(f) (1 - W_out W_in^T) x(f). Columns of W are ordered, so that the first
-r of a larger operator are the operator of rank r.
+A camera's channel is e_c(f) = sum over l of  a_cl(f) x_l(f),  a_cl = weights[c, l] O_l(f), with x
+the content's samples and O_l the transfer function of wavelength l. A rank-r operator transforms r
+planes z = W_in^T x instead and takes a_c(f) W_out z. Its error is a_c(f) (1 - W_out W_in^T) x(f).
+Columns of W are ordered: the first r of a larger operator are the operator of rank r.
 
-Two ways to choose them. `joint_operator` is best for the spectra that a prior holds likely; `channel_operator` bounds
-the error of every spectrum, however narrow, at more planes per channel. Both give flat fields of any spectrum exactly.
+There are two ways to choose them. `joint_operator` is best for the likely spectra of a prior.
+`channel_operator` bounds the error of every spectrum, however narrow, with more planes per channel.
+Both give flat fields of any spectrum exactly.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
 MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
 DARKEST = 1e-30  # light below which there is none: no pixel of any camera gets one electron of it in a year
-ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of what 40 find
+ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of the result of 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +49,17 @@ class Response:
 
     @classmethod
     def of(cls, weights, tables, cfa) -> "Response":
-        """Response of channels with `weights` (C, L) behind the tables of a period n, n even.
+        """Return the response of channels with `weights` (C, L) behind the tables of a period n, n even.
 
-        tables: real quarters (L, n // 2 + 1, n // 2 + 1), complex halves (L, n, n // 2 + 1), or such of P places of
-        the field, (L, P, ...), each of which counts alike.
-        The power of content at f is taken as that of white differences between neighbours, 1 / (4 sin^2(pi fx) +
-        4 sin^2(pi fy)): edges at random places, whose amplitude falls as 1/f, as that of natural images does (Field,
-        JOSA A 4, 1987). cfa: channel of each pixel of one period of the mosaic.
+        The power of content at f is taken as the power of white differences between neighbours, 1 /
+        (4 sin^2(pi fx) + 4 sin^2(pi fy)): edges at random places, whose amplitude falls as 1/f like
+        natural images (Field, JOSA A 4, 1987).
+
+        Args:
+            weights: Electrons per content, shape (C, L).
+            tables: Real quarters (L, n // 2 + 1, n // 2 + 1), complex halves (L, n, n // 2 +
+                1), or either for P places of the field with equal weights, (L, P, ...).
+            cfa: Channel of each pixel of one period of the mosaic.
         """
         places = tables.shape[1] if tables.ndim == 4 else 1
         rows, cols = tables.shape[-2:]
@@ -82,7 +87,7 @@ class Response:
         )
 
     def channel(self, c) -> "Response":
-        """Channel c alone."""
+        """Return the response of channel c only."""
         return replace(self, weights=self.weights[[c]], flat=self.flat[[c]], share=np.ones(1))
 
     @cached_property
@@ -113,10 +118,12 @@ class Response:
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """What a scene's content holds, as second moments over its pixels.
+    """Second moments of a scene's content over its pixels.
 
-    values: E[x^T x] of the spectra, shape (L, L). differences: E[d^T d] summed over the differences d to the neighbour
-    below and the one to the right.
+    Attributes:
+        values: E[x^T x] of the spectra, shape (L, L).
+        differences: E[d^T d] summed over the differences d to the neighbour below and to the
+            right.
     """
 
     values: np.ndarray
@@ -131,9 +138,10 @@ class Spectra:
 
     @classmethod
     def of_pairs(cls, pairs: Content, weight: np.ndarray | None = None) -> "Spectra":
-        """Moments of pairs of neighbouring rows, one above the other.
+        """Return moments of pairs of neighbouring rows, one above the other.
 
-        Those of the entries, between which the spectra are. weight: of each pair, 1 in the mean, (n,); None: all alike.
+        They are computed from moments of the entries. weight: of each pair, 1 in the mean, (n,);
+        None: equal weights.
         """
         entries = pairs.entry_spectra
         weight = np.ones(pairs.shape[0] // 2) if weight is None else weight
@@ -195,10 +203,10 @@ def _labelled_moments(ids, shading, entries, weight):
 
 
 def in_range(values) -> tuple[np.ndarray, int]:
-    """Values over a power of two that makes the largest of them up to 1, and its exponent.
+    """Return values over a power of two that scales the largest to at most 1, and the exponent.
 
-    No bit is lost, and no square or sum of squares overflows: those of float32 end at 3e38, so those of light at 2e19.
-    Values that are all below DARKEST are no light: 0.
+    No bit is lost, and no square or sum of squares overflows: sums in float32 end at 3e38, so
+    squares limit light to 2e19. If all values are below DARKEST they count as dark: 0.
     """
     most = max(float(np.max(values, initial=0)), -float(np.min(values, initial=0)))
     if most < DARKEST:
@@ -230,23 +238,23 @@ class Operator:
 
     @property
     def ranks(self) -> range:
-        """Ranks that can be asked for: from one plane per channel to where more brings nothing."""
+        """Possible ranks: from one plane per channel up to the rank from which more planes bring nothing."""
         return range(len(self.response.weights), self.w_in.shape[1] + 1)
 
     def transfers(self, rank: int) -> np.ndarray:
         """Weight of O_l in the transfer function of plane k in channel c, shape (C, rank, L)."""
         return self.response.weights[:, None] * self.w_out[:, :rank].T
 
-    def predicted(self, rank: int, spectra: Spectra) -> float:
+    def predict_error(self, rank: int, spectra: Spectra) -> float:
         """Relative root mean square error of the mosaic's electrons for content with these moments."""
         return self.response.error(self.w_in[:, :rank].T, self.transfers(rank), spectra)
 
 
 def joint_operator(response: Response, prior) -> Operator:
-    """The operator of least expected error over a prior.
+    """Return the operator of least expected error over a prior.
 
-    prior: E[x^T x] of likely spectra, shape (L, L). Flat fields of any spectrum stay
-    exact because the channels' own responses span the first planes; the rest are eigenvectors of what those leave.
+    prior: E[x^T x] of likely spectra, shape (L, L). Flat fields of any spectrum stay exact because
+    the channels' own responses span the first planes. The rest are eigenvectors of the remainder.
     """
     bands = len(prior)
     if not np.trace(prior) > 0:  # of the dark
@@ -255,7 +263,7 @@ def joint_operator(response: Response, prior) -> Operator:
     variance, directions = np.linalg.eigh(ridged)
     half = directions * np.sqrt(variance)  # ridged = half half^T
     scale = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, ridged, response.flat))
-    scale = np.where(scale > 0, scale, 1)[:, None]  # every channel counts alike
+    scale = np.where(scale > 0, scale, 1)[:, None]  # channels have equal weights
     exact, _ = np.linalg.qr(half.T @ (response.flat / scale).T)
     scaled = response.weights / scale
     power = half.T @ (response.optical * (scaled.T @ scaled)) @ half
@@ -286,15 +294,16 @@ class ChannelOperator:
 
 
 def channel_operator(response: Response, planes: int) -> ChannelOperator:
-    """The operator of `planes` planes a channel.
+    """Return the operator of `planes` planes a channel.
 
-    Channel c has the share rho_cl = weights[c, l] / |weights[:, l]| of wavelength l. With emphases v_l, the singular
-    vectors U of rho_cl v_l O_l(f), the first of them what a flat field gives, make
+    Channel c has the share rho_cl = weights[c, l] / |weights[:, l]| of wavelength l. With emphases
+    v_l, the singular vectors U of rho_cl v_l O_l(f), the first of them the response to a flat
+    field, make
 
         O_l = sum_k (U_lk / rho_cl v_l) sum_m U_mk rho_cm v_m O_m:
 
-    where a channel sees little of a wavelength, its error counts little. The emphases grow where the error is large,
-    which turns the least mean error into nearly the least maximum (Lawson's algorithm).
+    if a channel sees little of a wavelength, its error counts little. The emphases grow with the
+    error, which turns the least mean error into nearly the least maximum (Lawson's algorithm).
     """
     weights, share = response.weights, response.share
     channels, bands = weights.shape

@@ -1,4 +1,4 @@
-"""Where each pixel looks: the inverse of a distortion on a coarse grid, and what the lens loses toward the corner."""
+"""Source places of pixels: the inverse of a distortion on a coarse grid, and the fall-off toward the corner."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,7 +18,7 @@ AIM, MOST_CELLS = (
 )  # error of places and fluxes that is small enough; cells along an axis for it, at most
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
-PARTS = 8  # of a frame along an axis, the worst of which has its largest errors
+PARTS = 8  # of a frame along an axis; its largest errors are in the worst part
 LEAST_LOBES = 4.5  # of brightest over darkest of 4 x 4 samples: cubics stay above 0 below it (81 / 18 at the middle)
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
@@ -27,14 +27,18 @@ RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling al
 class DistortionGrid:
     """The inverse mapping of a frame, for the stage `optics.distort`.
 
-    nodes: shape (ny, nx, 3): what to add to a pixel's (row, column) index for its place among the source samples, and
-        the flux factor, ideal area over distorted area. The nodes divide the frame evenly, the outermost lie on its
-        edges; the stage interpolates with cubic Lagrange polynomials.
-    error: largest distance [source sample] and relative error of the flux factor of that interpolation, measured
-        between the nodes. typical: root mean squares of the same.
-    ratio: smallest and largest source samples per pixel along any direction, beyond `RATIO_TO_REPORT` of which only
-        area weighting does not alias. reach: source samples beyond the edge of the source frame that the frame sees (0
-        where the source is large enough).
+    Attributes:
+        nodes: Offsets to add to a pixel's (row, column) index for its place among the source
+            samples, and the flux factor, ideal area over distorted area, shape (ny, nx, 3). The
+            nodes divide the frame evenly, the outermost lie on its edges; the stage
+            interpolates with cubic Lagrange polynomials.
+        error: Largest distance [source sample] and relative error of the flux factor of that
+            interpolation, measured between the nodes.
+        typical: Root mean squares of the same.
+        ratio: Smallest and largest source samples per pixel along any direction. Beyond
+            `RATIO_TO_REPORT` only area weighting does not alias.
+        reach: Source samples beyond the edge of the source frame that the frame sees; 0 if the
+            source is large enough.
     """
 
     nodes: np.ndarray
@@ -45,12 +49,12 @@ class DistortionGrid:
 
     @property
     def method(self) -> str:
-        """Of `optics.distort`: "cubic", or "area" where a pixel has more than `RATIO_TO_REPORT` samples."""
+        """Method of `optics.distort`: "cubic", or "area" if a pixel has more than `RATIO_TO_REPORT` samples."""
         return "area" if self.ratio[1] > RATIO_TO_REPORT else "cubic"
 
     @property
     def report(self) -> str:
-        """One line of what a user should know."""
+        """Line of the report."""
         line = (
             f"{self.ratio[0]:.3g} .. {self.ratio[1]:.3g} source samples per pixel, position to {self.error[0]:.1e} "
             f"of a sample, flux to {self.error[1]:.1e}"
@@ -127,10 +131,16 @@ def distortion_grid(
 def view_nodes(
     view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float
 ) -> np.ndarray:
-    """Nodes, as of a DistortionGrid, of a view of what the lens shows, (ny, nx, 3).
+    """Return nodes, as of a DistortionGrid, of a view of the lens's picture, (ny, nx, 3).
 
-    distortion: the lens's, None: as a pinhole. shape, source_shape: of the result and of the source [sample]. ratio:
-    samples per pixel. An affine map of cubic interpolants is that of their nodes: it adds no error.
+    An affine map of cubic interpolants is the interpolant of the mapped nodes, so it adds no error.
+
+    Args:
+        view: The view.
+        distortion: The lens's; None: a pinhole.
+        shape: Of the result [sample].
+        source_shape: Of the source [sample].
+        ratio: Samples per pixel.
     """
     if distortion is None:
         nodes = np.zeros((4, 4, 3))
@@ -141,7 +151,7 @@ def view_nodes(
         np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)
     ]
     own, its = ((np.array(one) - 1) / 2 for one in (shape, source_shape))
-    middle = its if distortion is not None else own  # of what the nodes so far tell
+    middle = its if distortion is not None else own  # from the nodes so far
     y, x = (nodes[..., axis] + place - middle[axis] for axis, place in enumerate(np.ix_(*edges)))
     y, x = view.place(y, x, ratio)
     nodes[..., 0], nodes[..., 1] = y + its[0] - edges[0][:, None], x + its[1] - edges[1]
@@ -151,11 +161,21 @@ def view_nodes(
 def interpolation_error(
     fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | None = None, width: float | None = None
 ) -> np.ndarray:
-    """Mean square error of waves that `optics.distort` interpolates, relative to the waves, (frequencies, frequencies).
+    """Return the mean square error of waves that `optics.distort` interpolates, relative to the waves.
 
-    fy, fx: frequencies along rows and columns [cycle/sample]. phases: share of the places that lie so far between
-    samples, see `place_phases`; None: all places alike. width: of the area that method "area" integrates [sample];
-    None: the method "cubic". Source: Keys 1981, see `optics.distort`.
+    Args:
+        fy: Frequencies along rows [cycle/sample].
+        fx: Frequencies along columns [cycle/sample].
+        phases: Share of the places at each offset between samples, see `place_phases`; None:
+            equal shares.
+        width: Side of the area that method "area" integrates [sample]; None: the method
+            "cubic".
+
+    Returns:
+        Errors, shape (frequencies, frequencies).
+
+    Source:
+        Keys 1981, see `optics.distort`.
     """
     phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
@@ -311,7 +331,7 @@ def relative_illumination(
         gain = np.interp(h, heights, values) / values[0]
     else:
         gain = np.polynomial.polynomial.polyval(h, (1.0, *model))
-    return _checked("relative illumination", gain)
+    return _check_gain("relative illumination", gain)
 
 
 def microlens_gain(
@@ -359,7 +379,7 @@ def _heights(shape, displacement):
     return np.hypot(y[:, None], x)
 
 
-def _checked(what, gain):
+def _check_gain(what, gain):
     if not (np.isfinite(gain).all() and gain.min() >= 0):
         worst = np.unravel_index(np.argmin(gain), gain.shape)
         raise OutOfRange(

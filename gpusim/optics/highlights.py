@@ -1,10 +1,11 @@
 """Highlights: pixels so bright that a float32 transform would drown the dark around them; each is added exactly.
 
-A float32 transform errs everywhere by 2.5e-7 of the field's root mean square: beside one pixel 1e9 times as bright as
-the rest that is up to 68 % of the rest. So a pixel above THRESHOLD times the median stays in the planes at the median,
-and what it has more is a point light of its own spectrum, whose kernel is summed in the image itself, not by
-transforms. It never wraps around. The border's rule holds for it too: where it is mirrored so are its mirror images,
-and what would go on as a line of light, a pixel at the edge of a picture whose edge goes on, is not split.
+A float32 transform has an error of 2.5e-7 of the field's root mean square everywhere: next to one
+pixel 1e9 times as bright as the rest this is up to 68 % of the rest. So a pixel above THRESHOLD
+times the median stays in the planes at the median, and its excess becomes a point light with its
+own spectrum, whose kernel is summed in the image itself, without transforms. It never wraps around.
+The border's rule holds for it too: a mirrored border mirrors it. A pixel at the edge of a picture
+whose edge continues would become a line of light, and is not split.
 """
 
 from dataclasses import dataclass
@@ -15,10 +16,10 @@ from scipy.special import j1
 from gpusim.domain.content import Content
 
 THRESHOLD = 100.0  # times the median
-MOST = 64  # points; what is beyond them stays in the planes, and its error is reported
+MOST = 64  # points; others stay in the planes, and their error is reported
 MOST_IMAGES = 1024  # of all points and their mirror images
 TRANSFORM_ERROR = 2.5e-7  # of a float32 transform, over the field's root mean square
-NEGLIGIBLE = 1e-6  # of the median: where a point adds less, it is not added
+NEGLIGIBLE = 1e-6  # of the median: smaller contributions of a point are left out
 CORE = 32  # [pixel] kernels are tabled pixel by pixel up to here, by radius beyond
 PER_RING = 64  # samples of a radial table to a diffraction ring
 
@@ -43,7 +44,7 @@ class Highlights:
 
 
 def unsplit_error(brightness) -> float:
-    """Local error, over the median, beside highlights that stay in the planes; 0 without highlights."""
+    """Return the local error, over the median, next to highlights that stay in the planes; 0 without highlights."""
     median = median_of(brightness)
     if not 0 < THRESHOLD * median < brightness.max():
         return 0.0
@@ -51,7 +52,7 @@ def unsplit_error(brightness) -> float:
 
 
 def median_of(brightness) -> float:
-    """The median; that of what is lit where more than MOST pixels are and the rest is dark."""
+    """Return the median; if more than MOST pixels are lit and the rest is dark, the median of the lit ones."""
     step = max(1, int(np.sqrt(brightness.size / 2**16)))
     median = float(np.median(brightness[::step, ::step]))
     if median > 0 or np.count_nonzero(brightness > 0) <= MOST:
@@ -60,10 +61,15 @@ def median_of(brightness) -> float:
 
 
 def split_highlights(content: Content, brightness, q: float, margin: int, border: str):
-    """Content without its highlights, and these (None where none can be split off).
+    """Return the content without its highlights, and the highlights (None if none can be split off).
 
-    brightness: of the content, see `Content.brightness`; without the highlights on return. q: largest wavelength times
-    f-number over pitch. margin: of the scene around the frame [pixel]. border: "zero", "edge" or "reflect".
+    Args:
+        content: The content.
+        brightness: Of the content, see `Content.brightness`; written to: without the highlights
+            on return.
+        q: Largest wavelength times f-number over pitch.
+        margin: Of the scene around the frame [pixel].
+        border: "zero", "edge" or "reflect".
     """
     median = median_of(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
@@ -89,7 +95,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     spectra, light, strength = content.points(rows, cols)
     planes = content.planes.astype(
         np.promote_types(content.planes.dtype, np.float32)
-    )  # a copy; what is left is exact
+    )  # a copy; the rest is exact
     rest = content.with_planes(planes)
     stored = planes[..., rows, cols].astype(np.float64)
     planes[..., rows, cols] *= keep
@@ -117,7 +123,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
             q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size
         )
         for axis, n in enumerate(shape):
-            places, image = _mirrored(places, image, axis, n, reach)
+            places, image = _mirror(places, image, axis, n, reach)
     return rest, Highlights(
         places - margin,
         light[image].astype(np.int32),
@@ -129,7 +135,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     )
 
 
-def _mirrored(places, image, axis, n, reach):
+def _mirror(places, image, axis, n, reach):
     """Places with all mirror images along an axis of n pixels that reach into the frame, and which point each is of."""
     parts = []
     for turn in range(-(max(reach) // n) - 1, max(reach) // n + 2):  # a frame's width each
@@ -165,10 +171,11 @@ class PointKernels:
 
 
 def point_kernels(q, aperture: float, reach: int) -> PointKernels:
-    """Kernels up to `reach` pixels for wavelengths of `q` (lambda N / pitch); aperture: width of a pixel's [pixel].
+    """Return kernels up to `reach` pixels for wavelengths of `q` (lambda N / pitch).
 
-    A ring pattern of period q averaged over a small square depends little on the square's direction: for squares of
-    half a ring by +- 1 %. So a pixel is cut into `parts` per side, each replaced by its mean over directions.
+    aperture: width of a pixel's aperture [pixel]. A ring pattern of period q averaged over a small
+    square depends little on the square's direction: by +- 1 % for squares of half a ring. So a
+    pixel is cut into `parts` per side, each replaced by its mean over directions.
     """
     q = np.asarray(q, np.float64)
     order = int(np.ceil(6 + 3 * aperture / q.min()))

@@ -1,15 +1,17 @@
-"""The far field of a lens: Gaussians, each wider than the one before, that together fall as its tail does.
+"""The far field of a lens: Gaussians of increasing widths whose sum falls like its tail.
 
-Far from a point its light falls as t_3 r^-3 + t_5 r^-5 + t_7 r^-7, whatever the wavefront (see `tail`). With
+Far from a point its light falls as t_3 r^-3 + t_5 r^-5 + t_7 r^-7, whatever the wavefront (see
+`tail`). With
 
     r^-p = 2^(1 - p/2) / Gamma(p/2)  integral of  sigma^-p exp(-r^2 / 2 sigma^2)  d ln sigma,
 
-trapezoids at sigma_g = sigma_0 ratio^g make of such a tail Gaussians of the energies
+trapezoids at sigma_g = sigma_0 ratio^g turn such a tail into Gaussians of the energies
 
     w_g = sum over p of  t_p  2^(1 - p/2) / Gamma(p/2)  ln(ratio)  2 pi sigma_g^(2 - p),
 
-whose transfer function is a sum of exp(-2 pi^2 sigma_g^2 f^2). What a lens has more than that ends a few sigma_0 from
-the point: a blur of so much of the surroundings, and Gaussians over a world without end, are the lens's in that world.
+whose transfer function is a sum of exp(-2 pi^2 sigma_g^2 f^2). The rest of the lens ends a few
+sigma_0 from the point. A blur of so much of the surroundings, plus Gaussians over an endless world,
+is the lens in that world.
 """
 
 from math import gamma, log, pi
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyvander
 
 from gpusim.domain.optics import Optics
-from gpusim.optics.lens import tail_of
+from gpusim.domain.pupil import Pupil
 
 RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
 LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
@@ -29,13 +31,16 @@ LIMITS = {
     "edge": 1,
     "zero": 2,
     "reflect": np.inf,
-}  # powers of sigma by which a Gaussian comes to its limit
+}  # powers of sigma with which a Gaussian approaches its limit
 
 
 def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:
-    """Standard deviations [sample], the last of them infinite, of what is left out within `reach`.
+    """Return standard deviations [sample], the last of them infinite, for the light left out within `reach`.
 
-    longest: side of the world that a transform repeats [sample]. ratio: of neighbours' widths.
+    Args:
+        reach: Samples around the frame that take part in the blur.
+        longest: Side of the world that a transform repeats [sample].
+        ratio: Of neighbours' widths.
     """
     first = max(ratio * reach / REACH, LEAST)
     count = max(int(np.ceil(log(WIDEST * longest / first) / log(ratio))), 1) + 1
@@ -43,10 +48,13 @@ def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:
 
 
 def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
-    """Energies of Gaussians, shape (..., G), of tails, shape (..., 3); sigmas: as `gaussians` gives them.
+    """Return energies of Gaussians, shape (..., G), of tails, shape (..., 3).
 
-    border: the world's rule, by which what lies between the last Gaussian and infinity is shared out; None: all of it
-    to the infinite one, as in a transfer function.
+    Args:
+        sigmas: See `gaussians`.
+        tails: See `tail`.
+        border: Rule of the world, which shares out the light between the last Gaussian and
+            infinity; None: all of it goes to the infinite Gaussian, as in a transfer function.
     """
     finite, ratio = sigmas[:-1], sigmas[1] / sigmas[0]
     each = np.stack(
@@ -69,24 +77,37 @@ def _sum(ratio, power):
     return 1 / (ratio**power - 1)
 
 
-def tail(optics: Optics, q, waves, aperture) -> np.ndarray:
-    """t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
+def edge_tail(pupil: Pupil) -> float:
+    """Return the energy per square sample times r^3 / q that a pupil's edges spread far from a point."""
+    edges = pupil.outline + 2 * np.pi * pupil.obscuration
+    return float(edges / (np.pi * pupil.area) / (2 * np.pi**3))
 
-    q: wavelength times f-number in samples, shape (L,). waves: wavefronts of the wavelengths, as `Optics.waves` gives
-    them. aperture: height and width over which a sample integrates, and of what else spreads the light a little,
-    as the variance along both axes [sample^2] (see `variance`).
 
-    t_3 is q times `tail_of`. Each point of the pupil's rim spreads its light about the place where its ray lands, b
-    from the image: the tail is t_3 (r^2 + b^2) / (r (r^2 - b^2)^2) = t_3 (r^-3 + 3 b^2 r^-5 + 5 b^4 r^-7 + ...). A
-    blur by a variance v along an axis adds v / 4 of the Laplacian's mean, 9 r^-5.
+def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
+    """Return t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
+
+    t_3 is q times `edge_tail`. Each point of the pupil's rim spreads its light about the place
+    where its ray lands, b from the image: the tail is t_3 (r^2 + b^2) / (r (r^2 - b^2)^2) = t_3
+    (r^-3 + 3 b^2 r^-5 + 5 b^4 r^-7 + ...). A blur with variance v along an axis adds v / 4 of the
+    Laplacian's mean, 9 r^-5.
+
+    Args:
+        pupil: The pupil.
+        q: Wavelength times f-number over the distance of samples, shape (L,).
+        waves: Wavefronts of the wavelengths, see `Optics.waves`.
+        aperture: Variances along both axes of everything that spreads light a little
+            [sample^2], see `variance`.
     """
-    q, rims = np.asarray(q, np.float64), _rims(optics)
-    cusp = tail_of(optics) * q
+    q, inner = np.asarray(q, np.float64), pupil.obscuration
+    cusp = edge_tail(pupil) * q
+    rims = (1.0, inner) if inner else (1.0,)  # radii; their lengths weigh them
     squares = np.tensordot(
-        [_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0)
+        [_squares(waves, q, rim) for rim in rims], [rim / (1 + inner) for rim in rims], (0, 0)
     )
     spread = 9 / 4 * sum(aperture)
-    third = 9 / (16 * pi**4) * _third(optics) * q**3
+    # factor of |s|^3 in the transfer function of a round pupil in focus
+    cubic = 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
+    third = 9 / (16 * pi**4) * cubic * q**3
     return np.stack(
         [cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1
     )
@@ -102,18 +123,6 @@ def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
         for side, spots in zip(aperture, optics.birefringence, strict=True)
     )
     return first, second
-
-
-def _rims(optics):
-    """Radii of the pupil's rims, and the part that each has of their lengths."""
-    inner = optics.pupil.obscuration
-    return [(1.0, 1 / (1 + inner)), *([(inner, inner / (1 + inner))] if inner else [])]
-
-
-def _third(optics):
-    """Factor of |s|^3 in the transfer function of a round pupil in focus."""
-    inner = optics.pupil.obscuration
-    return 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
 
 
 def _squares(waves, q, radius):

@@ -1,17 +1,26 @@
-"""Kernels of a lens anywhere in the field: pixel-integrated point spreads, from its pupil or from measurements.
+"""Lenses: how each kind spreads a point's light, anywhere in the field, in front of a grid of samples.
+
+`open_lens` makes the object for the settings of a camera's optics. Everything else calls its methods (`Lens`) and does
+not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MeasuredLens` has point spreads that were
+measured or traced by a ray tracer, and `PointLens` does not blur.
 
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
 
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
-from gpusim.optics.psf import psf_tables
+from gpusim.optics import ladder
+from gpusim.optics.otf import transfer
+from gpusim.optics.psf import psf_tables, spread_at
 
 # Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
 QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
@@ -20,13 +29,270 @@ CELLS = 128  # along the pupil, for mean slopes of the wavefront
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
-@dataclass(frozen=True, eq=False)
-class PupilLens:
-    """Point spreads of a pupil and its wavefronts.
+@dataclass(frozen=True)
+class Symmetry:
+    """Symmetries of a lens's blur.
 
-    optics: the lens. pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch.
-    corner: distance of the frame's corner from the axis [pixel], for lateral colour. displacement: of the apertures'
-    middles from the points, (rows, cols) [pixel].
+    Attributes:
+        is_round: On the axis the blur is the same at every angle.
+        is_mirrored: The blur at a field point is the mirror image of the blur on the other side of the axis.
+    """
+
+    is_round: bool
+    is_mirrored: bool
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Decay of a point's light far from it, as r^-3.
+
+    Attributes:
+        strength: Energy per square sample times r^3 / q, q = wavelength x f-number / distance of samples.
+        lines: Directions [rad], from x towards y, of lines through the point along which straight edges of the pupil
+            throw light; empty for round pupils.
+        line_share: Part of the strength that goes along the lines, 0 .. 1.
+    """
+
+    strength: float
+    lines: tuple[float, ...] = ()
+    line_share: float = 0.0
+
+
+class Stages(Protocol):
+    """Makes transfer tables, on a device or on the host, from the description that a lens gives.
+
+    Attributes:
+        whole: Whether frames are blurred with the tables. If so, spreads that do not fit into
+            the period are refused.
+    """
+
+    whole: bool
+
+    def airy(self, q, aperture, rows: int, cols: int) -> Any:
+        """Return tables of a clear circular pupil in focus: see the stage `optics.airy`."""
+
+    def pupil(
+        self, outline, waves, q, aperture, rows: int, cols: int, spots, diffuser, displacement
+    ) -> Any:
+        """Return tables of any pupil: see the stage `optics.pupil`."""
+
+    def given(self, tables: np.ndarray) -> Any:
+        """Return tables that are already computed."""
+
+
+class Lens(Protocol):
+    """A lens in front of a grid of samples."""
+
+    @property
+    def optics(self) -> Optics:
+        """The camera's settings."""
+        ...
+
+    @property
+    def pitch(self) -> float:
+        """Distance of the samples [m]."""
+        ...
+
+    @property
+    def aperture(self) -> tuple[float, float]:
+        """Height and width over which each sample is integrated [sample]."""
+        ...
+
+    @property
+    def displacement(self) -> tuple[float, float]:
+        """Displacement of the apertures from the samples, (rows, cols) [sample]."""
+        ...
+
+    @property
+    def axis(self) -> tuple[float, float]:
+        """Where the optical axis meets the frame, from the frame's middle, (rows, cols) [sample]."""
+        ...
+
+    @property
+    def least_size(self) -> int:
+        """Least side of kernels that hold a point's spread [sample]."""
+        ...
+
+    @property
+    def wavelengths(self) -> tuple[float, float]:
+        """Shortest and longest wavelength for which the blur is known [nm]."""
+        ...
+
+    @property
+    def is_pointlike(self) -> bool:
+        """Whether the lens does not blur."""
+        ...
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether the blur is the same all over the field."""
+        ...
+
+    @property
+    def is_airy(self) -> bool:
+        """Whether on the axis nothing blurs but diffraction at a clear circular pupil."""
+        ...
+
+    @property
+    def is_adjustable(self) -> bool:
+        """Whether f-number and focus may be changed."""
+        ...
+
+    @property
+    def fixed_distance(self) -> str:
+        """Why the blur does not follow the distance of objects, in words; "" if it does."""
+        ...
+
+    @property
+    def symmetry(self) -> Symmetry:
+        """Symmetries of the blur."""
+        ...
+
+    @property
+    def tail(self) -> Tail | None:
+        """Decay of light far from a point; None if the kernels hold all of it."""
+        ...
+
+    @property
+    def words(self) -> str:
+        """Description of the blur; for a lens that does not blur, the effects it leaves out."""
+        ...
+
+    def kernels(self, wavelengths, place, size: int, distance: float | None = None) -> np.ndarray:
+        """Return the energy of every pixel around a point's image.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            place: Field point (y, x).
+            size: Side of the kernels [sample], odd.
+            distance: Distance of the object [m]; None: the plane in focus.
+
+        Returns:
+            Kernels, float64 (L, size, size), of energy 1 in all the image.
+        """
+        ...
+
+    def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
+        """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
+        ...
+
+    def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
+        """Return the optical transfer function around a point's image, without the pixels, complex (L, F).
+
+        Lateral colour, which moves the image as a whole, is left out.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            fy: Frequencies down [cycle/m], shape (F,).
+            fx: Frequencies across [cycle/m], shape (F,).
+            place: Field point (y, x).
+            distance: Distance of the object [m]; None: the plane in focus.
+        """
+        ...
+
+    def tables(self, q, rows: int, cols: int, stages: Stages, distance: float | None = None):
+        """Return transfer tables on the axis at all frequencies of a period, integrated over the samples.
+
+        Args:
+            q: Wavelength times working f-number over the pitch, shape (L,).
+            rows: Rows of the transform's period.
+            cols: Columns of the transform's period.
+            stages: Makes the tables.
+            distance: Distance of the object [m]; None: the plane in focus.
+
+        Returns:
+            Real quarters (L, rows // 2 + 1, cols // 2 + 1) if the blur is round and the apertures are not displaced,
+            else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
+        """
+        ...
+
+    def tails(self, wavelengths) -> np.ndarray:
+        """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.ladder.tail`."""
+        ...
+
+    def spread(self, wavelengths, height: float = 0.0, distance: float | None = None) -> float:
+        """Return the radius within which the rays of a point meet the image, or its spread ends [sample].
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            height: Field height, 0 on the axis, 1 in the corner.
+            distance: Distance of the object [m]; None: the plane in focus.
+        """
+        ...
+
+    def cutoff(self, wavelength: float) -> float:
+        """Return the frequency beyond which nothing is transferred at `wavelength` [nm], [cycle/m]."""
+        ...
+
+    def sampled_spread(self, wavelengths, place, reach: float, count: int):
+        """Return a picture of the point spread without the pixels, and the distance of its samples [m].
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            place: Field point (y, x). Lateral colour is left out.
+            reach: Half of the picture's side [m]; measured spreads have their own.
+            count: Samples along a side, odd; measured spreads have their own.
+
+        Returns:
+            Energies (L, rows, cols) and the distance of their samples [m].
+        """
+        ...
+
+    def describe(self, by_depth: bool) -> tuple[str, str]:
+        """Return the stage that makes the tables, and the blur in words.
+
+        by_depth: if it follows the distance.
+        """
+        ...
+
+
+class _OnGrid:
+    """Common to all lenses."""
+
+    optics: Optics
+    pitch: float
+
+    is_pointlike = False
+    is_adjustable = True
+
+    @property
+    def is_uniform(self) -> bool:
+        """See `Lens`."""
+        return not self.optics.varies
+
+    @property
+    def words(self) -> str:
+        """See `Lens`."""
+        return self.optics.description
+
+    def tails(self, wavelengths) -> np.ndarray:
+        """See `Lens`."""
+        return np.zeros((len(wavelengths), len(ladder.POWERS)))
+
+    def cutoff(self, wavelength) -> float:
+        """See `Lens`."""
+        return np.inf
+
+    def describe(self, by_depth) -> tuple[str, str]:
+        """See `Lens`."""
+        return "optics.pupil", self.words
+
+    def nanometres(self, q) -> np.ndarray:
+        """Return the wavelengths [nm] of q, shape (L,)."""
+        return q * self.pitch / self.optics.working_f_number * 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class PupilLens(_OnGrid):
+    """A lens that diffracts at its pupil (circle, polygon or ring), with wavefronts (defocus, Zernike, Seidel).
+
+    Args:
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        aperture: Height and width over which each sample is integrated [sample].
+        corner: Distance of the frame's corner from the axis [sample], for lateral colour.
+        displacement: Displacement of the apertures' middles from the samples, (rows, cols) [sample].
+        axis: Where the optical axis meets the frame, from its middle, (rows, cols) [sample].
     """
 
     optics: Optics
@@ -34,18 +300,116 @@ class PupilLens:
     aperture: tuple[float, float]
     corner: float
     displacement: tuple[float, float] = (0.0, 0.0)
-    least_size = 1
+    axis: tuple[float, float] = (0.0, 0.0)
 
-    def kernels(self, wavelengths, place, size) -> np.ndarray:
-        """Energy of every pixel around a point at `place`, float64 (L, size, size), size odd, of 1 in all the image.
+    least_size = 1
+    wavelengths = (0.0, np.inf)
+
+    @property
+    def is_airy(self) -> bool:
+        """See `Lens`."""
+        return self.optics.is_ideal
+
+    @property
+    def fixed_distance(self) -> str:
+        """See `Lens`."""
+        return "the blur varies over the field" if self.optics.varies else ""
+
+    @cached_property
+    def symmetry(self) -> Symmetry:
+        """See `Lens`."""
+        return Symmetry(
+            self.optics.is_symmetric, self.optics.has_mirror and not any(self.displacement)
+        )
+
+    @cached_property
+    def tail(self) -> Tail:
+        """See `Lens`."""
+        pupil = self.optics.pupil
+        share = float(pupil.outline / (pupil.outline + 2 * np.pi * pupil.obscuration))
+        lines = tuple(pupil.sides.tolist())
+        return Tail(ladder.edge_tail(pupil), lines, share if lines else 0.0)
+
+    def tails(self, wavelengths) -> np.ndarray:
+        """See `Lens`."""
+        spread = ladder.variance(self.optics, self.pitch, self.aperture)
+        waves = self.optics.waves(wavelengths)
+        return ladder.tail(self.optics.pupil, self._q(wavelengths), waves, spread)
+
+    def spread(self, wavelengths, height=0.0, distance=None) -> float:
+        """See `Lens`."""
+        waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
+        for q, wave in zip(self._q(wavelengths), waves, strict=True):
+            if wave.any():
+                radius = max(radius, 2 * q * _steepest(wave))
+        return radius
+
+    def cutoff(self, wavelength) -> float:
+        """See `Lens`."""
+        return 1 / (wavelength * 1e-9 * self.optics.working_f_number)
+
+    def describe(self, by_depth) -> tuple[str, str]:
+        """See `Lens`."""
+        if self.is_airy and not by_depth and not any(self.displacement):
+            return "optics.airy", "diffraction-limited circular pupil"
+        return "optics.pupil", self.words
+
+    def tables(self, q, rows, cols, stages, distance=None):
+        """See `Lens`."""
+        optics = self.optics
+        if self.is_airy and distance is None and not any(self.displacement):
+            return stages.airy(q, self.aperture, rows, cols)
+        return stages.pupil(
+            optics.pupil,
+            optics.waves(self.nanometres(q), distance=distance),
+            q,
+            self.aperture,
+            rows,
+            cols,
+            spots=tuple(length / self.pitch for length in optics.birefringence),
+            diffuser=optics.diffuser / self.pitch,
+            displacement=self.displacement,
+        )
+
+    def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
+        """See `Lens`."""
+        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        optics = self.optics
+        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
+        cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
+        found = np.stack(
+            [
+                transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
+                for wave, one in zip(waves, cut, strict=True)
+            ]
+        )
+        down, across = optics.birefringence
+        return found * (
+            np.cos(np.pi * down * fy)
+            * np.cos(np.pi * across * fx)
+            * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2))
+        )
+
+    def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
+        """See `Lens`."""
+        step = 2 * reach / count
+        alone = PupilLens(replace(self.optics, lateral_color=0.0), step, (1.0, 1.0), 0.0)
+        return alone.kernels(wavelengths, place, count), step
+
+    def _q(self, wavelengths):
+        """Wavelength times working f-number over the pitch, shape (L,)."""
+        return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
+
+    def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
+        """See `Lens`.
 
         The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
         Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
-        gaps, or lie on each other, share the light as if they tiled the image.
+        gaps, or overlap, share the light as if they tiled the image.
         """
         optics, (y, x) = self.optics, place
         wavelengths = np.asarray(wavelengths, np.float64)
-        waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
+        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
         colour = (
             optics.lateral_color_at(wavelengths) * self.corner
         )  # shift per unit of field height [pixel]
@@ -64,15 +428,12 @@ class PupilLens:
                 kernel[:] = np.fft.ifft2(spectrum).real
         return out
 
-    def centroids(self, wavelengths, place) -> np.ndarray:
-        """Middle of all light of a point, from its place, (L, 2) (rows, cols) [pixel]: that of the rays.
-
-        Kernels that end have less of it: light far from a point moves, too. A ray meets the image at -2 q grad W.
-        """
+    def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
         optics, (y, x) = self.optics, place
         wavelengths = np.asarray(wavelengths, np.float64)
         q = wavelengths * 1e-9 * optics.working_f_number / self.pitch
-        waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
+        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
         means = _mean_powers(optics.pupil, waves.shape[1])
         slopes = [
             [
@@ -114,15 +475,15 @@ class PupilLens:
         inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(aperture).sum()
         if q < 1 and any(width != 1 for width in self.aperture):
             # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
-            whole = inside + whole * _energy_beyond(self.optics, q, wave, size)
+            whole = inside + whole * _energy_beyond(self.tail, q, wave, size)
         return energy / whole
 
 
-def _energy_beyond(optics, q, wave, size):
-    """Share of the light that falls outside a kernel of this size, where that is beyond most rays.
+def _energy_beyond(tail, q, wave, size):
+    """Share of the light outside a kernel of this size, if that is beyond most rays.
 
-    It is q tail / r^3, or where the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 - b^2)^2), outside of a
-    square, which has the mean of 1 / r of a circle of 0.555 of its side.
+    It is q tail / r^3, or if the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 -
+    b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
     """
     radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
     slopes = [
@@ -132,14 +493,14 @@ def _energy_beyond(optics, q, wave, size):
         for axis in (0, 1)
     ]
     near = min(np.mean(4 * q * q * (slopes[0] ** 2 + slopes[1] ** 2)) / radius**2, 0.8)
-    return 2 * np.pi * tail_of(optics) * q / radius / (1 - near)
+    return 2 * np.pi * tail.strength * q / radius / (1 - near)
 
 
 @lru_cache(maxsize=32)
 def _waves_to(size, points, aperture, shift, count, q):
     """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
 
-    A ray through u meets the image at -2 q grad W: where the phase W + u x / 2 q is stationary.
+    A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
     """
     u = (np.arange(count) + 0.5) / count * 2 - 1
     nodes = np.polynomial.legendre.leggauss(points)[0] / 2
@@ -148,38 +509,52 @@ def _waves_to(size, points, aperture, shift, count, q):
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredLens:
-    """Point spreads that are given: see `PupilLens` for pitch, aperture and displacement."""
+class MeasuredLens(_OnGrid):
+    """A lens whose point spreads were measured, or computed by a ray tracer.
+
+    Args:
+        optics: Settings of the lens.
+        spread_data: The point spreads.
+        pitch: Distance of the samples [m].
+        aperture: Height and width over which each sample is integrated [sample].
+        corner: Field height of the frame's corner along rows and columns; places beyond take the border's spread.
+        displacement: Displacement of the apertures' middles from the samples, (rows, cols) [sample].
+        axis: Where the optical axis meets the frame, from its middle, (rows, cols) [sample].
+    """
 
     optics: Optics
-    spread: PointSpread
+    spread_data: PointSpread
     pitch: float
     aperture: tuple[float, float]
-    corner: tuple[float, float]  # the frame's; places beyond take the spread of the frame's border
+    corner: tuple[float, float]
     displacement: tuple[float, float] = (0.0, 0.0)
+    axis: tuple[float, float] = (0.0, 0.0)
+
+    is_airy = is_adjustable = False
+    tail = None
+    fixed_distance = "the lens was measured at one"
+    symmetry = Symmetry(False, False)
+
+    @property
+    def wavelengths(self) -> tuple[float, float]:
+        """See `Lens`."""
+        known = self.spread_data.wavelengths
+        return known[0], known[-1]
 
     @property
     def least_size(self) -> int:
         """Least size of the kernels [pixel] that holds the spreads."""
-        return (
-            int(
-                np.ceil(
-                    max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch
-                    + 2 * max(map(abs, self.displacement))
-                )
-            )
-            + 2
-        )
+        return int(np.ceil(2 * self.spread(()) + 2 * max(map(abs, self.displacement)))) + 2
 
-    def kernels(self, wavelengths, place, size) -> np.ndarray:
-        """As those of `PupilLens`; raises OutOfRange where the spread is larger than `size` pixels."""
-        wavelengths = np.asarray(wavelengths, np.float64)
+    def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
+        """See `Lens`. Raises OutOfRange if the spread is larger than `size` samples, or a distance is given."""
+        _require_no_distance(distance)
         place = tuple(
             float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True)
         )
         tables = psf_tables(
-            self.spread,
-            wavelengths,
+            self.spread_data,
+            np.asarray(wavelengths, np.float64),
             self.pitch,
             self.aperture,
             size,
@@ -192,67 +567,171 @@ class MeasuredLens:
         )
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
+    def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`. The kernels hold all light."""
+        kernels = self.kernels(wavelengths, place, self.least_size | 1, distance)
+        at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
+        return np.stack([kernels.sum(axis=2) @ at, kernels.sum(axis=1) @ at], axis=1)
 
-def open_lens(optics: Optics, pitch, aperture, shape, displacement=(0.0, 0.0)):
-    """The lens that `optics` describes, before a frame of `shape` = (rows, cols) pixels of `pitch`.
+    def spread(self, wavelengths, height=0.0, distance=None) -> float:
+        """See `Lens`."""
+        _require_no_distance(distance)
+        data = self.spread_data
+        return max(data.values.shape[-2:]) * data.spacing / self.pitch / 2
 
-    aperture: of a pixel over the pitch, height and width or one number for a square. displacement: see `PupilLens`.
+    def tables(self, q, rows, cols, stages, distance=None):
+        """See `Lens`."""
+        _require_no_distance(distance)
+        return stages.given(
+            psf_tables(
+                self.spread_data,
+                self.nanometres(q),
+                self.pitch,
+                self.aperture,
+                rows,
+                cols,
+                finest=float(q.min()) * self.pitch / 2 if stages.whole else 0.0,
+                whole=stages.whole,
+                displacement=self.displacement,
+            )
+        )
+
+    def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
+        """See `Lens`. Between its wavelengths a measured point spread is linear."""
+        _require_no_distance(distance)
+        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        values = spread_at(self.spread_data, wavelengths, place)
+        left, right = (
+            np.exp(-2j * np.pi * self.spread_data.spacing * np.outer(f, np.arange(n) - (n - 1) / 2))
+            for f, n in zip((fy, fx), values.shape[1:], strict=True)
+        )
+        return np.einsum("fy,lyx,fx->lf", left, values, right, optimize=True)
+
+    def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
+        """See `Lens`."""
+        return spread_at(self.spread_data, wavelengths, place), self.spread_data.spacing
+
+
+@dataclass(frozen=True, eq=False)
+class PointLens(_OnGrid):
+    """A lens that does not blur: a point's image is a point.
+
+    Args:
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        aperture: Height and width over which each sample is integrated [sample].
+        axis: Where the optical axis meets the frame, from its middle, (rows, cols) [sample].
+    """
+
+    optics: Optics
+    pitch: float
+    aperture: tuple[float, float]
+    axis: tuple[float, float] = (0.0, 0.0)
+
+    least_size = 1
+    wavelengths = (0.0, np.inf)
+    displacement = (0.0, 0.0)
+    is_pointlike = True
+    is_airy = False
+    tail = None
+    fixed_distance = "there is no blur"
+    symmetry = Symmetry(True, True)
+
+    @property
+    def words(self) -> str:
+        """See `Lens`."""
+        return f'{self.optics.unused}: optics.model is "none"'
+
+    def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        out = np.zeros((len(wavelengths), size, size))
+        out[:, size // 2, size // 2] = 1
+        return out
+
+    def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        return np.zeros((len(wavelengths), 2))
+
+    def spread(self, wavelengths, height=0.0, distance=None) -> float:
+        """See `Lens`."""
+        return 0.0
+
+    def tables(self, q, rows, cols, stages, distance=None):
+        """See `Lens`."""
+        return stages.given(np.ones((len(q), rows // 2 + 1, cols // 2 + 1)))
+
+    def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
+        """See `Lens`."""
+        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        return np.ones((len(wavelengths), fx.size), complex)
+
+    def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
+        """See `Lens`."""
+        return self.kernels(wavelengths, place, count), 2 * reach / count
+
+
+def open_lens(
+    optics: Optics,
+    pitch: float,
+    aperture=1.0,
+    shape=(1, 1),
+    displacement: tuple[float, float] = (0.0, 0.0),
+    axis: tuple[float, float] = (0.0, 0.0),
+) -> Lens:
+    """Return the lens that `optics` describes, in front of a grid of samples.
+
+    Args:
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        aperture: Height and width over which each sample is integrated [sample], or one number for a square.
+        shape: Rows and columns of the frame; its corner is field height 1.
+        displacement: Displacement of the apertures from the samples, (rows, cols) [sample].
+        axis: Where the optical axis meets the frame, from its middle, (rows, cols) [sample].
     """
     height, width = np.broadcast_to(aperture, 2).tolist()
     corner = float(np.hypot(*shape)) / 2
+    if optics.model == "none":
+        return PointLens(optics, pitch, (height, width), axis)
     if optics.psf is not None:
-        return MeasuredLens(
-            optics,
-            optics.psf,
-            pitch,
-            (height, width),
-            tuple(n / 2 / corner for n in shape),
-            displacement,
+        field = tuple(n / 2 / corner for n in shape)
+        return MeasuredLens(optics, optics.psf, pitch, (height, width), field, displacement, axis)
+    return PupilLens(optics, pitch, (height, width), corner, displacement, axis)
+
+
+def lens_of(camera: Camera) -> Lens:
+    """Return a camera's lens in front of its pixels."""
+    sensor, pitch = camera.sensor, camera.sensor.pixel_pitch
+    aperture = np.divide(sensor.aperture, pitch)
+    return open_lens(camera.optics, pitch, aperture, displacement=sensor.displacement)
+
+
+def _require_no_distance(distance):
+    """Raise OutOfRange if a distance is asked of a lens that was measured at one."""
+    if distance is not None:
+        raise OutOfRange(
+            "distance", f"{distance:.4g} m", "none: the point spreads were measured at one distance"
         )
-    return PupilLens(optics, pitch, (height, width), corner, displacement)
+
+
+def _polar(place) -> tuple[float, float]:
+    """Height and azimuth [rad] of a field point (y, x)."""
+    y, x = place
+    return float(np.hypot(y, x)), float(np.arctan2(y, x))
+
+
+def _checked_frequencies(wavelengths, fy, fx):
+    """Wavelengths (L,) and frequencies (F,), (F,) as arrays."""
+    fy, fx = (np.atleast_1d(np.asarray(f, np.float64)) for f in np.broadcast_arrays(fy, fx))
+    return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy, fx
 
 
 def wavelength_nodes(wavelengths, count: int = NODES):
-    """As many as `count` wavelengths whose kernels tell those of all, and their weights in each, shape (L, nodes)."""
+    """Return interpolation nodes (at most `count` wavelengths) and the interpolation matrix (L, nodes)."""
     wavelengths = np.asarray(wavelengths, np.float64)
     if len(wavelengths) <= count:
         return wavelengths, np.eye(len(wavelengths))
     nodes = np.linspace(wavelengths[0], wavelengths[-1], count)
     return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(count))(wavelengths)
-
-
-def spread_radius(optics: Optics, wavelengths, pitch, height: float = 0.0) -> float:
-    """Largest distance from a point's image at which rays meet the image, or given spreads end [pixel].
-
-    height: of the field, 0 on the axis.
-    """
-    if optics.psf is not None:
-        return max(optics.psf.values.shape[-2:]) * optics.psf.spacing / pitch / 2
-    q = np.asarray(wavelengths) * 1e-9 * optics.working_f_number / pitch
-    waves = zip(q, optics.waves(wavelengths, height), strict=True)
-    return max((2 * one * _steepest(wave) for one, wave in waves if wave.any()), default=0.0)
-
-
-def tail_of(optics: Optics) -> float:
-    """Energy per square sample times r^3 / q, far from a point; 0 of point spreads that are given, which end."""
-    if optics.psf is not None:
-        return 0.0
-    pupil = optics.pupil
-    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades) if pupil.blades else 2 * np.pi
-    return float((outline + 2 * np.pi * pupil.obscuration) / (np.pi * pupil.area) / (2 * np.pi**3))
-
-
-def straight_tail(optics: Optics) -> tuple[tuple[float, ...], float]:
-    """Angles of the lines through a point along which straight blades throw its light, from x on [rad], and how much.
-
-    The second is their part of the tail, as `tail_of` has it; none of a round pupil.
-    """
-    pupil = optics.pupil
-    if not pupil.blades or optics.psf is not None:
-        return (), 0.0
-    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades)
-    angles = pupil.rotation + np.pi / pupil.blades * (2 * np.arange(pupil.blades) + 1)
-    return tuple(angles.tolist()), float(outline / (outline + 2 * np.pi * pupil.obscuration))
 
 
 def _steepest(wave):
@@ -284,13 +763,10 @@ def _coverage(pupil, count):
     y, x = u[:, None], u
     radius = np.hypot(y, x)
     inside = 1 - radius
-    if pupil.blades:
-        normals = pupil.rotation + np.pi / pupil.blades * (2 * np.arange(pupil.blades) + 1)
-        sides = [
-            np.cos(np.pi / pupil.blades) - x * np.cos(angle) - y * np.sin(angle)
-            for angle in normals
-        ]
-        inside = np.minimum.reduce(sides)
+    if pupil.sides.size:
+        inside = np.minimum.reduce(
+            [pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle) for angle in pupil.sides]
+        )
     open_ = np.clip(inside / step + 0.5, 0, 1)
     return (
         open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)

@@ -5,8 +5,9 @@
 over the overlap of two copies of the pupil, s = frequency x lambda N from the centre to the cut-off at |s| = 1.
 Source: Hopkins, Proc. R. Soc. A 231 (1955); Goodman, Introduction to Fourier Optics, 6.4. The overlap is cut into
 panels along the direction perpendicular to s, at every point where its outline is not smooth, so that Gauss-Legendre
-nodes converge exponentially in both directions. A first number of nodes comes from how fast the phase turns
-(`gpusim.optics.phase`), and nodes are added until more of them change nothing.
+nodes converge exponentially in both directions. How many nodes it takes depends on how fast the phase turns, not on
+its range: a first number comes from its steepest turn along and across the overlap (`steepest_turns`), and nodes are
+added until more of them change nothing. Places in the overlap are u along the frequency s and v across it.
 """
 
 import os
@@ -18,13 +19,19 @@ from numpy.polynomial.chebyshev import chebpts1, chebval, chebvander
 from numpy.polynomial.legendre import leggauss
 from scipy.special import roots_legendre
 
+from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.phase import LEAST, UNTHREADED, Budget, degree, difference, separated, turning
 
 CHUNK = 2**15  # points whose phases are in the processor's cache at a time
 PART = 128  # frequencies that share numbers of nodes
 PROBES = 8  # of these, which have to converge in a fast integration
 EXACT, FAST = 1e-10, 1e-7  # errors of the integral; fast: of sines and cosines in float32
+UNTHREADED = (
+    2**18
+)  # products up to which OpenBLAS starts no threads, which would compete with the pool's
+LEAST = {True: 8, False: 20}  # nodes where nothing turns, fast and exact
+# foreseen of all integrals of one table: at 13 (Z45) to 23 (Z28) million a second and core of Zen 4, 55 to 95 s of two
+MOST_POINTS = 2.5e9
 
 
 def hopkins(s, waves, nodes=None):
@@ -54,30 +61,43 @@ def defocus_only(pupil: Pupil, waves) -> bool:
 
 
 def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
-    """Transfer function at the frequencies (sx, sy), in units of the cut-off.
+    """Return the transfer function at the frequencies (sx, sy), in units of the cut-off.
 
-    waves: coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n, n). sx, sy: shape (F,).
-    error: nodes are added along and across the overlap of every frequency until neither changes the integral by more.
-    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked, in
-    float64, at some of the frequencies.
-    Returns complex, shape (bands, F). Raises OutOfRange where this takes more than MOST_POINTS points in all.
+    Args:
+        pupil: The pupil.
+        waves: Coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n,
+            n).
+        sx: Frequencies across, shape (F,).
+        sy: Frequencies down, shape (F,).
+        error: Nodes are added along and across the overlap of every frequency until neither
+            changes the integral by more.
+        fast: Take sines and cosines in float32, of phases reduced in float64, with an error of
+            1e-7, and check convergence, in float64, at some of the frequencies only.
+
+    Returns:
+        Complex, shape (bands, F).
+
+    Raises:
+        OutOfRange: It takes more than MOST_POINTS points in all.
     """
     waves = np.asarray(waves, np.float64)
     sx, sy = np.asarray(sx, np.float64), np.asarray(sy, np.float64)
     s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
-    form = separated(waves)
+    form = separate(waves)
     inside = np.flatnonzero(s < 1)
     inside = inside[
         np.argsort(s[inside], kind="stable")
-    ]  # the phase turns alike at frequencies of one length
+    ]  # the phase turns equally fast at frequencies of one length
     parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
     out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
 
     def probes(part):
-        """Those where the phase turns most, along and across, and some of the others; more for rims that touch."""
+        """Frequencies at which the phase turns most, along and across, and some others; more if rims touch."""
         if not fast or len(part) <= PROBES:
             return part
-        few = [np.argsort(turn)[-PROBES // 2 :] for turn in turning(s[part], angle[part], form)]
+        few = [
+            np.argsort(turn)[-PROBES // 2 :] for turn in steepest_turns(s[part], angle[part], form)
+        ]
         few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
         return part[np.unique(np.concatenate(few))]
 
@@ -90,9 +110,9 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         few = probes(part)
         along, across = (
             LEAST[fast] + int(degree(turn.max(), form) / 2)
-            for turn in turning(s[few], angle[few], form)
+            for turn in steepest_turns(s[few], angle[few], form)
         )
-        if pupil.blades or pupil.obscuration:
+        if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
             across = LEAST[fast] + int(
                 (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
@@ -104,7 +124,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
     def settle(part, known):
         few, nodes = known
-        nodes, values = _converged(lambda *nodes: integral(few, *nodes), nodes, error)
+        nodes, values = _converge(lambda *nodes: integral(few, *nodes), nodes, error)
         out[:, part] = values if len(few) == len(part) else integral(part, *nodes, fast)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -113,7 +133,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
 
 def _spread(length, count):
-    """At most `count` of 0 .. length - 1, spread so that they follow no period."""
+    """At most `count` of 0 .. length - 1, spread without a period."""
     return (
         np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count])
         if (count < length)
@@ -121,7 +141,7 @@ def _spread(length, count):
     )
 
 
-def _converged(integral, nodes, error):
+def _converge(integral, nodes, error):
     """Numbers of nodes along and across that `integral(along, across)` needs, and its value."""
     along, across = nodes
     integral = cache(integral)
@@ -151,7 +171,7 @@ def _integral(rows, s, angle, form, nodes, fast):
     between = chebvander(x, len(few) - 1) @ np.linalg.inv(chebvander(few, len(few) - 1))
     middle, half = (start + end) / 2, (end - start) / 2
     width, height = 1 - s, np.sqrt(1 - s * s)
-    # a piece has whole frequencies' rows or parts of them; what it adds is summed
+    # a piece has rows of whole frequencies or of parts of them; pieces are summed
     size = max(1, min(CHUNK // nodes, UNTHREADED // (len(few) * nodes)))
     for piece in (slice(k, k + size) for k in range(0, len(index), size)):
         i, h = index[piece], half[piece]
@@ -224,12 +244,10 @@ def _rows(pupil, s, angle, nodes):
 
 def _faces(pupil, angle):
     """Sides of the pupil, seen along the frequencies: their normals' two parts and their distance from the middle."""
-    if not pupil.blades:
+    if not pupil.sides.size:
         return None
-    normal = (
-        pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
-    )
-    return np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
+    normal = pupil.sides - angle[:, None]
+    return np.cos(normal), np.sin(normal), pupil.inner_radius
 
 
 def _chord(faces, index, v, t):
@@ -257,11 +275,7 @@ def _panels(pupil, s, angle, faces):
                 across = np.sqrt(1 - ((4 * column**2 + 1 - hole**2) / (4 * column)) ** 2)
             kinks += [-across, across]
     else:
-        corners = np.sort(
-            np.sin(
-                pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades - angle[:, None]
-            )
-        )
+        corners = np.sort(np.sin(pupil.corners - angle[:, None]))
         left, right = _chord(faces, np.arange(len(s)), corners, None)
         width = right - left - 2 * column  # linear between the corners
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -284,3 +298,103 @@ def _panels(pupil, s, angle, faces):
         kinks += [np.full_like(column, -hole), np.full_like(column, hole), -both, both]
     kinks = np.concatenate(kinks, axis=1)
     return np.sort(np.arcsin(np.clip(np.where(np.isnan(kinks), low, kinks), low, high)), axis=1)
+
+
+class Budget:
+    """Points that an integration takes; raises OutOfRange before they are too many."""
+
+    def __init__(self, bands):
+        self.bands, self.needed, self.spent = bands, 0, 0
+
+    def need(self, points):
+        """Counts points that are foreseen."""
+        self.needed += points
+        self._check(self.needed)
+
+    def spend(self, points):
+        """Counts points that are taken."""
+        self.spent += points
+        self._check(self.spent / 2)  # nodes that are added, and those against which they are held
+
+    def _check(self, points):
+        if points * self.bands > MOST_POINTS:
+            raise OutOfRange(
+                "optics wavefront",
+                "one that turns so often that its integrals take "
+                f"{points * self.bands:.2g} points or more",
+                f"up to {MOST_POINTS:.2g}: fewer waves, or terms of lower order",
+            )
+
+
+def separate(waves):
+    """Shapes (R, n, n) without constants, and factors (bands, R): bands mostly have one wavefront, scaled."""
+    waves = waves.copy()
+    waves[:, 0, 0] = 0
+    used = np.flatnonzero(waves.any(axis=(0, 1)) | waves.any(axis=(0, 2)))
+    order = 1 + used.max(initial=0)
+    u, sizes, shapes = np.linalg.svd(
+        waves[:, :order, :order].reshape(len(waves), -1), full_matrices=False
+    )
+    rank = np.count_nonzero(sizes > 1e-14 * sizes.max(initial=0))
+    return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
+
+
+def steepest_turns(s, angle, form):
+    """Return the steepest phase [rad] at each frequency, per radian of the angles with cosines along and across.
+
+    A Gauss rule of n nodes is exact for phases that turn by 2 n.
+    """
+    steps = 8 + form[0].shape[-1]  # a polynomial of this order has fewer turns
+    phase = phases(s, angle, form, steps)
+    return [steepest(phase, axis, np.pi / steps).max(axis=(0, -1, -2)) for axis in (-1, -2)]
+
+
+def degree(turn, form, width=3):
+    """Return the degree of a polynomial that follows exp(i phase), the phase [rad] turning by `turn` per radian.
+
+    For a phase x T_m, which turns by m x, its terms are J_k(x) of degree m k (Jacobi and Anger),
+    and J_k ends a few x^(1/3), `width`, after k = x.
+    """
+    return turn + width * np.cbrt((form[0].shape[-1] - 1) ** 2 * turn)
+
+
+def steepest(phase, axis, step):
+    """Sizes of the phase's slopes [rad] between neighbours along `axis`, `step` [rad] apart."""
+    return np.abs(np.diff(phase, axis=axis)) / step
+
+
+def phases(s, angle, form, steps):
+    """Phases [rad] in the overlap, at even angles whose cosines are the places, (bands, *s.shape, across, along)."""
+    shapes, factors = form
+    theta = (np.arange(steps) + 0.5) * np.pi / steps
+    s, angle = (part[..., None, None] for part in np.broadcast_arrays(s, angle))
+    t = np.arccos(s) * np.cos(theta)[:, None]
+    u, v = (np.cos(t) - s) * np.cos(theta), np.sin(t) + np.zeros(steps)
+    return 2 * np.pi * np.tensordot(factors, difference(shapes, s, angle, u, v), 1)
+
+
+def difference(shapes, s, angle, u, v):
+    """W(r + s) - W(r - s) [waves] of every shape at u along s and v across it; shape (R, *u.shape)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    plus, minus = (
+        _wavefronts(shapes, cos * along - sin * v, sin * along + cos * v)
+        for along in (u + s, u - s)
+    )
+    return plus - minus
+
+
+def _wavefronts(shapes, x, y):
+    """Polynomials `shapes` (R, n, n) of x^i y^j at every point, (R, *x.shape)."""
+    order, shape, x, y = shapes.shape[-1], x.shape, x.ravel(), y.ravel()
+    out = np.empty((len(shapes), len(x)))
+    size = UNTHREADED // (max(len(shapes), 1) * order**2)
+    for piece in (slice(k, k + size) for k in range(0, len(x), size)):
+        powers = np.ones((order, len(x[piece])))
+        for k in range(1, order):
+            np.multiply(powers[k - 1], y[piece], out=powers[k])
+        in_x = np.tensordot(shapes, powers, 1)
+        total = in_x[:, -1]
+        for k in reversed(range(order - 1)):
+            total = total * x[piece] + in_x[:, k]
+        out[:, piece] = total
+    return out.reshape(len(shapes), *shape)

@@ -1,17 +1,18 @@
-"""The world outside the frame: what its far parts add to the blur, and how much of it takes part.
+"""The world outside the frame: how its far parts add to the blur, and how much of it takes part.
 
-A transform repeats itself: beyond its period is not what the border rule says but the picture again. How much light
-that makes wrong is told without any lens but its tail. The rim of a pupil of any shape and wavefront spreads, in the
-mean over directions and rings, the energy
+A transform is periodic: beyond its period it repeats the picture instead of following the border
+rule. The error of this depends on the lens only by its tail. The rim of a pupil of any shape and
+wavefront spreads, in the mean over directions and rings, the energy
 
     perimeter / (2 pi^3 area) q / r^3   per square sample at the distance r
 
-(the cusp of the transfer function at 0, whose slope is twice the mean width of the pupil over its area, transformed;
-Cauchy's mean width of an outline is its perimeter over pi). For a circle that is q / (pi^3 r^3). From far away such
-light is smooth, so a coarse grid is enough for it. Straight blades throw theirs along their normals, as r^-2.
+(the transform of the cusp of the transfer function at 0, whose slope is twice the mean width of the
+pupil over its area; by Cauchy the mean width of an outline is its perimeter over pi). For a circle
+it is q / (pi^3 r^3). Light from far away is smooth, so a coarse grid is enough for it. Straight
+blades throw their light along their normals, as r^-2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import ceil, prod, sqrt
 from typing import Any
@@ -23,7 +24,7 @@ from scipy.special import j1
 from gpusim.optics.windows import MOST_STEPS, Windows
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
-# Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
+# Most samples of a transform that is made longer for a tolerance: this number, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
 CELLS, LEAST_CELLS = (
@@ -31,18 +32,18 @@ CELLS, LEAST_CELLS = (
     64,
 )  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
 PROBED = 128  # samples along an axis at which it is predicted
-# A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
-# picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
+# A world that repeats itself after some periods differs from an endless one by powers of its width: light of a picture
+# that continues is equal on both sides of a pixel but for its place between them; light on black falls as r^-3
 POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
-# A blur changes the root mean square of a frame whose maximum is so many times that, or that is small, or whose
-# neighbours are less alike: mean product over mean square
+# A blur changes the root mean square of a frame whose maximum is so many times larger, or that is small, or whose
+# neighbours are less similar: mean product over mean square
 SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
-FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
+FARTHEST = 8  # times the distance from which light counts as far: its end
 WINDOWS, WINDOW, INNER = (
     12,
     128,
     48,
-)  # their number; samples of a side, and of that of the part that stands for others
+)  # their number; samples of a side, and of a side of the part that represents others
 FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
 GEOMETRIC = (
     0.7  # part of the reach from which on a disc of light takes the place of the tail's series
@@ -50,12 +51,15 @@ GEOMETRIC = (
 
 
 def rule_of(border: str) -> str:
-    """The rule by which what is outermost goes on; that of a scene's own surroundings is "edge"."""
+    """Return the rule that continues the outermost samples; for a scene with own surroundings it is "edge"."""
     return "edge" if border == "scene" else border
 
 
 def border_indices(at, n: int, border: str) -> np.ndarray:
-    """Which of n samples each place of an axis shows, those beyond as the border says; "zero": the outermost."""
+    """Return which of n samples each place of an axis shows; places beyond follow the border rule.
+
+    With "zero" they show the outermost sample, which the caller must darken.
+    """
     if border == "reflect":
         return np.minimum(at % (2 * n), (-1 - at) % (2 * n))
     return np.clip(at, 0, n - 1)
@@ -73,15 +77,25 @@ def unseen(
     rays: tuple[float, ...] = (),
     straight: float = 0.0,
 ) -> np.ndarray:
-    """What a world without end adds to what a transform sees, at the cells of a coarse grid.
+    """Return the difference of an endless world from a transform's periodic one, at the cells of a coarse grid.
 
-    image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
-    middle [sample]. border: "zero", "edge" or "reflect". cell: about the side of a cell [sample]. tail: energy of a
-    point per square sample times r^3. disc: radius of an even disc of energy 1 beside it [sample]; none of 0.
-    times: periods that the worlds span from which the one without end is extrapolated, odd. soft: cells within which
-    the tail is softened: steps ring on the grid, by some 1e-6 at 1, and not at 2. rays: angles of the lines, through a
-    point, along which a part `straight` of its tail goes, from the direction of the columns on [rad].
-    Returns the cells of one period; `at_samples` interpolates between them.
+    Args:
+        image: Light of the frame, or of frame and margin, shape (rows, cols).
+        period: Rows and columns of the transform, with the image in the middle [sample].
+        border: "zero", "edge" or "reflect".
+        cell: About the side of a cell [sample].
+        tail: Energy of a point per square sample times r^3.
+        disc: Radius of an additional even disc of energy 1 [sample]; 0: none.
+        times: Periods that the computed worlds span, odd; the endless world is extrapolated
+            from them.
+        soft: Cells within which the tail is softened. Steps ring on the grid, by some 1e-6 at 1
+            and not at 2.
+        rays: Angles of the lines through a point along which a part of its tail goes, from the
+            columns' direction on [rad].
+        straight: That part of the tail.
+
+    Returns:
+        The cells of one period; `at_samples` interpolates between them.
     """
     powers = POWERS[border]
     times = times[-len(powers) - 1 :]
@@ -96,7 +110,7 @@ def unseen(
     world = (across @ (down @ image).T).T
 
     def blurred(wide):
-        """The middle period of a world that repeats itself after `wide` of them."""
+        """Middle period of a world that repeats itself after `wide` periods."""
         around, middle = (
             [periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide)
         )
@@ -116,7 +130,7 @@ def unseen(
         )
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
-        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
+        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not needed
         return scipy.fft.irfft(rows, part.shape[1])[:, x : x + cells[1]]
 
     worlds = {wide: blurred(wide) for wide in {1, *times}}
@@ -128,17 +142,17 @@ def unseen(
 
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
-    """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
+    """Return the result of `unseen` for an image of `shape` at samples `rows` x `cols`, which may lie around it."""
     down, across = (
-        _between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
+        _spline_weights(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
         for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)
     )
     return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
 
 
 @lru_cache(maxsize=32)
-def _between(count, places):
-    """Weights of the coefficients of a cubic spline through `count` cells, which repeat themselves, at places."""
+def _spline_weights(count, places):
+    """Weights of the coefficients of a periodic cubic spline through `count` cells, at places."""
     places = np.frombuffer(places)[None]
     return scipy.sparse.csr_array(
         np.stack(
@@ -154,9 +168,14 @@ def _between(count, places):
 
 
 def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
-    """Root mean square and maximum of the frame as a lens shows it.
+    """Return the root mean square and the maximum of the frame as a lens shows it.
 
-    deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample]. border: the scene's.
+    Args:
+        image: Light of the frame with its margin, shape (rows, cols).
+        deviation: Of the Gaussian that approximates the lens if few pixels hold the light
+            [sample].
+        margin: Samples around the frame.
+        border: The scene's border.
     """
     inside = _inside(image, margin)
     level, highest = (
@@ -166,12 +185,12 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
     if is_smooth or not deviation or not level > 0:
         return float(level), float(highest)
-    blurred = _shown(inside, deviation, "constant" if border == "zero" else "reflect")
+    blurred = _blur_to_pixels(inside, deviation, "constant" if border == "zero" else "reflect")
     return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
 
 
 def _likeness(image):
-    """Mean product of neighbours along some rows and columns, the least of both, over the mean square."""
+    """Mean product of neighbours along some rows and columns, over the mean square; the smaller of the two."""
     some = image[:: image.shape[0] // PROBED + 1], image.T[:: image.shape[1] // PROBED + 1]
     return min(
         float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300))
@@ -179,10 +198,10 @@ def _likeness(image):
     )
 
 
-def _shown(image, deviation, mode):
-    """The image blurred by a Gaussian and integrated over pixels: a point gives no pixel more than a lens does.
+def _blur_to_pixels(image, deviation, mode):
+    """The image blurred by a Gaussian and integrated over pixels, which keeps points below a lens's peak.
 
-    mode: of `scipy.ndimage`, for what is around it.
+    mode: of `scipy.ndimage`, for the surroundings.
     """
     edges = np.arange(ceil(4 * deviation) + 1) + 0.5
     inside = scipy.special.erf(edges / (sqrt(2) * deviation))
@@ -194,10 +213,17 @@ def _shown(image, deviation, mode):
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
-    """What the light farther than `distance` [sample] adds to the frame, less what goes there, on a coarse grid.
+    """Return the light that comes to the frame from farther than `distance`, minus the light that leaves so far.
 
-    image: light of the frame, or of frame and margin, shape (rows, cols). border: "zero", "edge" or "reflect". tail:
-    energy of a point per square sample times r^3.
+    Args:
+        image: Light of the frame, or of frame and margin, shape (rows, cols).
+        border: "zero", "edge" or "reflect".
+        margin: Samples around the frame.
+        tail: Energy of a point per square sample times r^3.
+        distance: [sample].
+
+    Returns:
+        Light on a coarse grid.
     """
     cell, reach = distance / CELLS, int(FARTHEST * CELLS)
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
@@ -219,13 +245,23 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
 
 @dataclass(frozen=True, eq=False)
 class Outside:
-    """What is known of a scene when it is asked how much of the world around it takes part in the blur.
+    """Facts about a scene from which the planner decides how much of the surroundings takes part in the blur.
 
-    image: light of the frame, or of frame and margin, without the highlights that are added one by one, shape (rows,
-    cols). border, margin: the scene's. tail: energy of a point per square sample times r^3. spread: radius within which
-    its rays meet the image [sample]. level: root mean square of the frame. noise: variance of the read noise over the
-    electrons at that level. missing: light that every sample is known to lack. around: samples on each side whose light
-    stands for what a lens mixes. rays, straight: lines along which a part of the tail goes, see `unseen`.
+    Attributes:
+        image: Light of the frame, or of frame and margin, without highlights that are added one
+            by one, shape (rows, cols).
+        border: The scene's border.
+        margin: The scene's margin [sample].
+        tail: Energy of a point per square sample times r^3.
+        spread: Radius within which the rays of a point meet the image [sample].
+        level: Root mean square of the frame.
+        noise: Variance of the read noise over the electrons at that level.
+        missing: Light that every sample is known to lack.
+        around: Samples on each side whose mean approximates the light that a lens mixes.
+        rays: Lines along which a part of the tail goes, see `unseen`.
+        straight: That part of the tail.
+        deviation: Of the Gaussian that approximates the lens [sample].
+        is_moved: Whether the frame is a view of the scene.
     """
 
     image: np.ndarray
@@ -241,6 +277,9 @@ class Outside:
     straight: float = 0.0
     deviation: float = 0.0
     is_moved: bool = False
+    _windows: dict[int, tuple[Windows, np.ndarray]] = field(
+        init=False, repr=False, default_factory=dict
+    )
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -248,13 +287,19 @@ class Outside:
         return bool(self.image.max(initial=0) > SPIKY * self.level)
 
     def error(self, period, reach: float) -> tuple[float, float, float]:
-        """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
+        """Return the relative RMS error from light that a transform does not see, and its extremes in noise.
 
-        period: of the transform. reach: samples around the image that are as the border says. The last two figures
-        times the root of the electrons at the level are in sigma.
-        Each point of the rim spreads light about where its ray lands, a distance b away in the mean over the rim: the
-        tail is (r^2 + b^2) / (r (r^2 - b^2)^2) in place of r^-3. Where b comes near the reach, a disc stands for what
-        is within.
+        Each point of the rim spreads light about the place where its ray lands, a distance b away
+        in the mean over the rim: the tail is (r^2 + b^2) / (r (r^2 - b^2)^2) in place of r^-3. If b
+        comes near the reach, a disc replaces the part within.
+
+        Args:
+            period: Rows and columns of the transform [sample].
+            reach: Samples around the image that follow the border rule.
+
+        Returns:
+            Relative RMS; 99.9 % quantile and maximum, which times the root of the electrons at
+            the level are in sigma.
         """
         if not (self.level > 0 and self.tail):
             return 0.0, 0.0, 0.0
@@ -272,7 +317,7 @@ class Outside:
             rays=self.rays,
             straight=self.straight,
         )
-        rows, cols, sigma = self._probed
+        rows, cols, sigma = self._probes
         error = (
             np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         )
@@ -284,7 +329,7 @@ class Outside:
         )
 
     def brighter(self, period) -> float:
-        """Root mean square of what a transform of this period sees, over the frame's; 1 where it is darker."""
+        """Return the root mean square of a transform's input of this period over the frame's, at least 1."""
         if self.border == "zero" or not self.level > 0:
             return 1.0
         rows, cols = (
@@ -297,19 +342,12 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
-        """Windows of the frame, and their light, that of a dark world in it, float32 (n, WINDOW, WINDOW).
+        """Return windows of the frame and their light, float32 (n, WINDOW, WINDOW), a dark world included.
 
-        inner: samples of a side of the part that stands for others.
+        inner: side of the part of a window that represents other parts of the frame [sample].
         """
-        if inner not in self._windows:
-            self._windows[inner] = self._made(inner)
-        return self._windows[inner]
-
-    @cached_property
-    def _windows(self) -> dict[int, tuple[Windows, np.ndarray]]:
-        return {}
-
-    def _made(self, inner):
+        if inner in self._windows:
+            return self._windows[inner]
         windows = Windows.of(
             self.image,
             self.margin,
@@ -329,43 +367,42 @@ class Outside:
         )
         if self.border == "zero":
             light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+        self._windows[inner] = windows, light
         return windows, light
 
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, float]:
-        """Mean squares of the frame's light at FREQUENCIES along both axes, and of what is of longer waves."""
+        """Mean squares of the frame's light at FREQUENCIES along both axes, and of longer waves."""
         windows, light = self.windows()
         fade = scipy.signal.windows.hann(WINDOW, sym=False).astype(np.float32)
         fade = np.multiply.outer(fade, fade)
         light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade
         power = np.tensordot(windows.weight, np.abs(scipy.fft.rfft2(light)) ** 2, 1)
-        power[:, 1:-1] *= 2  # for those of the other half
+        power[:, 1:-1] *= 2  # for the other half
         power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
         power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
         inside = _inside(self.image, self.margin)
         some = inside[
             :: max(1, round(inside.size / MOST_STEPS))
-        ]  # `level` is of what a lens leaves of it
+        ]  # `level` is of the light behind a lens
         return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
 
     @cached_property
     def darkest(self) -> tuple[float, float]:
-        """99.9 % quantile and maximum over the frame of 1 / `sigmas`."""
-        least = 1 / self.sigmas
+        """99.9 % quantile and maximum over the frame of 1 over the noise's standard deviations.
+
+        These are over the root of the electrons at the level.
+        """
+        least = 1 / self._probes[2]
         return float(np.quantile(least, 0.999)), float(least.max())
 
     @cached_property
     def _squares(self):
         return np.square(self.image, dtype=np.float64)
 
-    @property
-    def sigmas(self) -> np.ndarray:
-        """Standard deviations of the noise where the error is told, over the root of the electrons at the level."""
-        return self._probed[2]
-
     @cached_property
-    def _probed(self):
-        """Rows and columns where the error is told; the root of light and noise over the level where they cross."""
+    def _probes(self):
+        """Rows and columns where the error is computed, and the root of light and noise over the level there."""
         light, margin = self.image, self.margin
         rows, cols = (
             np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
@@ -395,7 +432,10 @@ def _inner_share(at, n, deviation):
 
 
 def most_reach(shape, longest: int) -> int:
-    """Surroundings beyond which a transform is not made longer [sample]; longest: side of a transform."""
+    """Return the surroundings up to which a transform is made longer [sample].
+
+    longest: longest side of a transform [sample].
+    """
     rows, cols = shape
     samples = max(MOST_SAMPLES, MOST_TIMES * rows * cols)
     return max(
@@ -413,7 +453,7 @@ def _inside(image, margin):
 
 @lru_cache(maxsize=32)
 def _means(n, period, cells, border, wide, dtype):
-    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of this type."""
+    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of type `dtype`."""
     length, step = wide * period, period / cells
     at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
     source = border_indices(at, n, border)
@@ -433,9 +473,10 @@ def _means(n, period, cells, border, wide, dtype):
 def _kernel(cells, steps, tail, disc, soft, rays, straight):
     """Transform of tail r^-3, softened within `soft`, and of a disc, at the frequencies of a world of cells.
 
-    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel. What goes
-    along a line is 1 / (r^2 + a^2), of transform pi / a exp(-2 pi a |f|), f the frequency along it, likewise; all lines
-    together have the energy of the tail beyond any r.
+    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two of them the terms in a^2 /
+    r^5 cancel. Light along a line is 1 / (r^2 + a^2), with the transform pi / a exp(-2 pi a |f|), f
+    the frequency along it, softened in the same way. All lines together have the energy of the tail
+    beyond any r.
     """
     fy, fx = (
         frequencies(count) / step
@@ -444,15 +485,15 @@ def _kernel(cells, steps, tail, disc, soft, rays, straight):
         )
     )
     f = np.hypot(fy[:, None], fx)
-    kernel = tail * (1 - straight) * 2 * np.pi * _softened(soft, f)
+    kernel = tail * (1 - straight) * 2 * np.pi * _soften(soft, f)
     for angle in rays:
         along = np.abs(fy[:, None] * np.sin(angle) + fx * np.cos(angle))
-        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _softened(soft, along)
+        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _soften(soft, along)
     if disc:
         v = np.maximum(2 * np.pi * disc * f, 1e-9)
         kernel = kernel + 2 * j1(v) / v * np.exp(-((np.pi * soft * f) ** 2))
     return kernel
 
 
-def _softened(soft, f):
+def _soften(soft, f):
     return (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6) / soft

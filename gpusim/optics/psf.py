@@ -18,30 +18,37 @@ def psf_tables(
     whole=True,
     displacement=(0.0, 0.0),
 ):
-    """Transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
+    """Return transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
 
-    pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch, or one number for a
-    square. displacement: (rows, cols) of its middle from the scene's sample [pixel]. rows, cols: transform period.
-    finest: lambda N / 2 of the shortest wavelength [m] if known: samples of the lens's irradiance that are further
-    apart do not determine it. place: field point, see `PointSpread.at`. Between its wavelengths the spread is linear;
-    beyond them it is refused. whole: refuse what a convolution of this period could not do; without, the tables are the
-    transfer function at these frequencies, good to be looked at.
-    Returns half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
+    Samples of the irradiance determine a function without frequencies beyond half their rate
+    (sampling theorem, spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a
+    pixel's share of each sample is the transform of the aperture up to that frequency, folded by
+    the pixels, which separates into rows and columns. Between its wavelengths the spread is linear;
+    beyond them it is refused.
 
-    Samples of the irradiance are those of a function without frequencies beyond half their rate (sampling theorem,
-    spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a pixel's share of each sample is the
-    transform of the aperture up to that frequency, folded by the pixels, which separates into rows and columns.
-    Raises OutOfRange with the figures when the samples are too coarse, the spread larger than the period, or energies
-    of pixels are displaced by parts of a pixel.
+    Args:
+        spread: The point spreads.
+        wavelengths: [nm], shape (L,).
+        pitch: Of the pixels [m].
+        aperture: Height and width of the pixel's aperture over the pitch, or one number for a
+            square.
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
+        finest: lambda N / 2 of the shortest wavelength [m] if known; samples of the irradiance
+            that are further apart are refused.
+        place: Field point, see `PointSpread.at`.
+        whole: Refuse spreads that do not fit into this period. Without it the tables are the
+            transfer function at these frequencies, to be looked at.
+        displacement: Of the aperture's middle from the scene's sample, (rows, cols) [pixel].
+
+    Returns:
+        Half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
+
+    Raises:
+        OutOfRange: The samples are too coarse, the spread is larger than the period, or
+            energies of pixels are displaced by parts of a pixel.
     """
-    wavelengths = np.asarray(wavelengths, np.float64)
-    known = spread.wavelengths
-    if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
-        raise OutOfRange(
-            "wavelengths",
-            f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
-            f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm",
-        )
+    between = _neighbours(spread, wavelengths)
     ratio = spread.spacing / pitch
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
         raise OutOfRange(
@@ -72,16 +79,13 @@ def psf_tables(
             )
     fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
     left, right = (
-        _sampled(f, size, ratio, width, spread.integrated, move)
+        _sample_transform(f, size, ratio, width, spread.integrated, move)
         for f, size, width, move in zip(
             (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True
         )
     )
     own = np.stack([left @ one @ right.T for one in values])
-    share = np.interp(wavelengths, known, np.arange(len(known)))
-    low = np.minimum(share.astype(int), max(len(known) - 2, 0))
-    high = np.minimum(low + 1, len(known) - 1)
-    rest = (share - low)[:, None, None]
+    low, high, rest = between
     tables = own[low] * (1 - rest) + own[high] * rest
     for i in {0, rows // 2} if rows % 2 == 0 else {0}:  # what is its own opposite is real
         for j in {0, cols // 2} if cols % 2 == 0 else {0}:
@@ -89,8 +93,8 @@ def psf_tables(
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
-    """Transform of what each of `count` samples `ratio` pixels apart gives to the pixels, (frequencies, count)."""
+def _sample_transform(frequencies, count, ratio, aperture, integrated, displacement):
+    """Transform of the share of each of `count` samples `ratio` pixels apart in the pixels, (frequencies, count)."""
     places = (np.arange(count) - (count - 1) / 2) * ratio - displacement
     if integrated:
         return np.exp(-2j * np.pi * np.outer(frequencies, places))
@@ -106,3 +110,29 @@ def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
             -2j * np.pi * np.outer(f, places)
         )
     return total
+
+
+def spread_at(spread: PointSpread, wavelengths, place=(0.0, 0.0)) -> np.ndarray:
+    """Return point spreads at `wavelengths` [nm] and a field point, shape (L, rows, cols).
+
+    Between its wavelengths the spread is linear. Raises OutOfRange beyond them.
+    """
+    low, high, rest = _neighbours(spread, wavelengths)
+    values = spread.at(*place)
+    return values[low] * (1 - rest) + values[high] * rest
+
+
+def _neighbours(spread, wavelengths):
+    """Indices of the known wavelengths on both sides of each one, and the share of the upper. Raises OutOfRange."""
+    known, wavelengths = spread.wavelengths, np.asarray(wavelengths, np.float64)
+    if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
+        raise OutOfRange(
+            "wavelengths",
+            f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
+            f"within the point spread's, {known[0]:g} .. {known[-1]:g} nm",
+        )
+    share = np.interp(wavelengths, known, np.arange(len(known)))
+    low = np.minimum(share.astype(int), max(len(known) - 2, 0))
+    high = np.minimum(low + 1, len(known) - 1)
+    rest = (share - low)[:, None, None]
+    return low, high, rest

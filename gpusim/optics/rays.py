@@ -17,13 +17,16 @@ from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
-POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's second derivative jumps
+POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
-    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of.
+    """Return O at s = 1 - (1 - i / (n - 1))^2, i = 0 ..
 
-    n is such that cubics through the nodes err by less than `error`. Raises OutOfRange as `transfer`, DoesNotFit.
+    n - 1, shape (bands, n), if `symmetric` holds.
+
+    n is chosen for an error of cubics through the nodes below `error`. Raises OutOfRange as
+    `transfer`, DoesNotFit.
     """
     _, scaled, to_bands = scales(waves)
     series = expansion(outline, scaled)
@@ -38,11 +41,12 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
 
 
 def polar_table(outline: Pupil, waves, error=None):
-    """O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
+    """Return O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
 
-    The rays are even over half a turn, both ends included; the nodes are those of `radial_table`, up to the cut-off
-    of each ray. O at the opposite frequency is the conjugate. Rays and nodes are so many that cubics through them err
-    by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
+    The rays are even over half a turn, both ends included. The nodes are spaced as in
+    `radial_table`, up to the cut-off of each ray. O at the opposite frequency is the conjugate. The
+    numbers of rays and nodes are chosen for an error of cubics through them below `error` each, by
+    default CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
     range_, scaled, to_bands = scales(waves)
     table, first, sectors = _rays(
@@ -50,7 +54,7 @@ def polar_table(outline: Pupil, waves, error=None):
         scaled.tobytes(),
         scaled.shape,
         range_,
-        error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR),
+        error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR),
     )
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
@@ -58,16 +62,16 @@ def polar_table(outline: Pupil, waves, error=None):
 
 @lru_cache(
     maxsize=2
-)  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
+)  # a plan takes few wavelengths and a frame all of them, by the same wavefronts
 def _rays(outline, values, shape, range_, error):
-    """The same of the wavefronts that make those of all wavelengths, see `scales`."""
+    """The same for the wavefronts that are integrated, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
-    sides, _ = cutoff_polygon(outline)
-    sectors = max(1, 2 * outline.blades)
-    # of one sector, rays may be few where they are all the same
+    sides, _ = outline.cutoff
+    sectors = max(1, 2 * outline.sides.size)
+    # of one sector; few if all rays are the same
     per_sector = 8 if symmetric(outline, scaled) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
     length = 192 + ceil(48 * range_)
-    first = outline.rotation + np.pi / outline.blades if sides else 0.0
+    first = float(outline.sides[0]) if sides else 0.0
     series = None if sides else expansion(outline, scaled)
     strongest = np.argmax((scaled**2).sum(axis=(1, 2)))
     # one wavefront finds how many nodes it takes, all of them are held against it
@@ -100,7 +104,7 @@ def _rays(outline, values, shape, range_, error):
 
 def _polygon_rays(outline, waves, s, first, turn, per_sector):
     """O of a polygon at `s` of each ray's cut-off, (bands, rays, n)."""
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
     rays = np.arange(len(turn) - 1)
@@ -123,9 +127,10 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
 
 
 def cubic_error(table) -> float:
-    """Most by which cubics through the nodes along the last axis err, from the fourth differences.
+    """Return the largest error of cubics through the nodes along the last axis, from the fourth differences.
 
-    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the outer cells 1 / 24.
+    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the
+    outer cells 1 / 24.
     """
     fourth = np.abs(np.diff(table, 4, axis=-1))
     return float(max(9 / 384 * fourth.max(initial=0), fourth[..., [0, -1]].max() / 24))
@@ -138,11 +143,3 @@ def _finer(count, rest, error, order=4.0):
         if rest <= error
         else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
     )
-
-
-def cutoff_polygon(outline):
-    """Sides and inner radius of the polygon beyond which O is 0; no sides for the unit circle."""
-    n = outline.blades
-    if n % 2 == 0:
-        return n, float(np.cos(np.pi / n)) if n else 1.0
-    return 2 * n, (1 + float(np.cos(np.pi / n))) / 2  # a polygon and its mirror image, halfway

@@ -1,9 +1,10 @@
-"""From scene samples to pixels: weights that integrate a finer grid over each pixel, and what the samples leave out.
+"""From scene samples to pixels: weights that integrate a finer grid over each pixel, and their sampling error.
 
-Each blurred sample is the integral of the irradiance over its own cell, so that the cumulative integral along an axis
-is known exactly at the cells' edges. Between them it is interpolated by a local polynomial; a pixel is the difference
-of the cumulative at its two edges. Neighbours at full fill share an edge: what one loses the other gains, and where
-edges fall on cells' edges (whole ratios at full fill) nothing is interpolated.
+Each blurred sample is the integral of the irradiance over its own cell, so the cumulative integral
+along an axis is known exactly at the cells' edges. Between them it is interpolated by a local
+polynomial; a pixel is the difference of the cumulative integral at its two edges. Neighbours at
+full fill share an edge, so light that one loses the other gains. If edges fall on cells' edges
+(whole ratios at full fill), nothing is interpolated.
 """
 
 from dataclasses import dataclass
@@ -15,9 +16,9 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.optics.lens import wavelength_nodes
 from gpusim.optics.outside import border_indices
-from gpusim.optics.planned_tables import Tables
+from gpusim.optics.tables import Tables
 
-NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
+NODES = 6  # of the polynomial of the cumulative integral, smooth by a blur
 AREA = 2  # of a polynomial that takes the picture as constant over each cell
 SPARE = (
     NODES // 2
@@ -25,7 +26,7 @@ SPARE = (
 SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
 RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
 WIDEST = 8  # [cycle/sample] of these frequencies at most
-OPTICS = 6  # wavelengths between whose optics those of all are interpolated in that prediction
+OPTICS = 6  # wavelengths between which optics are interpolated in that prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ def pixel_taps(
     centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
     first, below = _cumulative(centres - ratio * aperture / 2, samples, nodes)
     last, above = _cumulative(centres + ratio * aperture / 2, samples, nodes)
-    # the cumulative at node k holds every sample before k: a sample's weight is the sum of those of the nodes behind it
+    # the cumulative at node k holds every sample before k: a sample's weight is the sum of all later nodes' weights
     count = int((last - first).max()) + below.shape[1] - 1
     at = first[:, None] + np.arange(count)
     weights = (_behind(at, last, above) - _behind(at, first, below)) / (ratio * aperture)
@@ -78,8 +79,8 @@ def pixel_taps(
     return Taps(begin.astype(np.int32), kept, centres)
 
 
-def bordered(taps: Taps, samples: int, more: int, border: str) -> Taps:
-    """Taps of `samples` from those of as many with `more` on each side, which are as `border` says."""
+def apply_border(taps: Taps, samples: int, more: int, border: str) -> Taps:
+    """Return taps of `samples` from taps of as many with `more` on each side, which follow the border rule."""
     at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more
     inside = border_indices(at, samples, border)
     weights = np.where(at == inside, taps.weights, 0) if border == "zero" else taps.weights
@@ -132,20 +133,27 @@ def sampling_error(
     tables: Tables | None = None,
     displacement=(0.0, 0.0),
 ) -> float:
-    """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
+    """Return the expected relative RMS error of the mosaic from knowing the scene only at its samples.
 
-    channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
-    f-number over the distance of samples, (L,). share: part of the pixels that has each channel, (C,). aperture: height
-    and width of a pixel's [pixel]. taps: pair of `Taps` (rows, columns), None where each pixel is one sample.
-    tables: of the lens; None without blur. displacement: of the apertures' middles from the samples, (rows, cols)
-    [pixel], where there are no taps.
+    The scene is modelled as regions with edges in all directions: power falls as |f|^-3 in two
+    dimensions (Porod), scaled to the mean square difference of neighbouring samples. A wave exp(2
+    pi i f x) is seen with the transfer A(f) H(f) in place of T(f). A is 1 if samples are the scene
+    at points, and sinc if they are means over their cells. H is the transfer of the samples, which
+    repeats after each whole cycle per sample. T is of optics and pixel. Samples of one material
+    each cannot be means, so A is 1 between materials. The error is of scene structure; point lights
+    (highlights) are not included.
 
-    The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
-    where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
-    transfer A(f) H(f) in place of T(f): A is 1 where samples are the scene at points, sinc where they are means over
-    their cells; H all that the samples are put through, for which waves whole cycles per sample apart are the same;
-    T optics and pixel. Samples of which each has one material cannot be means: where the material changes, A is 1.
-    The error is that of scene structure: lights of a point (highlights) are no part of it.
+    Args:
+        channels: Moments of the scene's channels.
+        weights: Electrons per content, shape (C, L).
+        q: Wavelength times f-number over the distance of samples, shape (L,).
+        share: Part of the pixels that has each channel, shape (C,).
+        ratio: Scene samples per pixel.
+        aperture: Height and width of a pixel's aperture [pixel].
+        taps: Pair of `Taps` (rows, columns); None if each pixel is one sample.
+        tables: Of the lens; None without blur.
+        displacement: Of the apertures' middles from the samples, (rows, cols) [pixel], if there
+            are no taps.
     """
     if not share @ channels.squares > 0:
         return 0.0
@@ -185,9 +193,9 @@ class Moments:
 
 
 def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
-    """Moments of pairs of neighbouring rows, one above the other, that channels see as `seen`, (C, rows, cols).
+    """Return moments of pairs of neighbouring rows, one above the other, in channels `seen` (C, rows, cols).
 
-    weight: of each pair, 1 in the mean, (n,); None: all alike.
+    weight: of each pair, 1 in the mean, (n,); None: equal weights.
     """
     if weight is not None:
         seen = seen * np.sqrt(np.repeat(weight, 2))[:, None]
@@ -214,9 +222,10 @@ def _mean_squares(planes):
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Frequencies at which samples and pixels are followed: places + replicas, the same along both axes [cycle/sample].
+    """Frequencies at which samples and pixels are followed: places + replicas, equal on both axes [cycle/sample].
 
-    places: what an optics that ends at 1 / q passes of -1/2 .. 1/2. replicas: whole numbers. step: of the places.
+    places: in -1/2 .. 1/2, within the cut-off 1 / q. replicas: whole numbers. step: between the
+    places.
     """
 
     replicas: np.ndarray
@@ -241,17 +250,18 @@ class _Waves:
         """Of a scene with edges, of these frequencies along both axes."""
         return _porod(self.all)
 
-    def folded(self, transfer) -> np.ndarray:
+    def fold(self, transfer) -> np.ndarray:
         """The sum over waves whole cycles per sample apart, which give the same samples, at each of them."""
         k, n = len(self.replicas), len(self.places)
         return np.tile(transfer.reshape(k, n, k, n).sum(axis=(0, 2)), (k, k))
 
 
 def _channel_optics(waves, seen, q, ratio, lens_tables):
-    """Each channel's transfer function of the optics alone at the waves, (C, F, F).
+    """Each channel's transfer function of the optics, without pixels, at the waves, (C, F, F).
 
-    seen: what each wavelength gives to each channel, (C, L). Under spiky lights some are negative, as weights of an
-    interpolation: their sizes count, so that a channel's function stays a mean of the wavelengths'.
+    seen: light of each wavelength in each channel, (C, L). Under spiky lights some interpolation
+    weights are negative: their sizes count, which keeps a channel's function a mean over the
+    wavelengths.
     """
     share = np.abs(seen)
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
@@ -306,10 +316,10 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     if any(displacement):
         down, across = (np.exp(2j * np.pi * move * f) for move in displacement)
         true = true * (down[:, None] * across)
-    seen = np.ones_like(true)  # without blur, a sample is what it is
+    seen = np.ones_like(true)  # without blur
     if optical is not None:
         true = optical * true
-        seen = waves.folded(true if ratio == 1 else optical * _box(f))
+        seen = waves.fold(true if ratio == 1 else optical * _box(f))
         seen = seen / np.real(seen[flat])  # flat fields are exact
     errors = []
     for means in (False, True):

@@ -12,8 +12,19 @@ from numpy.polynomial.polynomial import polyval2d
 from scipy.special import jv
 
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.otf import EXACT, FAST, defocus_only, hopkins, transfer
-from gpusim.optics.phase import LEAST, Budget, degree, phases, separated, steepest
+from gpusim.optics.otf import (
+    EXACT,
+    FAST,
+    LEAST,
+    Budget,
+    defocus_only,
+    degree,
+    hopkins,
+    phases,
+    separate,
+    steepest,
+    transfer,
+)
 
 ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
 CHUNK = 4096  # radii whose polynomials are in memory at a time
@@ -61,7 +72,7 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
     """
     edges = np.unique(np.clip([0, 1, *_kinks(pupil)], 0, 1))
     strongest = _strongest(waves)
-    count, rays, repeats, nodes = _foreseen(pupil, strongest, edges, error >= UNRESOLVED)
+    count, rays, repeats, nodes = _foresee(pupil, strongest, edges, error >= UNRESOLVED)
     if not defocus_only(pupil, waves):
         Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
 
@@ -81,7 +92,7 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
 def require_points(pupil: Pupil, waves, frequencies):
     """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
     Budget(len(waves)).need(
-        frequencies * _foreseen(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
+        frequencies * _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
     )
 
 
@@ -89,13 +100,13 @@ def _strongest(waves):
     return waves[np.argmax((waves**2).sum(axis=(1, 2)))][None]
 
 
-def _foreseen(pupil, wave, edges, fast):
-    """Terms in radius and angle that the series of one wavefront takes, repeats in half a turn, points per frequency.
+def _foresee(pupil, wave, edges, fast):
+    """Terms in radius and angle of one wavefront's series, repeats in half a turn, points per frequency.
 
-    O is a mean of waves whose phases turn, as s goes outwards or around, where the overlap is described by coordinates
-    that go with s; its series ends where that of the one that turns fastest does.
+    O is a mean of waves whose phases turn, as s goes outwards or around, in coordinates of the
+    overlap that move with s. Its series ends with the series of the wave that turns fastest.
     """
-    form, fold = separated(wave), _turns(wave)
+    form, fold = separate(wave), _turns(wave)
     steps = 8 + form[0].shape[-1]
     around = 2 * steps
     theta = (np.arange(steps) + 0.5) * np.pi / steps
@@ -123,7 +134,7 @@ def peak_to_valley(waves) -> float:
 
 
 def _turns(waves) -> int:
-    """How often the wavefronts repeat in a turn; 1 where they do so at every angle."""
+    """How often the wavefronts repeat in a turn; 1 if they are the same at every angle."""
     r, t = np.meshgrid(np.linspace(0.3, 1, 9), np.arange(64) * np.pi / 32)
     values = np.fft.rfft([polyval2d(r * np.cos(t), r * np.sin(t), one) for one in waves], axis=1)
     size = np.abs(values).max(axis=(0, 2))

@@ -68,9 +68,7 @@ def shutter_weights(
         (from_low, moment_low), (from_high, moment_high) = map(
             flicker.since(start).integrals, (low, np.maximum(high, low))
         )
-        light = (
-            from_high - from_low
-        )  # between two instants, and that of the later one: linear in time
+        light = from_high - from_low  # between two instants, and of the later one: linear in time
         later = ((moment_high - moment_low) - light * before) / (after - before)
         weights[:, :-1] += light - later
         weights[:, 1:] += later

@@ -1,13 +1,20 @@
-"""Gaussian blurs over a world without end on grids of cubic B-splines, as matrices of few entries for one axis.
+"""Gaussian blurs over an endless world on grids of cubic B-splines, as sparse matrices for one axis.
 
-A grid of spacing D has its splines at x_i = -1/2 + D i, so that the ends of the axis, half a sample outside, are
-splines' places: a mirrored world has a mirrored grid. Samples come to it as d_i = sum over x of B((x - x_i) / D) I(x),
-and go back as u(x) = sum over i of  c_i B((x - x_i) / D). In between is a filter c = g * d. With B's transfer function
-sinc^4 that makes a transfer function D sinc^8(D f) g(f) of it all, so a Gaussian G takes g = G / (D sinc^8).
+A grid of spacing D has its splines at x_i = -1/2 + D i. The ends of the axis, half a sample
+outside, are then places of splines, and a mirrored world has a mirrored grid. Samples come to the
+grid as d_i = sum over x of B((x - x_i) / D) I(x), and go back as u(x) = sum over i of  c_i B((x -
+x_i) / D). A filter c = g * d is in between. With B's transfer function sinc^4 the whole has the
+transfer function D sinc^8(D f) g(f), so a Gaussian G takes g = G / (D sinc^8).
 
-Grids are of two or three levels: narrow Gaussians are filtered on the first, wider ones on the next, four times
-coarser, whose splines are sums of those of the one before (B(x / 2) = sum of (1, 4, 6, 4, 1) / 8 B(x - m), twice).
-Source: Unser, Splines: a perfect fit for signal and image processing (1999); the filter is derived here.
+Grids have two or three levels: narrow Gaussians are filtered on the first, wider ones on the next,
+four times coarser, whose splines are sums of the splines of the level before (B(x / 2) = sum of (1,
+4, 6, 4, 1) / 8 B(x - m), twice). Source: Unser, Splines: a perfect fit for signal and image
+processing (1999); the filter is derived here.
+
+Errors of the grids (`misses`): a wave of frequency f comes to a grid of spacing D as a wave of f0 =
+f - k / D, |f0| <= 1 / 2D, by sinc^4(D f), is filtered there, and goes back as waves of all f0 + m /
+D, by sinc^4(D f0 + m). Only the same wave is wanted, by the Gaussians' transfer function. The rest
+is an error. So are filters of few taps.
 """
 
 from dataclasses import dataclass
@@ -23,17 +30,22 @@ LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
 MASK = np.convolve(
     TWICE, np.insert(TWICE, slice(1, None), 0)
-)  # of a level's splines in those of the one before
+)  # of a level's splines in the splines of the level before
 SPREAD = 5.0  # standard deviations at which a filter ends
 SMALLEST = 1e-9  # of a row's largest entry, below which an entry is none
+REPLICAS = 4  # of the grid's frequencies on each side, beyond which sinc^8 is below 1e-10
+WIDE = 4.0  # spacings of a Gaussian from which its error is negligible
 
 
 @dataclass(frozen=True)
 class Bands:
-    """Matrices whose rows have a few entries beside one another.
+    """Matrices whose rows have a few adjacent entries.
 
-    start, count: first column and number of entries, shape (matrices, rows). values: float32 (matrices, rows, most).
-    columns: of a matrix.
+    Attributes:
+        start: First column, shape (matrices, rows).
+        count: Number of entries, shape (matrices, rows).
+        values: Entries, float32 (matrices, rows, most).
+        columns: Columns of a matrix.
     """
 
     start: np.ndarray
@@ -62,7 +74,7 @@ class Bands:
         most = max(int(count.max(initial=1)), 1)
         first = np.minimum(
             start, columns - most
-        )  # so that `most` entries from there on are the matrix's
+        )  # `most` entries from there on are within the matrix
         start, count = first, start + count - first
         values = np.zeros((len(matrices), rows, most), np.float32)
         for own, begin, (row, column, value) in zip(values, start, entries, strict=True):
@@ -91,10 +103,13 @@ class Bands:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Matrices, some rows at a time, whose blocks have a few columns beside one another.
+    """Matrices in blocks of rows, each with a few adjacent columns.
 
-    start, count: first column and number of columns, shape (matrices, blocks). values: float32 (matrices, blocks, most,
-    rows of a block). rows: of a matrix.
+    Attributes:
+        start: First column, shape (matrices, blocks).
+        count: Number of columns, shape (matrices, blocks).
+        values: Entries, float32 (matrices, blocks, most, rows of a block).
+        rows: Rows of a matrix.
     """
 
     start: np.ndarray
@@ -141,7 +156,7 @@ class Axis:
 
     @cached_property
     def analysis(self) -> Bands:
-        """To the first level: the first sample, d_-1 .. of the axis alone, the last sample."""
+        """Return the map to the first level: the first sample, d_-1 .. of the axis, the last sample."""
         first, last = (csr_array(([1.0], ([0], [at])), shape=(1, self.n)) for at in (0, self.n - 1))
         return Bands.of(
             [
@@ -163,17 +178,17 @@ class Axis:
         world, count = self._world(level, 4 * COARSER), self.size(level + 1) + 5
         at = 4 * COARSER + COARSER * np.arange(-2, count - 2)
         return Bands.of(
-            [_banded(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
+            [_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
         )
 
     def prolongation(self, level: int) -> Bands:
         """From the next level's coefficients c_-2 .. to a level's."""
         count, splines = self.size(level + 1) + 5, self.size(level) + 5
         at = COARSER * np.arange(-2, count - 2) + 2
-        return Bands.of([_banded(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
+        return Bands.of([_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
 
     def filters(self, level: int) -> Bands:
-        """Coefficients c_-2 .. from what a level has, of its Gaussians."""
+        """Return the maps from a level's values to the coefficients c_-2 .. of its Gaussians."""
         found, size, step = [], self.size(level), self.n / self.size(level)
         for sigma in self.sigmas[self.of_level(level)]:
             if np.isinf(sigma):
@@ -182,7 +197,7 @@ class Axis:
             taps = _taps(sigma / step) / step
             world = self._world(level, len(taps) // 2 + 2)
             found.append(
-                _banded(
+                _band_matrix(
                     np.arange(size + 5),
                     np.broadcast_to(taps, (size + 5, len(taps))),
                     world.shape[0],
@@ -195,7 +210,7 @@ class Axis:
         """Splines -more .. fine + more of the first level at samples, sparse (samples, fine + 2 more + 1)."""
         place = (np.asarray(at) + 0.5) / self.step + more
         first = np.floor(place).astype(int) - 1
-        return _banded(
+        return _band_matrix(
             first,
             _cubic(place[:, None] - first[:, None] - np.arange(4)),
             self.size(0) + 2 * more + 1,
@@ -214,9 +229,9 @@ class Axis:
         )
 
     def _world(self, level, more):
-        """d_i of the world without end, i = -more .. size + more, from what a level has, sparse.
+        """d_i of the endless world, i = -more .. size + more, from a level's values, sparse.
 
-        The first has what `analysis` gives, the others d_-2 .. of that world.
+        The first level has the values of `analysis`, the others d_-2 .. of that world.
         """
         size = self.size(level)
         i = np.arange(-more, size + more + 1)
@@ -256,7 +271,7 @@ class Axis:
         return csr_array((values, (row, column)), shape=shape)
 
     def _limit(self, level, step):
-        """Weights of what a level has in what an infinitely wide Gaussian gives."""
+        """Weights of a level's values in the limit of an infinitely wide Gaussian."""
         size = self.size(level)
         if self.border == "zero":
             return np.zeros(size + 5)
@@ -296,7 +311,7 @@ def multiplications(
     sigmas: tuple[float, ...],
     spacings: float = SPACINGS,
 ) -> float:
-    """Of a far field of so many planes and channels, about: what the matrices of both axes have to multiply."""
+    """Return about how many multiplications a far field of so many planes and channels takes, on both axes."""
     down, across = axes(shape, sigmas, "edge", spacings)
     high, wide = down.splines(0), across.splines(0)
     total = 4.0 * planes * shape[1] * (shape[0] + 5 * down.step) + 4.0 * channels * shape[0] * wide
@@ -312,8 +327,8 @@ def multiplications(
     return float(total)
 
 
-def _banded(first, values, columns):
-    """Sparse matrix whose rows have `values` (rows, entries) from the columns `first` on, where these are within."""
+def _band_matrix(first, values, columns):
+    """Sparse matrix whose rows have `values` (rows, entries) from the columns `first` on; others are cut off."""
     at = np.asarray(first)[:, None] + np.arange(values.shape[1])
     there = (at >= 0) & (at < columns)
     ends = np.append(0, np.cumsum(there.sum(axis=1)))
@@ -336,9 +351,9 @@ def response(sigma: float, frequency) -> np.ndarray:
 
 
 def _taps(sigma):
-    """Values of the filter whose transfer function is that of a Gaussian over sinc^8, out to SPREAD sigmas [spacing].
+    """Values of the filter with the transfer function of a Gaussian over sinc^8, out to SPREAD sigmas [spacing].
 
-    Their sum is one, so that flat light stays what it is, however few they are.
+    Their sum is one, so flat light is unchanged for any number of taps.
     """
     half = int(np.ceil(SPREAD * sigma))
     length = 1 << int(np.ceil(np.log2(2 * half + 64)))
@@ -348,3 +363,59 @@ def _taps(sigma):
     )
     taps = taps[abs(np.arange(-half, half + 1))]
     return taps / taps.sum()
+
+
+def misses(shape: tuple[int, int], sigmas, energies, spacings: float, down, across) -> np.ndarray:
+    """Mean square errors of waves whose own is 1, shape (channels, frequencies down, frequencies across).
+
+    shape: samples of the frame. sigmas: of the Gaussians, shape (G,) [sample]. energies: of each in a channel, shape
+    (channels, G). spacings: of splines in the first of the sigmas. down, across: the frequencies [1/sample].
+    """
+    found = np.zeros((len(energies), len(down), len(across)))
+    for part, y, x in _levels(tuple(shape), tuple(sigmas), spacings, tuple(down), tuple(across)):
+        each = energies[:, part, None]
+        there = np.multiply.outer(y.there, x.there)  # and back as the same wave
+        back = np.multiply.outer(y.back, x.back) - there**2
+        wanted, filtered = (
+            first.T @ (each * second) for first, second in ((y.wanted, x.wanted), (y.taps, x.taps))
+        )
+        found += there**2 * filtered**2 * back + (there**2 * filtered - wanted) ** 2
+    return found
+
+
+class _Waves:
+    """Waves along an axis, of frequencies (n,) [1/sample], and the Gaussians of a level.
+
+    there: factor with which a wave comes to the grid, (n,). back: sum of the squares of the waves
+    that go back, (n,). taps, wanted: transfer functions of the filters and of the Gaussians, (G,
+    n).
+    """
+
+    def __init__(self, axis, level, sigmas, at):
+        step = axis.n / axis.size(level)
+        own = step * at
+        here = own - np.rint(own)
+        self.there = np.sinc(own) ** 4
+        self.back = sum(np.sinc(here + m) ** 8 for m in range(-REPLICAS, REPLICAS + 1))
+        self.taps = np.array([response(sigma / step, here) for sigma in sigmas])
+        self.wanted = np.exp(-2 * (np.pi * np.multiply.outer(sigmas, at)) ** 2)
+
+
+@lru_cache(maxsize=64)
+def _levels(shape, sigmas, spacings, down, across):
+    """Which Gaussians are of each level that has any, and the waves of both axes there."""
+    both, found = axes(shape, sigmas, "edge", spacings), []
+    for level in range(both[0].levels):
+        part = np.arange(len(sigmas))[both[0].of_level(level)]
+        part = part[np.take(sigmas, part) < WIDE * min(axis.n / axis.size(level) for axis in both)]
+        if len(part):
+            found.append(
+                (
+                    part,
+                    *(
+                        _Waves(axis, level, np.take(sigmas, part), np.array(at))
+                        for axis, at in zip(both, (down, across), strict=True)
+                    ),
+                )
+            )
+    return found

@@ -1,21 +1,24 @@
-"""Transfer tables of a lens, integrated over the pixel, float64: the kernels' reference, and what the planner reads.
+"""Transfer tables of a lens, integrated over the pixel, float64: reference of the kernels, input of the planner.
 
-Integrated at every frequency that folds. For any pupil and whole frames that would take hours. Beyond FEW frequencies,
-splines stand for the integral: through integrals at nodes of its own where pupil and wavefront are the same at every
-angle, else through a table of the rays that errs by TABLE at most. The integral itself adds nodes until it no longer
-changes. For the planner they go through the nodes along the rays that devices use, of all wavelengths at once.
+The integral is taken at every frequency that folds. For any pupil and whole frames this would take
+hours. Beyond FEW frequencies, splines replace the integral: through integrals at own nodes if pupil
+and wavefront are the same at every angle, else through a table of the rays with an error of at most
+TABLE. Nodes are added to the integral until it no longer changes. For the planner the splines go
+through the nodes along the rays that devices use, for all wavelengths at once.
 """
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
+from gpusim.optics.lens import Lens, open_lens, wavelength_nodes
 from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
-from gpusim.optics.psf import psf_tables
-from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
+from gpusim.optics.rays import polar_table, radial_table
 from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
@@ -29,42 +32,123 @@ TABLE, POLYGON = (
 def transfer_tables(
     optics: Optics, pitch, q, aperture, rows, cols, displacement=(0.0, 0.0)
 ) -> np.ndarray:
-    """Transfer tables of a lens, one per wavelength, good to be looked at: also those of periods too short to blur by.
+    """Return transfer tables of a lens, one per wavelength, to be looked at, also for periods too short to blur by.
 
-    pitch: distance of the samples [m]. q: wavelength times working f-number over it, shape (L,); the devices' float32.
-    aperture: height and width of what each sample is integrated over [sample], or one number for a square. rows, cols:
-    transform period. displacement: of the apertures' middles from the samples, (rows, cols) [sample].
-    Returns quarters, real (L, rows // 2 + 1, cols // 2 + 1), where the optics is the same at every angle and nothing
-    is displaced, else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them. Raises OutOfRange.
+    Args:
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        q: Wavelength times working f-number over the pitch, shape (L,); the devices' float32.
+        aperture: Height and width over which each sample is integrated [sample], or one number
+            for a square.
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
+        displacement: Of the apertures' middles from the samples, (rows, cols) [sample].
+
+    Returns:
+        See `gpusim.optics.lens.Lens.tables`.
     """
-    nanometres = q * pitch / optics.working_f_number * 1e9
-    if optics.psf is not None:
-        return psf_tables(
-            optics.psf,
-            nanometres,
-            pitch,
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    return lens.tables(q, rows, cols, _OnHost())
+
+
+class _OnHost:
+    """Makes transfer tables in float64, good to be looked at: see `gpusim.optics.lens.Stages`."""
+
+    whole = False
+
+    def airy(self, q, aperture, rows, cols):
+        """See `Stages`."""
+        return airy(np.asarray(q, np.float32), aperture, rows, cols)
+
+    def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
+        """See `Stages`."""
+        even = symmetric(outline, waves)
+        return _fold(
+            _along_rays(outline, waves, even),
+            even,
+            np.asarray(q, np.float32),
             aperture,
             rows,
             cols,
-            whole=False,
-            displacement=displacement,
+            spots,
+            diffuser,
+            displacement,
         )
-    q = np.asarray(q, np.float32)
-    if optics.is_ideal and not any(displacement):
-        return airy(q, aperture, rows, cols)
-    waves = optics.waves(nanometres)
-    even = symmetric(optics.pupil, waves)
-    return _folded(
-        _along_rays(optics.pupil, waves, even),
-        even,
-        q,
-        aperture,
-        rows,
-        cols,
-        tuple(length / pitch for length in optics.birefringence),
-        optics.diffuser / pitch,
-        displacement,
+
+    def given(self, tables):
+        """See `Stages`."""
+        return tables
+
+
+class Kept(Protocol):
+    """Stores values that the planner computes, for the next plan: for example `gpusim.pipeline.cache.Kept`."""
+
+    def __call__(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
+        """Return the value stored under `name` if its key equals `key`, else make and store it.
+
+        key: everything that `make` depends on.
+        """
+
+
+def made_anew(name: str, key: Any, make: Callable[[], Any]) -> Any:
+    """Return `make()`: a `Kept` that stores nothing."""
+    return make()
+
+
+class Tables:
+    """Transfer tables of a lens in front of pixels of `pitch` [m]."""
+
+    def __init__(self, optics: Optics, pitch: float, kept: Kept):
+        self._optics, self._pitch, self._kept = optics, pitch, kept
+
+    def of(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)) -> np.ndarray:
+        """Return tables at all frequencies of a period, see `transfer_tables`.
+
+        If the blur is not round, tables of a few wavelengths are interpolated.
+
+        Args:
+            q: Wavelength times working f-number over the distance of samples, shape (L,).
+            aperture: Height and width [sample], or one number for a square.
+            rows: Rows of the period.
+            cols: Columns of the period.
+            finer: Samples per pixel.
+            displacement: Displacement of the apertures from the samples [sample].
+        """
+        optics, pitch = self._optics, self._pitch / finer
+
+        def make():
+            lens = open_lens(optics, pitch, aperture, displacement=displacement)
+            if lens.symmetry.is_round:
+                return lens.tables(q, rows, cols, _OnHost())
+            nodes, between = wavelength_nodes(q)  # q is proportional to the wavelength
+            return np.tensordot(between, lens.tables(nodes, rows, cols, _OnHost()), 1)
+
+        return self._kept(
+            f"sampled {rows}x{cols} {finer:g}", (optics, pitch, q, aperture, displacement), make
+        )
+
+    def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
+        """Return tables of a square period: real quarters, or complex halves (L, period, period // 2 + 1)."""
+        tables = self.of(q, aperture, period, period, finer, displacement)
+        return (
+            tables
+            if tables.shape[-1] == period // 2 + 1
+            else np.ascontiguousarray(tables).view(complex)
+        )
+
+
+def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
+    """Return transfer tables of a lens at places of the field, of a square period, as `Response.of` takes them."""
+    chosen, between = wavelength_nodes(wavelengths)
+    size = max(period - 1, lens.least_size)
+    kernels = np.stack(
+        [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1
     )
+    kernels /= kernels.sum(axis=(2, 3), keepdims=True)
+    whole = np.zeros((*kernels.shape[:-2], period, period))  # kernels are wrapped into the period
+    at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % period
+    np.add.at(whole, (slice(None),) * (kernels.ndim - 2) + (at[:, None], at), kernels)
+    return np.fft.rfft2(whole)
 
 
 def otf(s):
@@ -106,7 +190,7 @@ def pupil(
         len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
     )
     value = _integral if few else _spline_radial if even else _spline_polar
-    return _folded(
+    return _fold(
         (value(outline, wave[None]) for wave in waves),
         even,
         q,
@@ -119,7 +203,20 @@ def pupil(
     )
 
 
-def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
+class _Exact(_OnHost):
+    """Makes transfer tables with the kernels' reference."""
+
+    def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
+        """See `Stages`."""
+        return pupil(outline, waves, q, aperture, rows, cols, spots, diffuser, displacement)
+
+
+def exact_tables(lens: Lens, q, rows: int, cols: int, distance: float | None = None) -> np.ndarray:
+    """Return transfer tables of a lens, made with the kernels' reference: see `Lens.tables`."""
+    return lens.tables(q, rows, cols, _Exact(), distance)
+
+
+def _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
     """Tables of transfer functions `otfs` of (sx, sy), one per wavelength; even: they are the same at every angle."""
     real = even and not any(displacement)
     fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
@@ -192,13 +289,13 @@ def _spline_radial(outline, wave):
 
 
 def _spline_polar(outline, wave):
-    table, *rays = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
+    table, *rays = polar_table(outline, wave, POLYGON if outline.sides.size else TABLE)
     return _through_rays(outline, table[0], *rays)
 
 
 def _through_rays(outline, table, first, sectors):
     """Splines through a table (rays, n), see `polar_table`."""
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     size = (table.shape[0] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
     parts = table.real, table.imag

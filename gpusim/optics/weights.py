@@ -65,9 +65,9 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
 
 
 def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
-    """Electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
+    """Return electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
 
-    Raises BadData where the camera sees none of the light.
+    Raises BadData if the camera sees none of the light.
     """
     optics, sensor = camera.optics, camera.sensor
     factors = [scene.illuminant, sensor.qe]
@@ -90,9 +90,9 @@ def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
 
 
 def check_light(scene: Scene, content: Callable[[], Content], camera: Camera):
-    """Refuse light on the sensor at wavelengths where its curves are not known. Raises OutOfRange.
+    """Raise OutOfRange for light on the sensor at wavelengths at which its curves are not known.
 
-    content: gives the scene's, in host memory, where it is looked at.
+    content: gives the scene's content, in host memory, if it must be read.
     """
     nodes, qe, light, through = (
         scene.wavelengths,

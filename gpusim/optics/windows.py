@@ -1,7 +1,7 @@
-"""Windows of a picture: parts in which errors are computed, drawn where its edges are.
+"""Windows of a picture: parts in which errors are computed, drawn near its edges.
 
-Errors of a blur are at edges, so that windows are drawn with a probability that grows with the energy of the edges in
-them, and weighted by its inverse (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952).
+Errors of a blur are at edges. Windows are drawn with a probability that grows with the energy of
+the edges in them, and weighted by its inverse (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952).
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ import scipy
 
 from gpusim.optics.fusion import in_range
 
-MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
-EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
+MOST_STEPS = 2**18  # between neighbours that are read to locate edges
+EDGES = 0.7  # part of the windows drawn with the energy of edges; the others are drawn evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,17 +33,24 @@ class Windows:
     def of(
         cls, brightness, margin: int, border: str, count: int, side: int, rim: int, beside: int = 0
     ) -> "Windows":
-        """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols).
+        """Return at most `count` windows of the frame.
 
-        side, rim: samples of a window, and on each side of it around its inner part, which is in the frame. beside:
-        neighbouring inner parts on each side whose edges are an inner part's, too.
+        Args:
+            brightness: Light of the frame and of `margin` around it, shape (rows, cols).
+            margin: Samples around the frame.
+            border: The scene's border.
+            count: Most windows.
+            side: Side of a window [sample].
+            rim: Samples on each side of a window around its inner part, which is in the frame.
+            beside: Neighbouring inner parts on each side whose edges count for an inner part,
+                too.
         """
         inner = side - 2 * rim
         starts, (energy, largest) = _edges(brightness, margin, border, inner)
         if beside:
             grid = energy.reshape([len(first) for first in starts])
             energy = scipy.ndimage.uniform_filter(grid, 2 * beside + 1, mode="constant").ravel()
-        drawn, weight = _drawn(energy, count)
+        drawn, weight = _draw(energy, count)
         places = [(y, x) for y in starts[0] for x in starts[1]]
         first = np.array([places[k] for k in drawn]) + margin - rim
         seen = largest[drawn].max()
@@ -87,7 +94,7 @@ def _edges(brightness, margin, border, inner):
                 if y <= edge < y + inner:
                     step[row] = np.maximum(step[row], brightness[edge] * unit)
         lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
-        # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
+        # from each start to its end, without the gaps; one more, since an end may not be beyond the last
         found.append(
             [
                 by.reduceat(np.append(line, 0), ends.ravel())[::2]
@@ -99,7 +106,7 @@ def _edges(brightness, margin, border, inner):
 
 
 def _unit(brightness):
-    """A power of two, in the type of the values, that makes the largest up to 1, so that no square overflows."""
+    """A power of two, in the type of the values, that scales the largest to at most 1: no square overflows."""
     return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
 
 
@@ -114,11 +121,12 @@ def _starts(n, inner):
     return np.unique(np.minimum(np.arange(0, max(n, 1), inner), max(n - inner, 0)))
 
 
-def _drawn(energy, count):
-    """Which are drawn, each once, and what they stand for; all of them where they are few.
+def _draw(energy, count):
+    """Indices that are drawn, each once, and their weights; all of them if they are few.
 
-    One after each `count`-th part of all chances. What would be drawn more than once is there for certain, and the
-    others share the other draws by their own energy: a few points of light do not hide those that are darker.
+    One is drawn after each `count`-th part of the total probability. An index that would be drawn
+    more than once is certain, and the others share the other draws by their own energy: a few
+    points of light do not hide darker ones.
     """
     if len(energy) <= count:
         return np.arange(len(energy)), np.ones(len(energy))
@@ -139,19 +147,21 @@ def _drawn(energy, count):
 
 
 def quantile(values, weight, part):
-    """Quantile of values (n, C, rows, cols) whose weights are (n, C), part >= 1 - 1 / cols.
+    """Return the quantile of values (n, C, rows, cols) with weights (n, C), part >= 1 - 1 / cols.
 
-    The largest of each row tell a value that is low enough to be below it.
+    The largest values of each row give a lower limit, below which values are skipped.
     """
     above = (1 - part) * weight.sum() * values[0, 0].size
-    least = _reached(values.max(axis=-1), weight[..., None], above)
+    least = _level_above(values.max(axis=-1), weight[..., None], above)
     some = values >= least
     return float(
-        _reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above)
+        _level_above(
+            values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above
+        )
     )
 
 
-def _reached(values, weight, above):
+def _level_above(values, weight, above):
     """The value down to which, from the largest on, the weights add up to `above`."""
     weight = np.broadcast_to(weight, values.shape).ravel()
     order = np.argsort(values, axis=None)[::-1]

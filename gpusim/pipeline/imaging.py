@@ -30,6 +30,7 @@ from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.geometry import view_nodes
 from gpusim.optics.highlights import point_kernels
+from gpusim.optics.lens import lens_of
 from gpusim.optics.splines import axes, multiplications
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.reading import WHOLE, planes, store
@@ -496,7 +497,8 @@ class _Steps:
     def _bytes_of_table(self):
         """Real quarters of a transfer table, or complex halves [byte]."""
         plan = self.plan
-        is_real = self.imaging.camera.optics.is_symmetric and not any(self.sensor.displacement)
+        lens = lens_of(self.plan.camera)
+        is_real = lens.symmetry.is_round and not any(lens.displacement)
         rows, cols = plan.period
         return 4 * (1 if is_real else 4) * (rows // 2 + 1) * (cols // 2 + 1)
 

@@ -11,6 +11,7 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shortened
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.imaging import store_content
@@ -186,7 +187,7 @@ class Program:
             or not same(drafted_by(by), drafted_by(camera))
         ):
             return None
-        if camera.optics.is_symmetric and same(by.optics, camera.optics):
+        if lens_of(camera).symmetry.is_round and same(by.optics, camera.optics):
             return None
         return self.before.cache("draft", drafted, plan, camera)
 
@@ -364,7 +365,10 @@ class Program:
             self.before.plan = None
             if plan.fits(light, None):
                 probing.unfit(
-                    plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene
+                    plan,
+                    scene,
+                    plan.watch.count_missing_planes(found, plan.limit),
+                    scene is self.scene,
                 )
 
     @property

@@ -13,36 +13,64 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.lens import spread_radius, wavelength_nodes
-from gpusim.optics.psf import psf_tables
-from gpusim.optics.tables import pupil as folded_pupil
-from gpusim.optics.tables import transfer_tables
+from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.tables import exact_tables, transfer_tables
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
+class _OnDevice:
+    """Makes transfer tables on a device: see `gpusim.optics.lens.Stages`."""
+
+    whole = True
+
+    def __init__(self, device):
+        self._device = device
+
+    def airy(self, q, aperture, rows, cols):
+        """See `Stages`."""
+        return airy(self._device.array(q), aperture, rows, cols, device=self._device)
+
+    def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
+        """See `Stages`."""
+        return pupil(
+            outline,
+            waves,
+            self._device.array(q),
+            aperture,
+            rows,
+            cols,
+            device=self._device,
+            spots=spots,
+            diffuser=diffuser,
+            displacement=displacement,
+        )
+
+    def given(self, tables):
+        """See `Stages`."""
+        return tables if self._device.kind == "numpy" else self._device.array(tables)
+
+
 class LensTables:
-    """Tables of a camera on a device, each kept until lens, pixels, wavelengths or period change."""
+    """Tables of a camera on a device, each stored until lens, pixels, wavelengths or period change."""
 
     def __init__(self, camera: Camera, device: Device, kept: Callable):
         self.camera, self.device, self._kept = camera, device, kept
         sensor = camera.sensor
-        self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
+        self._made_of = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
 
     def grid(self, samples_per_pixel):
-        """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
+        """Return the distance of the samples that are blurred [m], and the size of their apertures [sample].
 
-        Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
+        Samples that are pixels are integrated over the pixel's aperture; others over the whole
+        cell, and pixels share them.
         """
         sensor = self.camera.sensor
-        return (
-            sensor.pixel_pitch / samples_per_pixel,
-            tuple(side / sensor.pixel_pitch for side in sensor.aperture)
-            if samples_per_pixel == 1
-            else (1.0, 1.0),
-        )
+        (height, width), pitch = sensor.aperture, sensor.pixel_pitch
+        aperture = (height / pitch, width / pitch) if samples_per_pixel == 1 else (1.0, 1.0)
+        return pitch / samples_per_pixel, aperture
 
     @staticmethod
     def transfer_of(*, plan: Plan, tables: "LensTables"):
@@ -55,54 +83,45 @@ class LensTables:
         return tables.deviation(plan)
 
     def transfer(self, plan: Plan):
-        """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
+        """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
-        name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
+        name = f"transfer {plan.mix.shape}"  # tables of its wavelengths next to tables of a plan
         if plan.is_draft and (short := self._short(plan)):
-            return self._kept(
-                "drafted", (short, self._key(plan)), lambda: self._widened(plan, short)
-            )
-        return self._kept(
-            name,
-            self._key(plan),
-            lambda: self._near(plan, self.combined(plan, self.all_bands(plan))),
-        )
+            return self._kept("drafted", (short, self._key(plan)), lambda: self._widen(plan, short))
 
-    def _near(self, plan, tables):
-        """Tables less what Gaussians over the world without end make."""
-        if plan.far is None:
-            return tables
-        return near(
-            tables,
-            plan.far.energies(plan.transfers),
-            plan.far.sigmas,
-            plan.period,
-            device=self.device,
-        )
+        def make():
+            tables, far = self.combine(plan, self.all_bands(plan)), plan.far
+            if far is None:
+                return tables
+            # without the Gaussians of the endless world
+            energies = far.energies(plan.transfers)
+            return near(tables, energies, far.sigmas, plan.period, device=self.device)
+
+        return self._kept(name, self._key(plan), make)
 
     def _short(self, plan):
-        """A period that holds most of the light of points, where a CPU would be long at the tables of the plan's; or 0.
+        """A short period that holds most of the light of points, if a CPU would be slow at the plan's; or 0.
 
-        The rest of the light, which falls as 1 / r^3 and so is some q / SHORT of all, is put elsewhere in it.
+        The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places
+        of the period.
         """
         if (
             self.device.is_gpu
-            or self.camera.optics.is_symmetric
+            or (lens := self._lens(plan)).symmetry.is_round
             or plan.far is not None
             or plan.transfers is None
         ):
             return 0
-        pitch = self.grid(plan.scene.samples_per_pixel)[0]
-        wide = 4 * spread_radius(self.camera.optics, plan.scene.wavelengths, pitch)
+        wide = 4 * lens.spread(plan.scene.wavelengths)
         short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
         return short if 2 * short <= min(plan.period) else 0
 
-    def _widened(self, plan, short):
-        """Tables of the plan's period from those of a short one and of a few wavelengths: kernels amid zeros."""
+    def _widen(self, plan, short):
+        """Tables of the plan's period from kernels of a short period and few wavelengths, padded with zeros."""
         rows, cols = plan.period
         nodes, between = wavelength_nodes(plan.q)  # q goes with the wavelength
         few = replace(plan, q=nodes, transfers=plan.transfers @ between, period=(short, short))
-        tables = self.device.numpy(self.combined(few, self.all_bands(few)))
+        tables = self.device.numpy(self.combine(few, self.all_bands(few)))
         kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
         middle = short // 2
         wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
@@ -117,11 +136,11 @@ class LensTables:
         return self.device.array(tables.view(np.float32))
 
     def _key(self, plan):
-        """What the tables of a plan are made of."""
+        """Everything that the tables of a plan depend on."""
         far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
         return (
             *far,
-            self._lens,
+            self._made_of,
             plan.q,
             self.grid(plan.scene.samples_per_pixel),
             plan.period,
@@ -129,52 +148,29 @@ class LensTables:
             plan.transfers,
         )
 
-    def bands(self, q, pitch, aperture, rows, cols, device, distance=None):
-        """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
+    def _lens(self, plan):
+        """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
+        ratio = plan.scene.samples_per_pixel
+        displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
+        pitch, aperture = self.grid(ratio)
+        return open_lens(self.camera.optics, pitch, aperture, displacement=displacement)
 
-        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their height and width
-        [sample], displaced from the samples where these are the pixels'. distance: of the object [m], that in focus if
-        not given.
+    def all_bands(self, plan: Plan, distance: float | None = None):
+        """Return transfer tables of every wavelength of a plan, as the stages take them.
+
+        Args:
+            plan: A plan with blur.
+            distance: Distance of the object [m]; None: the plane in focus.
+
+        Returns:
+            Quarters if the blur is round, else halves: see `gpusim.optics.lens.Lens.tables`.
         """
-        optics, sensor = self.camera.optics, self.camera.sensor
-        displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
-        if optics.psf is not None:
-            tables = psf_tables(
-                optics.psf,
-                q * pitch / optics.working_f_number * 1e9,
-                pitch,
-                aperture,
-                rows,
-                cols,
-                finest=float(q.min()) * pitch / 2,
-                displacement=displacement,
-            )
-            return tables if device.kind == "numpy" else device.array(tables)
-        if optics.is_ideal and distance is None and not any(displacement):
-            return airy(device.array(q), aperture, rows, cols, device=device)
-        waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
-        return pupil(
-            optics.pupil,
-            waves,
-            device.array(q),
-            aperture,
-            rows,
-            cols,
-            device=device,
-            spots=tuple(length / pitch for length in optics.birefringence),
-            diffuser=optics.diffuser / pitch,
-            displacement=displacement,
-        )
-
-    def all_bands(self, plan: Plan, distance=None):
-        """Transfer tables of every wavelength of a plan, as the stages take them."""
-        (pitch, aperture), (rows, cols) = self.grid(plan.scene.samples_per_pixel), plan.period
-        return self.bands(plan.q, pitch, aperture, rows, cols, self.device, distance)
+        return self._lens(plan).tables(plan.q, *plan.period, _OnDevice(self.device), distance)
 
     def at_distance(self, plan: Plan, kernel: int):
-        """Tables of the plan's planes, and of white in its channels, for what is at the distance of one of its kernels.
+        """Return tables for objects at the distance of one of the plan's kernels: of its planes, and of white.
 
-        Those of planes are kept for the next frame; those of all wavelengths are too large for that.
+        Tables of planes are stored for the next frame; those for all wavelengths are too large.
         """
         assert plan.depth is not None
         distance = plan.depth.distances[kernel]
@@ -186,7 +182,7 @@ class LensTables:
             if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
                 bands = integrate(bands, self.device.array(np.diag(flat / own)), device=self.device)
             cover = integrate(bands, self.device.array(white / flat), device=self.device)
-            return self.combined(plan, bands), self.device.reshape(
+            return self.combine(plan, bands), self.device.reshape(
                 cover, (len(white), 1, *bands.shape[1:])
             )
 
@@ -197,42 +193,23 @@ class LensTables:
         )
 
     def _flat(self, plan: Plan, distance: float) -> np.ndarray:
-        """Return what a flat field of 1 at `distance` gives if every sample is a point of light of 1, shape (L,)."""
-        pitch, aperture = self.grid(plan.scene.samples_per_pixel)
-        if min(aperture) == 1:
+        """Response to a flat field of 1 at `distance`, if every sample is a unit point source, shape (L,)."""
+        lens = self._lens(plan)
+        if min(lens.aperture) == 1:
             return np.ones(len(plan.q))
-        optics, displacement = self.camera.optics, self.camera.sensor.displacement
-        waves = optics.waves(plan.q * pitch / optics.working_f_number * 1e9, distance=distance)
-        tables = folded_pupil(
-            optics.pupil,
-            waves,
-            plan.q,
-            aperture,
-            1,
-            1,
-            tuple(length / pitch for length in optics.birefringence),
-            optics.diffuser / pitch,
-            displacement,
-        )
-        return tables[:, 0, 0]
+        return exact_tables(lens, plan.q, 1, 1, distance)[:, 0, 0]
 
     def deviation(self, plan: Plan) -> float:
-        """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
+        """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""
         if plan.mix is None:
             return 0.0
         sensor, q = self.camera.sensor, plan.q / plan.scene.samples_per_pixel
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
 
         def deviation():
-            # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
-            tables = transfer_tables(
-                self.camera.optics,
-                sensor.pixel_pitch / 4,
-                4 * q,
-                tuple(4 * side for side in aperture),
-                32,
-                32,
-            )
+            # four points along a pixel, to exclude frequencies that a grid of pixels folds onto this one
+            pitch, sides = sensor.pixel_pitch / 4, tuple(4 * side for side in aperture)
+            tables = transfer_tables(self.camera.optics, pitch, 4 * q, sides, 32, 32)
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
                 tables = np.ascontiguousarray(tables).view(complex)
             light = plan.weights.sum(axis=0)
@@ -242,10 +219,10 @@ class LensTables:
             ]
             return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
 
-        return self._kept("deviation", (self._lens, q, plan.weights), deviation)
+        return self._kept("deviation", (self._made_of, q, plan.weights), deviation)
 
-    def combined(self, plan, bands):
-        """Transfer tables of the plan's planes from those of its wavelengths."""
+    def combine(self, plan, bands):
+        """Return transfer tables of the plan's planes from tables of its wavelengths."""
         device = self.device
         if plan.transfers is None:
             return device.reshape(bands, (1, *bands.shape))

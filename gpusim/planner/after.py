@@ -1,20 +1,25 @@
-"""After the fact: what a plan errs in a scene that it was not made for, exactly, in probes of that scene."""
+"""Errors of a plan in a scene that it was not made for, exactly, in probes of that scene."""
 
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import highlights, spectral
-from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan
 from gpusim.planner.question import Question
 from gpusim.planner.search import HEADROOM
 
 
 def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
-    """The plan's account for another scene that it serves: its planes, or a blur that it leaves out, by probes of that.
+    """Return the plan's account for another scene that it serves.
 
-    question: of that scene. seconds: of the exposure [s]; None: what the camera would choose. The other errors are
-    those of the plan's own scene. plan: one with a watch.
+    The errors of its planes, or of a blur left out, come from probes of that scene; the others are
+    from the plan's own scene.
+
+    Args:
+        plan: A plan with a watch.
+        question: Of that scene.
+        seconds: Exposure time [s]; None: the camera's choice.
     """
     assert plan.watch is not None
     picture = highlights.whole(question)
@@ -25,15 +30,15 @@ def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
     )
     probes = spectral.probes_of(question, picture, operation)
     if plan.transfers is None:
-        bound = probes.unblurred
+        bound = probes.without_blur
     else:
-        *_, (_, bound) = probes.fused(plan.watch.inputs, plan.transfers)
+        *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
     account = plan.account.at(operation.seconds)
     return replace(account, bounds=account.bounds | {plan.watched: bound})
 
 
 def holds(plan: Plan, account: Account) -> bool:
-    """Whether a plan is as right by an account of another scene as it was to be for its own."""
+    """Return whether a plan is about as accurate for another scene, by its account, as for its own."""
     assert plan.tolerance is not None
     own, its = plan.account.total.ratio(plan.tolerance), account.total.ratio(plan.tolerance)
     return SAFETY * its <= max(1, HEADROOM * SAFETY * own)

@@ -1,6 +1,6 @@
-"""What the planner reads from a scene's pixels, each number once."""
+"""Numbers that the planner reads from a scene's pixels, each once, and the exposure that follows."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -8,8 +8,9 @@ import numpy as np
 import scipy
 
 from gpusim.domain.content import Content
+from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
-from gpusim.optics.depth import flattened
+from gpusim.optics.depth import flatten
 from gpusim.optics.fusion import Spectra, row_pairs
 from gpusim.optics.sampling import Moments, moments
 
@@ -20,7 +21,7 @@ MOST_BRIGHT = 32  # such pairs
 
 
 class Samples(Protocol):
-    """What is read of a content, which may be on a device: see `gpusim.pipeline.reading.Reading`."""
+    """Reads the samples of a content, which may be on a device: see `gpusim.pipeline.reading.Reading`."""
 
     def rows(self, chosen) -> Content:
         """Whole rows of the samples, int (n,), in host memory."""
@@ -36,7 +37,7 @@ class Samples(Protocol):
 
 
 class OnHost:
-    """Samples of a content in host memory."""
+    """Reads the samples of a content in host memory."""
 
     def __init__(self, content: Content):
         self._content = content
@@ -71,9 +72,12 @@ class OnHost:
 
 
 class Facts:
-    """Facts of a content and, where it is known, of the distance of its samples [m].
+    """Facts of a content and, if it is known, of the distance of its samples [m].
 
-    samples: how the content's are read, by default in host memory.
+    Args:
+        content: The content.
+        depth: Distance of every sample [m], or None.
+        samples: Reads the content's samples; by default they are in host memory.
     """
 
     def __init__(
@@ -85,7 +89,7 @@ class Facts:
 
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
-        """Those of the picture that a scene shows."""
+        """Return the facts of the picture that a scene shows."""
         if not all(
             content.is_seen
             for content in (scene.content, *(layer.content for layer in scene.layers))
@@ -96,10 +100,10 @@ class Facts:
             scene = replace(
                 scene, content=scene.content.on_host(), layers=layers
             )  # which looks at the values
-        return cls(*flattened(scene))
+        return cls(*flatten(scene))
 
     @cached_property
-    def _chosen(self):
+    def _rows(self):
         """Upper rows of the pairs, int (n,), and their weights, 1 in the mean."""
         first = row_pairs(*self.content.shape)
         if self._brightness is None:
@@ -112,7 +116,7 @@ class Facts:
 
         Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
         """
-        first = self._chosen[0]
+        first = self._rows[0]
         return self.samples.rows(
             np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel()
         )
@@ -120,7 +124,7 @@ class Facts:
     @cached_property
     def spectra(self) -> Spectra:
         """Second moments of the spectra and of their differences between neighbours."""
-        return Spectra.of_pairs(self.pairs, self._chosen[1])
+        return Spectra.of_pairs(self.pairs, self._rows[1])
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), not to be written to."""
@@ -130,7 +134,7 @@ class Facts:
         return found[1]
 
     def channels(self, weights) -> np.ndarray:
-        """What the pairs give to channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
+        """Return the pairs in channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
         key, found = weights.tobytes(), self._channels
         if found is None or found[0] != key:
             table = weights @ self.pairs.entry_spectra.T
@@ -142,7 +146,7 @@ class Facts:
 
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
-        return moments(self.pairs, self.channels(weights), self._chosen[1])
+        return moments(self.pairs, self.channels(weights), self._rows[1])
 
 
 def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +159,7 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     even = np.ones(len(first))
     if len(first) >= rows - 1:
         return first, even
-    # BLAS scales, so that no square overflows
+    # BLAS scales: no square overflows
     lengths = np.array([scipy.linalg.norm(row, check_finite=False) for row in brightness])
     squares = (lengths / max(lengths.max(), 1e-300)) ** 2
     light = squares[:-1] + squares[1:]
@@ -167,3 +171,70 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     chosen = np.union1d(first, bright)
     weight = np.where(np.isin(chosen, bright), 1.0, (rows - 1 - len(bright)) / max(len(others), 1))
     return chosen, weight * (len(chosen) / weight.sum())
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Operation of a camera.
+
+    Attributes:
+        seconds: Exposure time [s].
+        size: Root mean square of the mosaic [e- s-1].
+        noise: Variance of the read noise [e-2].
+    """
+
+    seconds: float
+    size: float
+    noise: float
+
+    @property
+    def level(self) -> float:
+        """Electrons of the frame's root mean square."""
+        return max(self.seconds * self.size, 1e-30)
+
+    @classmethod
+    def of(
+        cls,
+        camera,
+        facts: Facts,
+        weights,
+        level: float,
+        highest: float,
+        exposure_time: float | None = None,
+    ) -> "Operation":
+        """Return the operation for the light of a scene.
+
+        Args:
+            camera: The camera.
+            facts: Of the scene.
+            weights: Electrons per second of the channels, shape (C, L).
+            level: Root mean square over the frame of the sums over the channels, as the lens
+                shows them.
+            highest: Maximum, likewise.
+            exposure_time: Exposure time [s]; None: the camera's own.
+        """
+        sensor, rates = camera.sensor, facts.channels(weights)
+        looked = rates.sum(axis=0)
+        if not sensor.stacked:
+            cfa = sensor.cfa_indices
+            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
+            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
+            rates = np.take_along_axis(rates, channel[None], 0)
+        light = float(np.sqrt(np.mean(looked**2)))
+        size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
+        seconds = sensor.exposure_time if exposure_time is None else exposure_time
+        if seconds is None:
+            dark = sensor.noise.dark_current * sensor.noise.warmth
+            try:
+                automatic, brightest = sensor.auto_exposure, float(looked.max())
+                if automatic.method == "highlights" and brightest > 0:
+                    top = (
+                        rates.max() * highest / brightest
+                    )  # the frame's brightest need not be among these samples
+                    rates = np.append(np.minimum(rates, top), top)
+                seconds = automatic.choose(rates + dark, sensor.saturation)[0]
+                if automatic.method == "full" and highest > 0:
+                    seconds *= brightest / highest
+            except BadData:  # a dark scene: whoever exposes it says so
+                seconds = 1.0
+        return cls(float(seconds), size, float(sensor.read_sigma**2))

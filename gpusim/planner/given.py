@@ -1,4 +1,4 @@
-"""Plans that are given: whether they are for a camera, and what they err in a scene that they were not made for."""
+"""Plans that the caller gives: whether they fit a camera, and their error in a scene of another plan."""
 
 from dataclasses import fields, replace
 from functools import cache
@@ -8,13 +8,12 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Account, Bound, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.tolerance import Tolerance
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, falloff, geometry, highlights, sampling, spectral
 from gpusim.planner.knobs.field import doubt_of
-from gpusim.planner.notes import Notes
-from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 PIXELS = (
     "pixel_pitch",
@@ -28,11 +27,14 @@ PIXELS = (
     "vignetting",
     "binning",
 )  # of a sensor, which plans depend on
-REMEDY = "a plan of its own may meet it"
+REMEDY = "a plan made for this scene may meet it"
 
 
 def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
-    """What plans depend on beside the scene. asked: the tolerance; None: what their frames depend on."""
+    """Return everything but the scene that a plan depends on.
+
+    asked: the tolerance; None: everything that the frames of a plan depend on.
+    """
     sensor = camera.sensor
     in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
     noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
@@ -40,7 +42,7 @@ def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
 
 
 def named_parts(camera: Camera) -> dict:
-    """The settings of a camera that frames by a plan depend on, by name."""
+    """Return the settings of a camera that frames by a plan depend on, by name."""
     optics, sensor = camera.optics, camera.sensor
     return {f"optics.{part.name}": getattr(optics, part.name) for part in fields(optics)} | {
         f"sensor.{name}": getattr(sensor, name) for name in PIXELS
@@ -54,27 +56,32 @@ def judged(
     asked: Tolerance | None,
     single: bool,
 ) -> Plan:
-    """The same plan as of another scene that it serves, all of its errors predicted for that scene.
+    """Return the plan for another scene that it serves, with all errors predicted for that scene.
 
-    question: of that scene, of the plan's tolerance if none is asked for. exposure_time: given, or None [s]. asked: the
-    tolerance of the verdict, or None. single: see `gpusim.planner.plan.plan`. Raises as `plan` does.
+    Args:
+        plan: The plan.
+        question: Of that scene, with the plan's tolerance if no other is set.
+        exposure_time: [s], or None.
+        asked: Tolerance of the verdict, or None.
+        single: See `gpusim.planner.plan.plan`.
+
+    Raises:
+        BadData, OutOfRange: As `plan` does.
     """
     camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
     operation = picture.operation(question, exposure_time)
     if plan.mix is not None and picture.is_spiky and highlights.can_be_split(question):
         notes.leave_out(
-            "highlights, which a plan of this scene's own would add exactly", UNKNOWN, "highlights"
+            "highlights, which a plan made for this scene would add exactly", UNKNOWN, "highlights"
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
         question = question.limited(probes)
     if plan.mix is None and question.is_blurred:
-        assert probes is not None  # a blur is left out for a tolerance alone
+        assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
-        notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
-        question = replace(
-            question, camera=replace(camera, optics=replace(camera.optics, model="none", psf=None))
-        )
+        notes.leave_out("blur", total([probes.without_blur, afar]), "blur left out")
+        question = question.without_blur()
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
         geometry.viewed(question, told(), notes)
@@ -119,7 +126,7 @@ def _blur(
     rounding: dict[str, Bound],
     notes: Notes,
 ) -> dict[str, Bound]:
-    """Predict what planes and border err. Returns the rounding of what is transformed."""
+    """Predict the errors of planes and border. Returns the rounding of the transforms' input."""
     around = border.surroundings_of(
         question, picture, operation.level, plan.period, plan.far, plan.tiling
     )
@@ -133,13 +140,13 @@ def _blur(
 
 
 def _planes(plan, probes):
-    """Error of the planes: exact in probes, or, of planes for every spectrum, as large as in the plan's own scene."""
+    """Error of the planes: exact in probes; for planes that fit every spectrum, as large as in the plan's scene."""
     own = plan.account.bounds.get("planes", Bound())
     if probes is None:
         return own
     if plan.watch is None or plan.transfers is None:
         return probes.local(own.rms)
-    *_, (_, bound) = probes.fused(plan.watch.inputs, plan.transfers)
+    *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
     return bound
 
 
@@ -151,7 +158,9 @@ def _geometry(plan, made, question, probes, notes):
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
         notes.leave_out(
-            f"distortion by up to {move:.2g} of a sample", probes.moved(move), "distortion left out"
+            f"distortion by up to {move:.2g} of a sample",
+            probes.shift_error(move),
+            "distortion left out",
         )
     geometry.describe_calibration(question, notes)
     gains, _ = falloff.falloff_of(question, None, own)

@@ -18,9 +18,9 @@ from gpusim.optics.drift import Watch
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
-from gpusim.optics.planned_tables import Kept, made_anew
+from gpusim.optics.lengths import Tiling
 from gpusim.optics.sampling import Taps
-from gpusim.optics.tiling import Tiling
+from gpusim.optics.tables import Kept, made_anew
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs import (
     blur,
@@ -34,9 +34,8 @@ from gpusim.planner.knobs import (
 )
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.field import doubt_of
-from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
 
 STORED = (

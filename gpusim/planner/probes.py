@@ -1,7 +1,8 @@
 """Probes: small windows of a scene in which the error of a plan is computed exactly, pixel by pixel, before any frame.
 
-A plan leaves out part of what the lens does to the spectra. In a window that error is known: transfer functions times
-the window's own spectra. A transform repeats a window; its rim, where that is seen, does not count.
+A plan leaves out part of the lens's effect on the spectra. In a window that error is known:
+transfer functions times the window's own spectra. A transform repeats a window; its rim, which
+shows that, does not count.
 """
 
 from dataclasses import dataclass, replace
@@ -22,9 +23,9 @@ from gpusim.planner.facts import Facts
 SIDE, RIM = (
     SAMPLED_PERIOD,
     12,
-)  # of a window, and of what of it does not count, on each side [sample]
+)  # of a window, and of its rim on each side, which does not count [sample]
 INNER = SIDE - 2 * RIM
-UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over that of all channels, from which on it is the error
+UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
 COUNT, LEAST_WINDOWS = (
     12,
     4,
@@ -35,14 +36,24 @@ COUNT, LEAST_WINDOWS = (
 class Probes:
     """Windows of a scene as channels see them through a lens, in electrons per second.
 
-    windows: which. spectra: transforms of the wavelengths less their means in each window, complex (n, L, SIDE,
-    SIDE // 2 + 1). means: (n, L). tables: transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE //
-    2 + 1). weights: electrons per content, (C, L); even: of what the tables make flat. share: part of the pixels that
-    has each channel, (C,). level: root mean square of the frame's channels together. seconds: of the exposure [s].
-    noise: variance of the read noise [e-2]. apart: mean square of the mosaic over that of the channels together, of
-    highlights that the windows do not hold; None: there are none. inner: rows and columns of the windows' inner parts
-    that are in the frame. channels: which channel each pixel of the inner parts has, int (n, *inner); None: several, or
-    samples are no pixels.
+    Attributes:
+        windows: The windows.
+        spectra: Transforms of the wavelengths minus their means in each window, complex (n, L,
+            SIDE, SIDE // 2 + 1).
+        means: The means, (n, L).
+        tables: Transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE // 2
+            + 1).
+        weights: Electrons per content, (C, L).
+        even: The same over the tables' response to a flat field.
+        share: Part of the pixels that has each channel, (C,).
+        level: Root mean square of the frame's channels together.
+        seconds: Exposure time [s].
+        noise: Variance of the read noise [e-2].
+        apart: Mean square of the mosaic over the mean square of the channels together, of
+            highlights that the windows do not hold; None without them.
+        inner: Rows and columns of the windows' inner parts that are in the frame.
+        channels: Channel of each pixel of the inner parts, int (n, *inner); None: several, or
+            samples are no pixels.
     """
 
     windows: Windows
@@ -61,20 +72,20 @@ class Probes:
 
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
-        """Those of a scene; known: the rest."""
+        """Return the probes of a scene. known: the other attributes."""
         planes, entries = _planes(facts, windows, border)
         means = planes[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
         planes -= means[..., None, None]
         spectra = scipy.fft.rfft2(planes, workers=-1)
         if entries is not None:
-            spectra, means = _mixed(entries.T, spectra), means @ entries
+            spectra, means = _mix(entries.T, spectra), means @ entries
         return cls(windows, spectra, means.astype(np.float64), **known)
 
     @cached_property
     def exact(self) -> np.ndarray:
         """Transforms of the channels less their means, complex (n, C, SIDE, SIDE // 2 + 1)."""
         tables = self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
-        return _mixed(self.even, self.spectra * tables)
+        return _mix(self.even, self.spectra * tables)
 
     @cached_property
     def signal(self) -> np.ndarray:
@@ -94,7 +105,7 @@ class Probes:
 
     @cached_property
     def _size(self):
-        """Root mean square of the mosaic [e- s-1]: its share of the channels together, which the whole frame tells."""
+        """Root mean square of the mosaic [e- s-1], from the frame's sum of the channels."""
         weight = self.windows.weight
         together = weight @ _mean_squares(self.signal.sum(axis=1))
         mosaic = weight @ _mean_squares(self.signal) @ self.share
@@ -112,7 +123,7 @@ class Probes:
         rms = np.sqrt(squares) / self._size
         if (
             self.channels is not None
-        ):  # few pixels hold the error, so that it depends on the channels that they have
+        ):  # few pixels hold the error, which then depends on their channels
             own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
             even = self.windows.weight @ _mean_squares(self.signal) @ self.share
             if size > 0 and own * even > UNEVEN * squares * size:
@@ -138,36 +149,37 @@ class Probes:
         return replace(self, tables=np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
 
     @cached_property
-    def unblurred(self) -> Bound:
+    def without_blur(self) -> Bound:
         """The error of leaving the blur out."""
         return self.bound(
-            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
+            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
         )
 
-    def changed(self, share: float) -> Bound:
-        """A bound of the error of transfer functions that are wrong by up to `share`, 1 that of no blur."""
+    def change_error(self, share: float) -> Bound:
+        """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
         return self.bound(
-            _mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
+            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
         )
 
-    def moved(self, move: float) -> Bound:
+    def shift_error(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
         f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)
         return self.bound(
             self.exact * (np.exp(2j * np.pi * move / np.sqrt(2) * f) - 1).astype(np.complex64)
         )
 
-    def resampled(self, view: View, ratio: float) -> Bound:
-        """The error of a picture that is interpolated where a view looks, or one like it. ratio: samples per pixel.
+    def resampling_error(self, view: View, ratio: float) -> Bound:
+        """Return the error of a picture that is interpolated at a view's places, or of one like it.
 
-        In the mean over all places between samples: a view by half a sample errs 1.4 times as much.
+        It is the mean over all places between samples: a view displaced by half a sample has 1.4
+        times the error. ratio: samples per pixel.
         """
         if view.is_whole(ratio):
             return Bound()
-        return (self if view.zoom == 1 else self._magnified(view.zoom)).interpolated()
+        return (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
 
-    def _magnified(self, zoom: float) -> "Probes":
-        """The same windows where the lens blurs a magnified picture: waves of f cycles per sample as f / zoom."""
+    def _magnify(self, zoom: float) -> "Probes":
+        """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
         places = np.meshgrid(
             np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
         )
@@ -177,7 +189,7 @@ class Probes:
         ]
         return replace(self, tables=np.stack(tables))
 
-    def interpolated(self, phases=None, width: float | None = None) -> Bound:
+    def interpolation_bound(self, phases=None, width: float | None = None) -> Bound:
         """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
 
         Between samples the truth is the wave of each frequency that runs through them.
@@ -188,21 +200,19 @@ class Probes:
             ).astype(np.float32)
             for one in ((None, 1.0) if width is None else (width,))
         ]
-        if width is not None or not np.any(self.uninterpolated):
+        if width is not None or not np.any(self.area_light):
             return self.bound(self.exact * wrong[0])
-        return self.bound(
-            (self.exact - self.uninterpolated) * wrong[0] + self.uninterpolated * wrong[1]
-        )
+        return self.bound((self.exact - self.area_light) * wrong[0] + self.area_light * wrong[1])
 
     @cached_property
-    def uninterpolated(self) -> np.ndarray:
+    def area_light(self) -> np.ndarray:
         """Transforms of the light that `optics.distort` takes by area, as `exact`.
 
         Cubics would fall below 0 next to it.
         """
         means = (self.means @ self.weights.T)[..., None, None]
         light = np.maximum(
-            scipy.fft.irfft2(_mixed(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
+            scipy.fft.irfft2(_mix(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
         )
         left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
         for n, share in enumerate(left):
@@ -211,23 +221,26 @@ class Probes:
                     scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
                 )
                 part = scipy.fft.rfft2((planes * share).astype(np.float32))
-                found[n] = _mixed(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+                found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
         return found
 
     def between(self, step: float, path: float) -> Bound:
-        """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.
+        """Return the error of moving light that is taken as linear between instants: see `gpusim.captures.moving`.
 
-        step: displacement from one instant to the next, at most [sample]. path: during the whole exposure [sample].
-        A wave of f cycles per sample is seen sinc^2(f step) of as strong between two instants, in the mean, and what an
-        exposure leaves of it is at most 1 / (pi f path).
+        A wave of f cycles per sample is reduced to sinc^2(f step) between two instants, in the
+        mean, and an exposure leaves at most 1 / (pi f path) of it.
+
+        Args:
+            step: Displacement from one instant to the next, at most [sample].
+            path: Displacement during the whole exposure [sample].
         """
         f = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE))
         left = np.minimum(1, 1 / np.maximum(np.pi * f * path, 1e-9))
         return self.bound(self.exact * ((1 - np.sinc(f * step) ** 2) * left).astype(np.float32))
 
     def local(self, rms: float) -> Bound:
-        """An error of this relative root mean square that is where a blur is seen, at edges."""
-        shape = self.unblurred
+        """Return an error of this relative RMS that is located where blur is visible, at edges."""
+        shape = self.without_blur
         if not shape.rms > 0:
             return Bound(rms, rms * self._sigmas, rms * self._sigmas)
         return shape.times(rms / shape.rms)
@@ -239,12 +252,12 @@ class Probes:
         return float(size / np.sqrt(max(size + self.noise, 1)))
 
     def even_error(self, rms: float) -> Bound:
-        """An error of this relative root mean square that is everywhere alike, as that of rounding in transforms."""
+        """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
         size, (low, least) = self._size * self.seconds * rms, self._least_sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / low), float(5 * size / least))
 
-    def brightened(self, share: float) -> Bound:
+    def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
         sigma = share * self.signal * self.seconds / self._sigma
         return Bound(
@@ -253,13 +266,15 @@ class Probes:
             float(sigma.max()),
         )
 
-    def fused(self, table, transfers):
-        """Bounds of the first n planes for each n from the number of channels on.
+    def fused_bounds(self, table, transfers):
+        """Yield bounds of the first n planes for each n from the number of channels on.
 
-        table: planes from spectra, (planes, L). transfers: weight of each wavelength's transfer function in that of a
-        plane in a channel, (C, planes, L).
+        Args:
+            table: Planes from spectra, (planes, L).
+            transfers: Weight of each wavelength's transfer function in a plane's, by channel,
+                (C, planes, L).
         """
-        planes, left = _mixed(table, self.spectra), self.exact.copy()
+        planes, left = _mix(table, self.spectra), self.exact.copy()
         responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)
         responses = responses.astype(np.complex64 if np.iscomplexobj(responses) else np.float32)
         for k in range(len(table)):
@@ -290,7 +305,7 @@ def _planes(facts, windows, border):
     return planes, spectra
 
 
-def _mixed(weights, spectra):
+def _mix(weights, spectra):
     """Sums of planes' transforms, complex64 (n, planes, SIDE, SIDE // 2 + 1), by real weights (sums, planes)."""
     numbers = spectra.reshape(*spectra.shape[:2], -1).view(np.float32)
     return (

@@ -1,12 +1,12 @@
-"""What is asked of the planner: a scene, a camera and how well the one is to be seen by the other, as numbers."""
+"""The question to the planner, as numbers (`Question`), and the notes of its plan (`Notes`)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY
+from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
@@ -16,26 +16,43 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
-from gpusim.optics.lens import open_lens, spread_radius
-from gpusim.optics.planned_tables import Kept, Tables
+from gpusim.optics.lens import Lens, open_lens
+from gpusim.optics.tables import Kept, Tables
 from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
 
 MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
+DECLARED = Bound()  # camera or scene declare the absence: leaving it out is no error
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A scene before a camera, checked.
+    """A scene in front of a camera, checked.
 
-    facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
-    guaranteed, reach, period, kept: see `gpusim.planner.plan.plan`.
-    on_gpu: whether a GPU computes it, to which its parts cost other than to a CPU.
-    least: planes that a blur has at least, 0: it may be left out.
-    weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
-    limit: relative RMS error for what is not decided yet, None without a tolerance.
+    Attributes:
+        scene: The scene.
+        camera: The camera.
+        facts: Of the content that goes through the blur: of the scene, or of the scene without its highlights.
+        tolerance: See `gpusim.planner.plan.plan`. So are guaranteed, reach, period and kept.
+        weights: Electrons per second in each channel for content 1 at each wavelength, shape (C, L).
+        on_gpu: Whether a GPU computes the frame. Relative costs of its steps differ from a CPU's.
+        least: Planes that a blur has at least; 0: the blur may be left out.
+        limit: Relative RMS error allowed for what is not decided yet; None without a tolerance.
+        optics: The camera's lens settings.
+        sensor: The camera's sensor.
+        content: The content that goes through the blur.
+        ratio: Scene samples per pixel.
+        pitch: Distance of the samples [m].
+        size: Rows and columns of the scene's samples, margin included.
+        corner: Distance of the frame's corner from the axis [sample].
+        aperture: Height and width of a pixel's aperture [pixel].
+        cell: Height and width over which blurred samples are integrated [sample].
+        more: Samples beyond the frame that are seen because the pixels are displaced.
+        light: Electrons per second in all channels together for content 1 at each wavelength, shape (L,).
+        share: Part of the pixels that has each channel, shape (C,).
+        q: Wavelength times working f-number over the distance of samples, shape (L,).
     """
 
     scene: Scene
@@ -50,12 +67,53 @@ class Question:
     on_gpu: bool = False
     least: int = 0
     limit: float | None = None
+    optics: Optics = field(init=False)
+    sensor: Sensor = field(init=False)
+    content: Content = field(init=False)
+    ratio: float = field(init=False)
+    pitch: float = field(init=False)
+    size: tuple[int, int] = field(init=False)
+    corner: float = field(init=False)
+    aperture: tuple[float, float] = field(init=False)
+    cell: tuple[float, float] = field(init=False)
+    more: int = field(init=False)
+    light: np.ndarray = field(init=False)
+    share: np.ndarray = field(init=False)
+    q: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        scene, optics, sensor = self.scene, self.camera.optics, self.camera.sensor
+        (rows, cols), (height, width) = scene.samples, sensor.aperture
+        ratio, channels = float(scene.samples_per_pixel), len(self.weights)
+        pitch = sensor.pixel_pitch / ratio
+        aperture = height / sensor.pixel_pitch, width / sensor.pixel_pitch
+        if sensor.stacked:
+            share = np.full(channels, 1 / channels)
+        else:
+            cfa = sensor.cfa_indices
+            share = np.bincount(cfa.ravel(), minlength=channels) / cfa.size
+        for name, value in {
+            "optics": optics,
+            "sensor": sensor,
+            "content": self.facts.content,
+            "ratio": ratio,
+            "pitch": pitch,
+            "size": (rows + 2 * scene.margin, cols + 2 * scene.margin),
+            "corner": float(np.hypot(rows, cols)) / 2,
+            "aperture": aperture,
+            "cell": aperture if ratio == 1 else (1.0, 1.0),
+            "more": ceil(ratio * max(map(abs, sensor.displacement))),
+            "light": self.weights.sum(axis=0),
+            "share": share,
+            "q": scene.wavelengths * 1e-9 * optics.working_f_number / pitch,
+        }.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def of(
         cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked
     ) -> "Question":
-        """What `plan` was asked. Raises BadData, OutOfRange."""
+        """Return the question that `plan` is called with. Raises BadData, OutOfRange."""
         kept, optics, sensor = asked["kept"], camera.optics, camera.sensor
         weights = kept(
             "electrons",
@@ -64,9 +122,12 @@ class Question:
         )
         check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
-        made._check_displacement()
-        made._check_q()
+        made._check()
         return made
+
+    def without_blur(self) -> "Question":
+        """Return the same question for a lens that does not blur."""
+        return replace(self, camera=replace(self.camera, optics=self.optics.without_blur()))
 
     def limited(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
@@ -75,31 +136,6 @@ class Question:
         return replace(
             self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT)
         )
-
-    @property
-    def optics(self) -> Optics:
-        """The camera's."""
-        return self.camera.optics
-
-    @property
-    def sensor(self) -> Sensor:
-        """The camera's."""
-        return self.camera.sensor
-
-    @property
-    def content(self) -> Content:
-        """What goes through the blur."""
-        return self.facts.content
-
-    @property
-    def ratio(self) -> float:
-        """Scene samples per pixel."""
-        return float(self.scene.samples_per_pixel)
-
-    @property
-    def pitch(self) -> float:
-        """Distance of the samples [m]."""
-        return self.sensor.pixel_pitch / self.ratio
 
     @property
     def distortion(self) -> Model | None:
@@ -127,48 +163,14 @@ class Question:
         return down - y, across - x
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Rows and columns of the scene's samples, the margin included."""
-        rows, cols = (n + 2 * self.scene.margin for n in self.scene.samples)
-        return rows, cols
-
-    @property
-    def corner(self) -> float:
-        """Distance of the frame's corner from the axis [sample]."""
-        return float(np.hypot(*self.scene.samples)) / 2
-
-    @property
     def is_blurred(self) -> bool:
         """Whether the lens blurs at all."""
-        return self.optics.model != "none"
-
-    @property
-    def aperture(self) -> tuple[float, ...]:
-        """Height and width of a pixel's aperture [pixel]."""
-        return tuple(side / self.sensor.pixel_pitch for side in self.sensor.aperture)
-
-    @property
-    def cell(self) -> tuple[float, ...]:
-        """Height and width over which blurred samples are integrated [sample]."""
-        return self.aperture if self.ratio == 1 else (1.0, 1.0)
+        return not self.lens.is_pointlike
 
     @property
     def moved(self) -> tuple[float, float]:
         """Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do."""
-        return self.sensor.displacement if self.ratio == 1 and self.is_blurred else (0.0, 0.0)
-
-    @property
-    def more(self) -> int:
-        """Samples beyond the frame that it sees because it is displaced."""
-        return ceil(self.ratio * max(map(abs, self.sensor.displacement)))
-
-    @property
-    def share(self) -> np.ndarray:
-        """Part of the pixels that has each channel, shape (C,)."""
-        if self.sensor.stacked:
-            return np.full(len(self.weights), 1 / len(self.weights))
-        cfa = self.sensor.cfa_indices
-        return np.bincount(cfa.ravel(), minlength=len(self.weights)) / cfa.size
+        return self.lens.displacement
 
     @cached_property
     def edges(self) -> np.ndarray:
@@ -178,16 +180,6 @@ class Question:
             steps = steps + spectra * sum(2 / n for n in self.size)
         light = self.weights * np.sqrt(np.maximum(steps, 0))
         return light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
-
-    @property
-    def light(self) -> np.ndarray:
-        """Electrons of all channels together for content 1 at each wavelength, shape (L,)."""
-        return self.weights.sum(axis=0)
-
-    @cached_property
-    def q(self) -> np.ndarray:
-        """Wavelength times working f-number over the distance of samples, shape (L,)."""
-        return self.scene.wavelengths * 1e-9 * self.optics.working_f_number / self.pitch
 
     @property
     def mean_q(self) -> float:
@@ -210,27 +202,33 @@ class Question:
 
     @property
     def spread(self) -> float:
-        """Radius within which the rays of a point meet the image [sample], see `spread_radius`."""
+        """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
         of = self.optics, self.scene.wavelengths, self.pitch
-        return self.kept("spread", of, lambda: spread_radius(*of))
+        return self.kept("spread", of, lambda: self.lens.spread(self.scene.wavelengths))
 
     @property
     def tables(self) -> Tables:
         """Transfer tables of the lens."""
         return Tables(self.optics, self.sensor.pixel_pitch, self.kept)
 
-    @property
-    def lens(self):
-        """The lens over the field, see `open_lens`."""
-        return open_lens(self.optics, self.pitch, self.cell, self.scene.samples, self.moved)
+    @cached_property
+    def lens(self) -> Lens:
+        """The lens in front of the scene's samples."""
+        down, across = self.axis
+        return open_lens(
+            self.optics,
+            self.pitch,
+            self.cell,
+            self.scene.samples,
+            self.sensor.displacement if self.ratio == 1 else (0.0, 0.0),
+            (self.ratio * down, self.ratio * across),
+        )
 
-    def _check_displacement(self):
-        """Refuse a displacement of the apertures from a centred grid that nothing honours."""
-        scene, displacement = self.scene, self.sensor.displacement
-        shown = f"{displacement[0]:.6g}, {displacement[1]:.6g} pixels"
-        if any(
-            abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)
-        ):
+    def _check(self):
+        """Refuse displacements of the apertures that no stage honours, and pixels far too coarse for the lens."""
+        scene, (down, across) = self.scene, self.sensor.displacement
+        shown = f"{down:.6g}, {across:.6g} pixels"
+        if abs(down) > max(1, scene.shape[0] / 4) or abs(across) > max(1, scene.shape[1] / 4):
             raise OutOfRange(
                 "sensor.offset + sensor.centre",
                 shown,
@@ -239,29 +237,67 @@ class Question:
         if (
             not self.is_blurred
             and scene.samples_per_pixel == 1
-            and any(abs(move - round(move)) > 1e-9 for move in displacement)
+            and max(abs(down - round(down)), abs(across - round(across))) > 1e-9
         ):
             raise OutOfRange(
                 "sensor.offset + sensor.centre",
                 f"{shown}, with one scene sample per pixel and no blur",
                 "whole pixels; or raise samples_per_pixel, or blur",
             )
-
-    def _check_q(self):
-        """Refuse pixels that are far too coarse for the lens."""
         if self.is_blurred and self.q.min() < SMALLEST_Q:
             step = "pixel pitch" if self.ratio == 1 else "distance of scene samples"
             raise OutOfRange(
                 f"{self.camera.name}: wavelength x f-number / {step}",
                 f"{self.q.min():.2g}",
-                f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"',
+                f'>= {SMALLEST_Q}; the blur is a fraction of a pixel: use optics model = "none"',
             )
 
 
-def displaced(displacement) -> str:
-    """What is displaced, in words that follow what it is; "" where it is not."""
+def displacement_suffix(displacement) -> str:
+    """Return a suffix such as ", displaced by 0.5, 0 pixels", or "" without a displacement."""
     return (
         f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"
         if any(displacement)
         else ""
     )
+
+
+@dataclass
+class Notes:
+    """Notes of a plan about itself, in order.
+
+    Attributes:
+        models: Stage -> its model in words.
+        left_out: Effects that are not modelled, in words.
+        bounds: Named errors of the account.
+        beside: Named errors that are reported but not in the account.
+    """
+
+    models: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    bounds: dict[str, Bound] = field(default_factory=dict)
+    beside: dict[str, float] = field(default_factory=dict)
+
+    def leave_out(self, words: str, bound: Bound, name: str = "", *, of_scene: bool = False):
+        """Leave an effect out, with a bound of its error.
+
+        There is no other way to leave something out.
+
+        Args:
+            words: The effect.
+            bound: DECLARED if camera or scene declare its absence; UNKNOWN if the error is not
+                known: no tolerance is called met then.
+            name: Of the error in the account; "": the words.
+            of_scene: The scene does not hold it. The account is of the scene as it is given, so
+                this error is reported next to the account.
+        """
+        size = (
+            f"relative rms {bound.rms:.2g}, predicted"
+            if bound.is_known
+            else "its error is not known"
+        )
+        self.left_out.append(words if bound == DECLARED else f"{words}: {size}")
+        if of_scene:
+            self.beside[name or words] = bound.rms
+        elif bound != DECLARED:
+            self.bounds[name or words] = bound

@@ -8,8 +8,8 @@ from math import log2, prod
 
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.lengths import Tiling
 from gpusim.optics.splines import multiplications
-from gpusim.optics.tiling import Tiling
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.spectral import Way
@@ -22,14 +22,14 @@ CACHED = (
     2**21
 )  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
 # [flop] of one of a tile's transforms, which stay in a core's cache or a GPU's local memory, and of a multiplication of
-# the far field; both measured beside transforms of frames on two cores, and on an H200
+# the far field; both measured against transforms of frames on two cores, and on an H200
 TILE_COST, GPU_TILE_COST = 0.6, 1.4
 FAR_COST, GPU_FAR_COST = 3.5, 21.0
 WIDER = (
     2.0  # times the exact way's samples that transforms may have, for a world without end beyond
 )
-HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
-NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
+HEADROOM = 1.1  # that a choice leaves: sigmas are for an exposure that is not metered yet
+NEAR = 1.1  # ways whose errors are within this factor are equivalent, if none is good enough
 
 REMEDIES = {
     "transforms": "float64 would, so use device numpy",
@@ -71,19 +71,19 @@ class Option:
         return total(self.bounds.values())
 
     def meets(self, tolerance: Tolerance) -> bool:
-        """Whether it is chosen for a tolerance: predicted to meet it, with headroom.
+        """Return whether it may be chosen for a tolerance: it is predicted to meet it, with headroom.
 
-        Its border is not looked at where the planes alone break it.
+        Its border is not computed if the planes already break the tolerance.
         """
         most = 1 / (HEADROOM * SAFETY)
         return self.way.bound.ratio(tolerance) <= most and self.total.ratio(tolerance) <= most
 
 
 def cost_of(question: Question, count: int, around: Surroundings, folded: bool) -> float:
-    """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
+    """Return the arithmetic of a frame's planes and transforms, with the bytes moved counted as arithmetic [flop].
 
-    count: planes that are transformed. It depends on no device's speed, so that plans are the same on all CPUs and on
-    all GPUs.
+    It depends on no device's speed: plans are the same on all CPUs and on all GPUs. count: planes
+    that are transformed.
     """
     tile, multiplied = (GPU_TILE_COST, GPU_FAR_COST) if question.on_gpu else (TILE_COST, FAR_COST)
     content, channels = question.content, len(question.weights)
@@ -150,7 +150,7 @@ def remedy(
     arounds: Iterable[list[Surroundings]],
     fixed: dict[str, Bound],
 ) -> str:
-    """What would meet the tolerance that no option of `found` does, in words; "" where one does.
+    """Return in words a change that meets the tolerance if no option of `found` does; "" if one does.
 
     arounds: more surroundings than these options have.
     """
@@ -191,10 +191,16 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is told of an option.
+    """Summary of an option.
 
-    reach: surroundings on each side [pixel]. far: what the world beyond is left to; None: it is not seen. period: of
-    the transforms [sample]. tiling: of the frame into tiles, if it is not one transform.
+    Attributes:
+        words: The way in words.
+        planes: Planes that are transformed.
+        reach: Surroundings on each side [pixel].
+        far: Model of the world beyond; None ignores it.
+        tiling: Of the frame into tiles, if it is not one transform.
+        period: Of the transforms [sample].
+        error: Predicted.
     """
 
     words: str
@@ -207,7 +213,7 @@ class Candidate:
 
     @property
     def surroundings(self) -> str:
-        """What of the world takes part, in words."""
+        """Surroundings that take part, in words."""
         of = (
             "surroundings"
             if self.tiling is None
@@ -229,7 +235,7 @@ class Candidate:
 
 
 def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
-    """The options of which none is both cheaper and nearly as accurate, from the cheapest on."""
+    """Return the options that no cheaper one nearly equals in accuracy, from the cheapest on."""
     best: list[Option] = []
     for option in sorted(found, key=lambda option: option.cost):
         if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):

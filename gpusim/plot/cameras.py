@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.spectrum import Spectrum
+from gpusim.optics.lens import lens_of
 from gpusim.plot.canvas import QUIET, axes_of, channel_colors, finish, panels
 from gpusim.plot.lens import mtf, psf
 from gpusim.plot.sensor import snr
@@ -68,7 +69,7 @@ def camera(camera: Camera, figure: Any = None) -> Any:
     figure, axes = panels(figure, 2, 2, (12.0, 8.0))
     efficiency(camera, axes[0, 0])
     mtf(camera, None, axes[0, 1])
-    if camera.optics.model == "none":
+    if lens_of(camera).is_pointlike:
         axes[1, 0].set_axis_off()
     else:
         letters = camera.sensor.channels

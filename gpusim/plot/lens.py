@@ -1,7 +1,6 @@
 """Point spread and modulation transfer functions of a lens, by wavelength and by channel."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -11,8 +10,7 @@ from gpusim.data.lights import light_of
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.optics.lens import open_lens, spread_radius
-from gpusim.optics.response import lens_response, spread_at
+from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import product_weights
 from gpusim.plot.canvas import (
     QUIET,
@@ -73,7 +71,7 @@ def mtf(
     of, place = _check_curves(checked_camera(camera), of), _field(place)
     if direction not in ("across", "down"):
         raise UnknownName("direction", direction, ("across", "down"))
-    sensor, optics = camera.sensor, camera.optics
+    sensor, lens = camera.sensor, lens_of(camera)
     aperture = sensor.aperture[direction == "across"]
     nyquist = 0.5e-3 / sensor.pixel_pitch  # [cycle/mm]
     frequencies = np.linspace(0, _highest_frequency(camera, of, nyquist), POINTS)
@@ -83,7 +81,7 @@ def mtf(
     right = widen_limit(ax, frequencies[-1])
     for one in of:
         nodes, weights = _light_of(camera, one, light)
-        response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (
+        response = np.abs(weights @ lens.transfer(nodes, fy, fx, place)) * (
             np.abs(own) if pixel else 1
         )
         name, is_channel = f"{label} {_name(one)}".strip(), isinstance(one, str)
@@ -107,7 +105,7 @@ def mtf(
     at = "" if not any(place) else f" at field ({place[0]:g}, {place[1]:g})"
     return finish(
         ax,
-        f"{camera.name}, f/{optics.f_number:g}",
+        f"{camera.name}, f/{camera.optics.f_number:g}",
         f"MTF of the {parts}, {direction}{at}",
         "frequency on the sensor [cycle/mm]",
         "modulation transfer",
@@ -147,7 +145,7 @@ def psf(
     """
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
     of, place = _check_curves(checked_camera(camera), of), _field(place)
-    if camera.optics.model == "none":
+    if lens_of(camera).is_pointlike:
         raise BadData(
             f'psf: {camera.name} has optics.model = "none": no point spread to draw; use another model'
         )
@@ -157,7 +155,8 @@ def psf(
         )
     if not several:
         nodes, weights = _light_of(camera, of[0], light)
-        energy, step = spread_of(camera, nodes, place, _reach(camera, nodes, place))
+        reach = _reach(camera, nodes, place)
+        energy, step = lens_of(camera).sampled_spread(nodes, place, reach, ACROSS)
         drawn = _spread(
             camera,
             np.tensordot(weights, energy, 1),
@@ -175,7 +174,7 @@ def psf(
     known: dict = {}  # channels share their wavelengths
     for one, (nodes, weights), ax in zip(of, lights, axes.flat, strict=False):
         if tuple(nodes) not in known:
-            known[tuple(nodes)] = spread_of(camera, nodes, place, reach)
+            known[tuple(nodes)] = lens_of(camera).sampled_spread(nodes, place, reach, ACROSS)
         energy, step = known[tuple(nodes)]
         drawn = _spread(camera, np.tensordot(weights, energy, 1), step, ax, _name(one))
     for ax in axes.flat[len(of) :]:
@@ -213,26 +212,10 @@ def _spread(camera, energy, step, ax, title):
     return drawn
 
 
-def spread_of(camera: Camera, wavelengths, place, reach: float) -> tuple[np.ndarray, float]:
-    """Return point spreads of the lens only, (L, rows, cols), and their sample distance [m].
-
-    wavelengths: [nm], shape (L,). reach: distance from the middle [m]; tabulated point spreads have
-    their own. Each sample is the energy of a square cell of the sample distance, 1 in all the
-    image.
-    """
-    optics = camera.optics
-    if optics.psf is not None:
-        return spread_at(optics.psf, wavelengths, place), optics.psf.spacing
-    step = 2 * reach / ACROSS
-    return open_lens(replace(optics, lateral_color=0.0), step, 1.0, (1, 1)).kernels(
-        wavelengths, place, ACROSS
-    ), step
-
-
 def _reach(camera, wavelengths, place):
     """Return the distance from its middle up to which a point spread is drawn [m]."""
     optics, pitch = camera.optics, camera.sensor.pixel_pitch
-    rays = pitch * spread_radius(optics, wavelengths, pitch, float(np.hypot(*place)))
+    rays = pitch * lens_of(camera).spread(wavelengths, float(np.hypot(*place)))
     return max(RINGS * float(optics.airy_radius(max(wavelengths))), 0.75 * pitch, 1.5 * rays)
 
 
@@ -273,18 +256,10 @@ def _light_of(camera, one, light):
     """
     if not isinstance(one, str):
         return np.array([float(one)]), np.ones(1)
-    sensor, spread = camera.sensor, camera.optics.psf
+    sensor, (shortest, longest) = camera.sensor, lens_of(camera).wavelengths
     light = photons_from_energy(light_of(light))
-    low = max(
-        sensor.qe.wavelengths[0],
-        light.wavelengths[0],
-        0 if spread is None else spread.wavelengths[0],
-    )
-    high = min(
-        sensor.qe.wavelengths[-1],
-        light.wavelengths[-1],
-        np.inf if spread is None else spread.wavelengths[-1],
-    )
+    low = max(sensor.qe.wavelengths[0], light.wavelengths[0], shortest)
+    high = min(sensor.qe.wavelengths[-1], light.wavelengths[-1], longest)
     if not low < high:
         raise BadData(f"channel {one}: does not respond to the light {light.name} through the lens")
     nodes = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
@@ -306,8 +281,5 @@ def _name(one):
 
 def _highest_frequency(camera, of, nyquist):
     """Return the highest frequency drawn [cycle/mm]: the lens's cut-off, at most 3 Nyquist."""
-    optics = camera.optics
-    if optics.model != "diffraction":
-        return 3 * nyquist
     shortest = min([one for one in of if not isinstance(one, str)] or [WAVELENGTHS[0]])
-    return min(1e-3 / (shortest * 1e-9 * optics.working_f_number), 3 * nyquist)
+    return min(1e-3 * lens_of(camera).cutoff(shortest), 3 * nyquist)

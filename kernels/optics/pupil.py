@@ -27,7 +27,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
 from gpusim.kernels.stage import Array, Case, stage
-from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
+from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
 
@@ -113,7 +113,7 @@ def pupil(
         )
         return tables
     table, angle, sectors = polar_table(outline, waves)
-    sides, inner = cutoff_polygon(outline)
+    sides, inner = outline.cutoff
     table = device.array(np.stack([table.real, table.imag], axis=-1))
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))

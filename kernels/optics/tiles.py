@@ -23,7 +23,7 @@ from gpusim.domain.errors import BadData
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage
-from gpusim.optics.tiling import LANES, LONGEST, Tiling
+from gpusim.optics.lengths import LANES, LONGEST, Tiling
 
 LANES_STAGE, GROUPS_STAGE = (
     "optics.tiles_lanes",

@@ -190,7 +190,7 @@ def test_layers_cut_from_one_picture_carry_the_predicted_error(near, far):
     error = relative(executed(made, picture), truth)
     assert made.layers == 2
     # asked of every prediction: within a factor 2.5
-    assert 1 / 2.5 < made.predicted["depth, in layers (what they hide is continued)"] / error < 2.5
+    assert 1 / 2.5 < made.predicted["depth, in layers (hidden parts are continued)"] / error < 2.5
     assert error < relative(
         executed(plan_depth(LENS, PITCH, depth, picture, layered=False), picture), truth
     )
@@ -362,7 +362,7 @@ def test_a_frame_by_depth(device, tmp_path):
     )
     assert (
         frame.report.beside["depth, if without layers"]
-        > frame.report.account.bounds["depth, in layers (what they hide is continued)"].rms
+        > frame.report.account.bounds["depth, in layers (hidden parts are continued)"].rms
         > 1e-3
     )
     assert not any("depth" in line for line in frame.report.left_out)

@@ -17,8 +17,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.field import Differences
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
-from gpusim.planner.differences import Differences
 
 MACHINE = gs.open_camera("machine-vision")
 PITCH = MACHINE.sensor.pixel_pitch

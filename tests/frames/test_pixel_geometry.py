@@ -408,7 +408,7 @@ def test_highlights_stay_in_the_planes_where_their_kernels_are_not_square():
         )
         plan = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
         assert (plan.highlights is not None) == split
-        assert ("local error beside highlights" in plan.beside) != split
+        assert ("local error next to highlights" in plan.beside) != split
 
 
 def test_the_sampling_error_knows_rectangles_and_places():

@@ -28,7 +28,7 @@ from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.truth import seen
-from gpusim.optics.planned_tables import made_anew
+from gpusim.optics.tables import made_anew
 from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan
 

@@ -17,8 +17,8 @@ from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.windows import Windows
+from gpusim.planner.knobs.farfield import ring_errors
 from gpusim.planner.knobs.noise import without_negligible
-from gpusim.planner.knobs.rings import ring_errors
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE
 from gpusim.planner.search import HEADROOM, WIDER, cost_of

@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.lens import open_lens, straight_tail, tail_of
+from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import at_samples, unseen
 
 SIDE, REACH, FARTHEST, Q = 64, 24, 224, 2.0
@@ -29,9 +29,8 @@ def test_what_is_not_seen_comes_along_the_normals(blades, border):
         pupil=Pupil(blades, 0.0, 0.3),
     )
     pitch = 550e-9 * optics.working_f_number / Q
-    kernel = open_lens(optics, pitch, (1.0, 1.0), (SIDE, SIDE)).kernels(
-        [550.0], (0.0, 0.0), 2 * FARTHEST + 1
-    )[0]
+    lens = open_lens(optics, pitch, (1.0, 1.0), (SIDE, SIDE))
+    kernel, tail = lens.kernels([550.0], (0.0, 0.0), 2 * FARTHEST + 1)[0], lens.tail
     image = np.random.default_rng(blades).random((SIDE, SIDE))
     image = gaussian_filter(image, 4, mode="nearest")
     image = (image - image.min()) / np.ptp(image)
@@ -41,14 +40,13 @@ def test_what_is_not_seen_comes_along_the_normals(blades, border):
     again = seen[np.ix_((at + REACH) % period, (at + REACH) % period)]
     world = np.pad(image, FARTHEST, mode={"edge": "edge", "reflect": "symmetric"}[border])
     true = fftconvolve(world - again, kernel, "valid")
-    rays, straight = straight_tail(optics)
-    assert straight == 1 and len(rays) == blades
+    assert tail.line_share == 1 and len(tail.lines) == blades
     rows = np.arange(SIDE)
 
     def wrong(**along):
-        coarse = unseen(image, (period, period), border, REACH / 12, tail_of(optics) * Q, **along)
+        coarse = unseen(image, (period, period), border, REACH / 12, tail.strength * Q, **along)
         found = at_samples(coarse, image.shape, (period, period), rows, rows)
         return np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2))
 
-    own = wrong(rays=rays, straight=straight)
+    own = wrong(rays=tail.lines, straight=tail.line_share)
     assert own < 0.45 and own < 0.7 * wrong()

@@ -281,15 +281,15 @@ def test_how_many_more_planes_a_content_takes_is_told_to_a_plane(response):
     more = range(4, 12)
     for content in contents:
         watch, own = Watch.of(response, table, transfers, content), Spectra.of(content)
-        falls = watch.falling(
+        falls = watch.forecast_falls(
             wrong_moments(response, operator.w_in[:, :k].T, operator.transfers(k)) for k in more
         )
         watch, numbers = replace(watch, falls=falls), surveyed(watch, content)
         errors = [response.error(operator.w_in[:, :k].T, operator.transfers(k), own) for k in more]
         for limit in np.geomspace(max(errors) / 20, max(errors), 7):
             wanted = 1 + sum(error > limit for error in errors)
-            assert abs(watch.wanting(numbers, limit) - wanted) <= 1
-    assert replace(watch, falls=()).wanting(numbers, 1e-3) == 1
+            assert abs(watch.count_missing_planes(numbers, limit) - wanted) <= 1
+    assert replace(watch, falls=()).count_missing_planes(numbers, 1e-3) == 1
 
 
 def test_darkness_and_nan(response):
@@ -324,4 +324,4 @@ def test_what_is_not_wrong_does_not_fall(response):
     watch = Watch.of(response, table, transfers, natural((96, 64)).content, (96, 64))
     exact = replace(watch, wrong=np.zeros_like(watch.wrong))
     with np.errstate(all="raise"):
-        assert not np.any(exact.falling([np.eye(watch.wrong.shape[1])]))
+        assert not np.any(exact.forecast_falls([np.eye(watch.wrong.shape[1])]))

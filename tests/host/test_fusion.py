@@ -79,7 +79,7 @@ def ratios(camera, scene, tables):
             result = brute.fused(
                 transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa
             )
-            yield operator.predicted(rank, own) / relative(result, truth)
+            yield operator.predict_error(rank, own) / relative(result, truth)
 
 
 @pytest.mark.slow
@@ -168,7 +168,7 @@ def test_spectra_outside_the_prior_raise_the_rank():
         error = relative(
             brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa), truth
         )
-        assert 1 / 2.5 <= operator.predicted(rank, own) / error <= 2.5
+        assert 1 / 2.5 <= operator.predict_error(rank, own) / error <= 2.5
         assert (
             error > 5 * operator.tail[rank]
         )  # the prior's own figure would have been silently wrong

@@ -10,7 +10,7 @@ from cameras import PHONE
 import gpusim as gs
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.tolerance import Tolerance
-from gpusim.optics.windows import Windows, _drawn
+from gpusim.optics.windows import Windows, _draw
 from gpusim.planner import probes
 from gpusim.planner.facts import Facts, OnHost
 from gpusim.planner.plan import plan
@@ -189,7 +189,7 @@ def test_windows_stand_for_all_others():
     sums = []
     for _ in range(2000):
         order = random.permutation(n)
-        drawn, weight = _drawn(energy[order], 12)
+        drawn, weight = _draw(energy[order], 12)
         assert len(set(drawn)) == 12
         sums.append(weight @ value[order][drawn])
     assert np.mean(sums) == pytest.approx(value.sum(), rel=1 / 12)

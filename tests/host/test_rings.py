@@ -8,10 +8,9 @@ import pytest
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.lens import open_lens
-from gpusim.optics.planned_tables import made_anew
+from gpusim.optics.tables import made_anew
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs.farfield import tails_of
-from gpusim.planner.knobs.waves import waves
+from gpusim.planner.knobs.farfield import waves
 from gpusim.planner.question import Question
 
 SIDE, SIZE, NEAREST = 32, 65, 12  # [sample]
@@ -47,9 +46,8 @@ def test_rings_are_those_of_the_pupil(q, hole, w040):
     y, x = np.indices((SIDE, SIDE), float)
     r = np.maximum(np.hypot(y, x), 1)
     rings = waves(question, r, y / r, x / r)
-    mean = sum(
-        part / r**power for part, power in zip(tails_of(question)[0], (3, 5, 7), strict=True)
-    )
+    tails = question.lens.tails(question.scene.wavelengths)[0]
+    mean = sum(part / r**power for part, power in zip(tails, (3, 5, 7), strict=True))
     spread = open_lens(optics, question.pitch, (1.0, 1.0), scene.shape).kernels(
         [550.0], (0.0, 0.0), SIZE
     )[0]

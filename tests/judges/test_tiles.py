@@ -11,7 +11,7 @@ import gpusim as gs
 from gpusim.domain.errors import BadData
 from gpusim.domain.pupil import Pupil
 from gpusim.kernels.optics.tiles import tiles
-from gpusim.optics.tiling import Tiling, tiling
+from gpusim.optics.lengths import Tiling, tiling
 from gpusim.planner import plan as planner
 from gpusim.planner.knobs import border as model
 

@@ -77,8 +77,8 @@ def test_the_sun_is_surveyed_as_any_light(device, exponent, response):
             )
             for one, seen in (
                 (watch, light),
-                (watch.scaled(content), content),
-                (watch.scaled(light), light),
+                (watch.with_scale(content), content),
+                (watch.with_scale(light), light),
             )
         )
         assert once == bright and bright[0] > 0 and (exponent < 76 or np.isnan(unscaled[0]))

@@ -23,6 +23,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, Conflict, GpusimError
 from gpusim.domain.processor import WHITE_BALANCES
 from gpusim.io.files import read_text
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.simulator import Simulator
 
 SLOWEST = 1e4  # [s]
@@ -74,7 +75,7 @@ class Lags:
             )
         if self.focus is not None and "focus" in ramped:
             raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
-        if self.focus is not None and camera.optics.psf is not None:
+        if self.focus is not None and not lens_of(camera).is_adjustable:
             raise Conflict(
                 "--lag focus",
                 "measured point spread functions have one focus",

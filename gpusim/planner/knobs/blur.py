@@ -1,14 +1,11 @@
 """Blur form: straight to the mosaic or of whole channels, by transforms of the frame or of tiles."""
 
-from dataclasses import replace
-
 from gpusim.domain.account import SAFETY, total
 from gpusim.optics.depth import DepthPlan
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.notes import Notes
 from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Question, displaced
+from gpusim.planner.question import Notes, Question, displacement_suffix
 
 ENDINGS = {
     "optics.mosaic": ", folded into the mosaic",
@@ -22,15 +19,15 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
     around: what takes part. Layers by depth are laid over one another channel by channel.
     """
-    optics, sensor = question.optics, question.sensor
+    lens, sensor = question.lens, question.sensor
     folded = (
         around.folds
         and question.ratio == 1
         and not sensor.is_monochrome
         and not sensor.stacked
-        and optics.is_symmetric
-        and not optics.varies
-        and not any(question.moved)
+        and lens.symmetry.is_round
+        and lens.is_uniform
+        and not any(lens.displacement)
         and depth is None
     )
     if around.tiling is not None:
@@ -39,22 +36,23 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
 
 def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
-    """Say what blurs; words: by which planes."""
-    optics, moved = question.optics, question.moved
-    over = f"the pixel{displaced(moved)}" if question.ratio == 1 else "each scene sample"
-    if optics.is_ideal and not has_depth and not any(moved):
-        notes.models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
-    else:
-        notes.models["optics.pupil"] = f"{optics.description}, integrated over {over}"
+    """Note the blur's stages. words: the planes."""
+    over = (
+        f"the pixel{displacement_suffix(question.moved)}"
+        if question.ratio == 1
+        else "each scene sample"
+    )
+    stage, pupil = question.lens.describe(has_depth)
+    notes.models[stage] = f"{pupil}, integrated over {over}"
     notes.models[form] = words + ENDINGS[form]
 
 
 def _must_stay(question, picture):
-    """Whether a blur is not left out whatever that errs.
+    """Whether a blur is kept whatever its error.
 
-    It is asked for in a form or for every spectrum; it goes by distance or place, where one window does not tell it;
-    points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
-    found to need it.
+    It is kept if its form, or exactness for every spectrum, is prescribed; if it follows distance
+    or field, which one window does not show; if point lights are added to it; if it displaces the
+    pixels by parts of samples; or if scenes of its kind were found to need it.
     """
     return (
         question.least
@@ -62,22 +60,21 @@ def _must_stay(question, picture):
         or question.reach
         or question.guaranteed
         or question.facts.depth is not None
-        or question.optics.varies
+        or not question.lens.is_uniform
         or picture.highlights is not None
         or (question.more and question.ratio == 1)
     )
 
 
 def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
-    """The question without the blur, where that errs little enough; else the same."""
+    """Return the question without the blur if the error is small enough; else the same."""
     assert question.tolerance is not None
     if _must_stay(question, picture):
         return question
-    bound = probes.unblurred
+    bound = probes.without_blur
     if SAFETY * bound.ratio(question.tolerance) <= 1:
         bound = total([bound, probes.even_error(picture.from_afar(question, SIDE / 2))])
     if SAFETY * bound.ratio(question.tolerance) > 1:
         return question
     notes.leave_out("blur", bound, "blur left out")
-    camera = replace(question.camera, optics=replace(question.optics, model="none", psf=None))
-    return replace(question, camera=camera)
+    return question.without_blur()

@@ -13,23 +13,19 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.fusion import in_range
 from gpusim.optics.highlights import TRANSFORM_ERROR
-from gpusim.optics.lengths import LENGTHS, transform_lengths
-from gpusim.optics.lens import straight_tail, tail_of
+from gpusim.optics.lengths import LENGTHS, Tiling, tiling, transform_lengths
 from gpusim.optics.outside import BORDER_REACH, Outside, most_reach
-from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.knobs.farfield import (
     TILES_SPACINGS,
     FarField,
     far_field,
     has_far_field,
+    ring_errors,
     seam_error,
     spline_error,
-    tails_of,
 )
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.knobs.rings import ring_errors
-from gpusim.planner.notes import Notes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 FAR_REACHES = (
     16,
@@ -42,21 +38,26 @@ OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
 EVEN = (
     2.0,
     2.5,
-)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
-SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
+)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS in its darkest part
+SMALL = 0.25  # of a tolerance: errors predicted within a factor of 2.5 do not break it
 BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
-MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
+MOST_AROUND = 4  # samples on each side whose light approximates the mix of a lens
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What of the world around the frame takes part in the blur.
+    """Part of the world around the frame that takes part in the blur.
 
-    reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
-    lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
-    level: electrons of the frame's root mean square. far: what the world beyond is left to, None: it is not seen.
-    tiling: of tiles that see so much around them, None: the frame is one transform.
-    question: what is asked.
+    Attributes:
+        reach: Surroundings on each side [pixel].
+        reaches: Surroundings along each axis [sample].
+        period: Lengths of the transforms [sample].
+        folds: Whether the mosaic folds into them.
+        outside: Facts of the light around the frame.
+        level: Electrons of the frame's root mean square.
+        far: Model of the world beyond; None ignores it.
+        tiling: Of tiles that overlap by so much; None: the frame is one transform.
+        question: The question.
     """
 
     reach: int
@@ -71,7 +72,7 @@ class Surroundings:
 
     @cached_property
     def bound(self) -> Bound:
-        """Error of what is not seen, or seen on the wrong side."""
+        """Error of light that is not seen, or seen on the wrong side."""
         if self.tiling is not None and self.far is not None:
             rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
             return total(
@@ -92,12 +93,12 @@ class Surroundings:
 
     @property
     def splines(self) -> Bound:
-        """Error of the splines that carry what is far from tiles."""
+        """Error of the splines that carry far light to tiles."""
         assert self.far is not None
         return self._even(spline_error(self.far, self.outside, self.question))
 
     def _even(self, rms):
-        """An error that is everywhere alike."""
+        """An error that is the same everywhere."""
         p999, most = self.outside.darkest
         return Bound(
             rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most
@@ -114,33 +115,31 @@ class Surroundings:
 
     @cached_property
     def brighter(self) -> float:
-        """Root mean square of what is transformed, over the frame's, at least 1."""
+        """Root mean square of the transforms' input over the frame's, at least 1."""
         return 1.0 if self.tiling is not None else self.outside.brighter(self.period)
 
     def describe(self, question: Question, notes: Notes):
-        """Say what is not seen."""
+        """Note the light that is not seen."""
         reach = min(self.reaches)
         if self.far is not None:
             notes.bounds["border"] = self.bound
-            beyond = (
-                f"{self.reach} pixels outside the frame"
-                if self.tiling is None
-                else f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}"
-            )
-            notes.models["optics.far"] = (
-                f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
-            )
-            notes.models["optics.near"] = "transfer functions less those of the Gaussians"
+            outside = f"more than {self.reach} pixels outside the frame"
+            if self.tiling is not None:
+                side, overlap = self.tiling.side, self.tiling.overlap
+                outside = f"outside each {side} x {side} tile ({overlap} samples overlap)"
+            count = len(self.far.sigmas)
+            notes.models["optics.far"] = f"light from {outside}: {count} Gaussians"
+            notes.models["optics.near"] = "transfer functions minus the Gaussians'"
             return
         notes.bounds["border"] = self.bound
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.leave_out(
-                f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
-                "transforms repeat it",
+                f"light from more than {reach / question.ratio:.4g} pixels outside the frame: the periodic "
+                "transforms take it from the repeated picture",
                 self.bound,
                 "border",
             )
-        if question.optics.is_ideal:
+        if question.lens.is_airy:
             notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(
                 reach, question.q.max()
             )
@@ -149,16 +148,19 @@ class Surroundings:
 def surroundings(
     question: Question, picture: Picture, depth: DepthPlan | None, level: float
 ) -> Iterator[list[Surroundings]]:
-    """As much as is asked for alone; or BORDER_REACH, and for a tolerance other ways, more in each list to come.
+    """Yield lists of surroundings: the prescribed one; or BORDER_REACH and, for a tolerance, other ways, increasing.
 
-    Those are less or more of it with a world without end beyond, by Gaussians, where the lens is such that they can;
-    else twice as much each time. Raises OutOfRange. Spreads that are given end: the frame sees as far as they go, if
-    they fit into its transforms at all. level: electrons of the frame's root mean square.
+    If the lens allows it, the others are smaller or larger surroundings with an endless world
+    beyond, modelled by Gaussians; else each has twice the surroundings of the one before. Measured
+    spreads end: the frame then sees as far as they reach, if they fit into its transforms. Raises
+    OutOfRange.
+
+    level: electrons of the frame's root mean square.
     """
     outside, ratio = _outside(question, picture, depth, level), question.ratio
     beside = (
         ceil(depth.reach) if depth else 0
-    ) + question.more  # samples that take part beside the reach
+    ) + question.more  # samples that take part in addition to the reach
     shape, reach = outside.image.shape, question.reach
 
     def around(reach, far=None):
@@ -166,15 +168,16 @@ def surroundings(
         reaches = [
             max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape
         ]
-        period, folds = _lengths(
-            question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
-        )
+        period, folds = question.period, False
+        if not period:
+            least = [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
+            period, folds = transform_lengths(least, np.shape(question.sensor.cfa_indices))
         if None in period:
             rows, cols = question.size
             raise OutOfRange(
                 "scene size with surroundings",
                 f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
-                "what the transforms take: a smaller scene, reach or aperture",
+                "what fits into the transforms: a smaller scene, reach or aperture",
             )
         return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
 
@@ -202,7 +205,8 @@ def surroundings(
         yield [around(reach)]
         return
     fits = (
-        question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+        question.lens.tail is None
+        and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
     )
     reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
     first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
@@ -210,7 +214,7 @@ def surroundings(
         yield first
         return
     if has_far_field(question, depth is not None):
-        tails = tails_of(question)
+        tails = question.lens.tails(question.scene.wavelengths)
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, tails, reach * ratio) for reach in reaches]
         found = [
@@ -236,7 +240,10 @@ def surroundings_of(
     far: FarField | None,
     made: Tiling | None,
 ) -> Surroundings:
-    """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
+    """Return the surroundings of a plan that was made for another scene.
+
+    level: see `surroundings`. made: its tiling.
+    """
     reaches = (
         [made.overlap] * 2
         if made is not None
@@ -255,34 +262,28 @@ def surroundings_of(
     )
 
 
-def _lengths(question, least):
-    """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
-    if question.period:
-        return question.period, False
-    return transform_lengths(least, np.shape(question.sensor.cfa_indices))
-
-
 def _outside(question, picture, depth, level):
-    scene, optics, split = question.scene, question.optics, picture.highlights
+    scene, split, tail = question.scene, picture.highlights, question.lens.tail
     spread = 0
     if question.is_blurred:
         spread = depth.reach if depth else question.spread
-    tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
+    if question.period:
+        tail = None
     light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
-    if picture.level > BRIGHT:  # all that is told is over the level
+    if picture.level > BRIGHT:  # all results are over the level
         light, power = in_range(light)
         unit = 2.0**-power
     return Outside(
         light,
         scene.border,
         scene.margin,
-        tail,
+        tail.strength * question.mean_q if tail else 0,
         spread,
         picture.level * unit,
         max(question.sensor.read_sigma**2, 1) / level,
         missing * unit,
         min(round(question.deviation), MOST_AROUND),
-        *(straight_tail(optics) if tail else ((), 0.0)),
+        *((tail.lines, tail.line_share) if tail else ((), 0.0)),
         question.deviation,
         not scene.view.is_plain,
     )

@@ -1,4 +1,4 @@
-"""Depth: whether the blur goes by the distance of things."""
+"""Depth: whether the blur follows the distance of objects."""
 
 from collections.abc import Callable
 
@@ -9,37 +9,29 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import DepthPlan, plan_depth
-from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.probes import RIM, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
-OTHERS = "depth, if "  # begins the names of errors of what was not chosen
+OTHERS = "depth, if "  # begins the names of errors of alternatives
 
 
 def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> DepthPlan | None:
-    """How the blur goes by distance. None: the same at all distances; `notes` says why, and what that costs.
+    """Return the plan of a blur that follows distance; None if it is the same at all distances.
 
-    probes: gives those of the scene. Raises BadData, OutOfRange.
+    `notes` then gives the reason and the error. probes: gives the scene's. Raises BadData,
+    OutOfRange.
     """
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
         return None
-    for why, is_so in (
-        ("there is no blur", optics.model == "none"),
-        ("the lens was measured at one", optics.psf),
-        ("the blur varies over the field", optics.varies),
-        ("there is distortion", optics.distortion),
-    ):
-        if is_so:
-            bound = (
-                DECLARED
-                if optics.model == "none" and not scene.layers
-                else _one_distance(question, probes)
-            )
-            notes.leave_out(
-                f"depth: {why}, so the blur is the same at all distances", bound, "depth left out"
-            )
-            return None
+    why = question.lens.fixed_distance or ("there is distortion" if optics.distortion else "")
+    if why:
+        notes.leave_out(
+            f"depth: {why}, so the blur is the same at all distances",
+            _one_distance(question, probes),
+            "depth left out",
+        )
+        return None
     made = plan_depth(
         optics,
         question.pitch,
@@ -63,11 +55,12 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
 
 
 def _behind_edges(question, depth):
-    """Relative RMS error of a product: light behind a layer is blurred as a whole, times what the layer lets through.
+    """Relative RMS error of a product: blurred light behind a layer times the layer's blurred transmission.
 
-    Right is the blur of their product. The two differ by the covariance of light and coverage within the kernel of a
-    circular pupil and the pixel, at the mean wavelength in a mirrored world. Each has first the blur of its own
-    distance, a disc of diameter c: a Gaussian of standard deviation c / 4 stands for it.
+    Exact is the blur of their product. The two differ by the covariance of light and coverage
+    within the kernel of a circular pupil and the pixel, at the mean wavelength in a mirrored world.
+    First each is blurred for its own distance by a disc of diameter c, approximated by a Gaussian
+    of standard deviation c / 4.
     """
     fy, fx = (
         np.arange(n)[:, None] / (2 * n) for n in question.size
@@ -102,9 +95,10 @@ def _behind_edges(question, depth):
 def _one_distance(question, probes):
     """Bound of the error of a blur that is in focus at all distances.
 
-    A pupil is as far out of focus, at its rim, as a change of the wavefront by W waves. Any two of its points then
-    differ by at most 2 pi W in phase, so no transfer function changes by more than that, nor by more than 2. Farther
-    than the probes' rim they do not tell. Layers that cover a part of a sample cannot be shown without being composed.
+    Defocus changes the wavefront at the pupil's rim by W waves. Any two points of the pupil then
+    differ by at most 2 pi W in phase, so no transfer function changes by more than this, or by more
+    than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
+    of a sample cannot be shown without composition.
     """
     optics, scene, depth = (
         question.optics,
@@ -126,18 +120,18 @@ def _one_distance(question, probes):
     if shift / optics.working_f_number / 2 > RIM * question.pitch:
         return UNKNOWN
     waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
-    return probes().changed(min(2 * np.pi * waves, 2.0))
+    return probes().change_error(min(2 * np.pi * waves, 2.0))
 
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
-    """Named errors of the blur by distance: where there are edges."""
+    """Return the named errors of the blur by distance, located at edges."""
     own = {} if depth is None else depth.predicted
     local = Bound if probes is None else probes.local
     return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
 
 
 def describe(depth: DepthPlan | None, notes: Notes):
-    """Say how the blur goes by distance."""
+    """Note how the blur follows distance."""
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model
@@ -147,8 +141,8 @@ def describe(depth: DepthPlan | None, notes: Notes):
     if depth.layers > 1 and not depth.sheets:
         name = next(name for name in depth.predicted if name.startswith("depth, in layers"))
         notes.leave_out(
-            "surfaces that nearer things hide: one picture does not show them, so the picture next to them "
-            "goes on there",
+            "surfaces hidden by nearer objects: one picture does not show them; the picture next to them is "
+            "continued there",
             notes.bounds.get(name) or Bound(depth.predicted[name]),
             name,
         )

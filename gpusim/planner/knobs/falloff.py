@@ -1,4 +1,4 @@
-"""Fall-off: what of the light lens and pixels lose toward the corner."""
+"""Fall-off: light that lens and pixels lose toward the corner."""
 
 import numpy as np
 
@@ -6,9 +6,8 @@ from gpusim.domain.account import SAFETY, total
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import ideal
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
-from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.probes import Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
 NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 
@@ -16,9 +15,10 @@ NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 def falloff_of(
     question: Question, probes: Probes | None, notes: Notes
 ) -> tuple[np.ndarray | None, float]:
-    """Fall-off of every pixel, None where the cos^4 law is all; the tangent of the field angle per pixel, 0 without it.
+    """Return the fall-off of every pixel, and the tangent of the field angle per pixel for the cos^4 law.
 
-    probes: of the scene, where there is a tolerance. Raises BadData, OutOfRange.
+    The first is None if the law is enough, the second 0 if the law is not used. probes: of the
+    scene, with a tolerance. Raises BadData, OutOfRange.
     """
     sensor, shape, displacement = (
         question.sensor,
@@ -61,7 +61,7 @@ def falloff_of(
 
 
 def _lens(question, notes):
-    """The lens's fall-off by its name, where it is not left to the exposure's law, and the slope of that."""
+    """The lens's fall-off by name, unless the exposure's cos^4 law is enough, and that law's slope."""
     optics, sensor, scene = question.optics, question.sensor, question.scene
     displacement = sensor.displacement
     if optics.relative_illumination == "cos4":
@@ -72,13 +72,13 @@ def _lens(question, notes):
         )
         if (
             optics.distortion is not None
-        ):  # the law is that of the angle at which light comes, not of where it lands
+        ):  # the law is for the angle at which light comes, not for the place
             return {
                 "cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2
             }, 0.0
         if not any(displacement):  # without distortion the axis is in the middle
             return {}, slope
-        # the law that goes with the exposure is that of a grid in the middle
+        # the law in the exposure is for a grid in the middle
         return {
             "cos^4": relative_illumination(
                 "cos4", scene.shape, slope, 1.0, displacement=displacement

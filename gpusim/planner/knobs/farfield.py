@@ -1,54 +1,73 @@
-"""The world without end: what of a blur is left to Gaussians over it, and what is wrong then.
+"""The endless world: the part of a blur that Gaussians over it replace, and the errors of that.
 
-The blur that transforms make ends `reach` samples from the frame, the rest of the lens is a sum of Gaussians
-(`gpusim.optics.ladder`). What is wrong then: transforms join the world's two ends, `reach` samples from the frame; a
-step there spreads waves at the cut-off of the lens, of which the Gaussians know nothing. And a tail of three powers
-leaves out higher ones of lenses that are far from focus.
+The blur by transforms ends `reach` samples from the frame; the rest of the lens is a sum of
+Gaussians (`gpusim.optics.ladder`). There are two errors. Transforms join the world's two ends,
+`reach` samples from the frame, and a step there spreads waves at the cut-off of the lens, which the
+Gaussians do not hold. And a tail of three powers neglects higher ones of lenses that are far from
+focus.
+
+Waves: a lens with rims rho in its pupil, with a wavefront of W waves there, spreads at the distance
+r, in addition to its tail,
+
+    2 q / (pi^3 r^3 (1 - e^2)) | sum of a cos(pi rho r / q - 3 pi / 4) exp(2 pi i W) |^2,
+
+a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an
+annulus's by the asymptotic form of J1).
+
+Tiles: a transform repeats a tile, so light that is `overlap` samples or more from a pixel of its
+result is seen at the repeated place. Waves reach that far, and so does the part of the tail that
+the Gaussians do not hold. The result is computed in windows of the picture twice as wide as a tile,
+blurred both ways (`ring_errors`).
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 from math import pi, sqrt
 
 import numpy as np
+import scipy
+from numpy.polynomial.polynomial import polyval2d
 
-from gpusim.optics.aliases import misses
-from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
-from gpusim.optics.outside import FREQUENCIES, Outside, border_indices, rule_of
-from gpusim.optics.splines import SPACINGS
-from gpusim.planner.knobs.waves import waves
+from gpusim.optics.ladder import POWERS, RATIO, energies, gaussians
+from gpusim.optics.lengths import Tiling
+from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
+from gpusim.optics.splines import SPACINGS, misses
+from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
 LEAST_SIDE, LEAST_REACH = (
     8,
     16,
-)  # [sample] of a frame along an axis, and of what is blurred around it
+)  # [sample] of a frame along an axis, and of its blurred surroundings
 RINGS, RADII = (
     4.0,
     4.0,
 )  # the least reach in q (twice that over the part between the rims), and in radii of the rays
 LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
-# This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
+# This, and its dependences, were measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
-TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
+TILES_RATIO = 1.8  # of neighbouring Gaussians for tiles, fewer than elsewhere
 TILES_SPACINGS = (
     1.0,
     1.2,
     1.6,
     SPACINGS,
-)  # of splines beside tiles in a Gaussian, from the coarsest on
+)  # of splines for tiles in a Gaussian, from the coarsest on
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
-DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
+DARK_SEAM = (
+    0.15  # of it in a dark world, whose step is the frame's edge, a reach away from the seam
+)
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 FINER, LEAST = (
     3.0,
     0.3,
-)  # q of a pixel of samples below which it averages waves away; what it leaves
+)  # q of a pixel of samples below which it averages waves away; the least part left
 DISTANCES = 64  # from the seam, at which waves are added up
-POINTS, PLACES = 32, 128  # of light in a strip, and where they are seen
+POINTS, PLACES = 32, 128  # of light in a strip, and places at which they are seen
 FARTHEST, FINE, MOST_RADII = (
     8,
     12,
@@ -58,15 +77,18 @@ SLOW = tuple(
     np.geomspace(1 / 4096, 1 / 128, 32)
 )  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
+HOT = 3.0  # true over predicted error near few bright points was up to 3.1: their rings end in few tiles
 
 
 @dataclass(frozen=True, eq=False)
 class FarField:
     """Gaussians in place of the world beyond a blur's reach.
 
-    sigmas: their standard deviations, shape (G,) [sample], the last one infinite. spacings: of splines in the first of
-    them, see `optics.far`. tails: of every wavelength, shape (L,
-    3), see `gpusim.optics.ladder.tail`. border: the rule by which the world goes on.
+    Attributes:
+        sigmas: Standard deviations, shape (G,) [sample], the last one infinite.
+        tails: Of every wavelength, shape (L, 3), see `Lens.tails`.
+        border: Rule that continues the world.
+        spacings: Of splines in the first of the sigmas, see `optics.far`.
     """
 
     sigmas: np.ndarray
@@ -75,11 +97,17 @@ class FarField:
     spacings: float
 
     def energies(self, transfers) -> np.ndarray:
-        """What a plan's transfer tables have of them, shape (groups, planes, G). transfers: see `Plan`."""
+        """Return their part of a plan's transfer tables, shape (groups, planes, G).
+
+        transfers: see `Plan`.
+        """
         return _of_planes(energies(self.sigmas, self.tails), transfers)
 
     def weights(self, mix, transfers) -> np.ndarray:
-        """What a plan's channels get of its planes by them, shape (C, planes, G). mix: see `Plan`."""
+        """Return their part of a plan's channels, by planes, shape (C, planes, G).
+
+        mix: see `Plan`.
+        """
         return np.asarray(mix)[..., None] * _of_planes(
             energies(self.sigmas, self.tails, self.border), transfers
         )
@@ -90,42 +118,33 @@ def _of_planes(each, transfers):
 
 
 def has_far_field(question: Question, by_depth: bool) -> bool:
-    """Whether a lens's light from afar is smooth, the same all over the frame and in the middle of every pixel.
+    """Return whether light from afar is smooth, the same all over the frame and in the middle of every pixel.
 
     Straight blades throw it along lines.
     """
-    optics = question.optics
+    lens = question.lens
     return (
-        question.is_blurred
-        and optics.psf is None
-        and not optics.pupil.blades
-        and optics.is_symmetric
-        and not optics.varies
+        lens.tail is not None
+        and lens.symmetry.is_round
+        and lens.is_uniform
         and not by_depth
         and not question.period
-        and not any(question.moved)
+        and not any(lens.displacement)
         and min(question.size) >= LEAST_SIDE
-    )
-
-
-def tails_of(question: Question) -> np.ndarray:
-    """Tails of the wavelengths, see `FarField`."""
-    optics = question.optics
-    return tail(
-        optics,
-        question.q,
-        optics.waves(question.scene.wavelengths),
-        variance(optics, question.pitch, question.cell),
     )
 
 
 def far_field(
     question: Question, tails, reach: float, side: int | None = None, spacings: float = SPACINGS
 ) -> FarField | None:
-    """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
+    """Return the Gaussians beyond a blur of so many samples around the frame; None if these are too few.
 
-    tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
-    spacings: see `FarField`, one of TILES_SPACINGS beside tiles.
+    Args:
+        question: The question.
+        tails: See `FarField`.
+        reach: Samples around the frame.
+        side: Of tiles with that overlap [sample]; None: the frame is one transform.
+        spacings: See `FarField`, one of TILES_SPACINGS for tiles.
     """
     optics = question.optics
     rings = RINGS * question.mean_q
@@ -141,7 +160,7 @@ def far_field(
 
 
 def seam_error(outside: Outside, question: Question, period: tuple[int, int]) -> float:
-    """Relative root mean square error of a frame whose world beyond transforms of this period is left to Gaussians."""
+    """Return the relative RMS error of a frame whose world beyond transforms of this period is left to Gaussians."""
     if not outside.level > 0:
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
@@ -160,10 +179,11 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
 
 
 def _image_error(outside, question, reach):
-    """Relative root mean square error from the waves of points of light that are seen where the transform repeats them.
+    """Relative RMS error from waves of point lights that are seen at the transform's repeated place.
 
-    A point so deep in the frame, from one of its sides, has an image as deep beyond the opposite one, 2 reach farther:
-    those of the brightest in a strip along each side, at some places in a strip along the opposite one.
+    A point near one side of the frame has an image beyond the opposite side, 2 reach farther.
+    Computed for the brightest points in a strip along each side, at some places in a strip along
+    the opposite one.
     """
     depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
     random = np.random.default_rng(depth)  # the same places in every scene
@@ -198,7 +218,7 @@ def _image_error(outside, question, reach):
 
 
 def spline_error(far: FarField, outside: Outside, question: Question) -> float:
-    """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
+    """Return the relative RMS error, the same everywhere, of a frame by tiles from the splines of far light."""
     if not outside.level > 0:
         return 0.0
     each = question.edges @ energies(far.sigmas, far.tails)
@@ -213,10 +233,10 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
 
 
 def _coherence(question, reach, part):
-    """What the waves of all wavelengths leave of one's, in the mean over frame and channels.
+    """Part of one wavelength's waves that remains in the sum over all, in the mean over frame and channels.
 
-    part: of the cut-off, at which they are: their period is q over it. A spread of rays has them come from all of its
-    rim, and leaves all of them.
+    part: of the cut-off, at which they are: their period is q over it. With a spread of rays they
+    come from all of its rim, and all of them remain.
     """
     if question.spread > IN_FOCUS * question.mean_q:
         return 1.0
@@ -244,3 +264,144 @@ def _step(outside, period):
             ends = np.diff(lines[beyond].astype(np.float64), axis=0)
         found += np.mean(ends**2) * len(ends) * SIDE / n
     return sqrt(found) / outside.level
+
+
+def waves(question: Question, r, down, across) -> np.ndarray:
+    """Return the energy per square sample of a point's waves, shape (L, *shape).
+
+    Args:
+        question: The question.
+        r: Distances [sample], of any shape.
+        down: The direction's row component, of that shape or one for all.
+        across: The direction's column component.
+    """
+    optics = question.optics
+    hole = optics.pupil.obscuration
+    rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
+    found = np.zeros((len(question.q), *np.shape(r)))
+    for own, q, wave in zip(
+        found, question.q, optics.waves(question.scene.wavelengths), strict=True
+    ):
+        for rho, a in rims:
+            own -= (
+                a
+                * a
+                / 2
+                * np.sin(2 * pi * rho * r / q)
+                * _pixel_response(question, rho / q, down, across)
+            )
+        for (one, a), (other, b) in combinations(rims, 2):
+            path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
+            less, more = (one - other) / (2 * q), (one + other) / (2 * q)
+            own += (
+                a
+                * b
+                * np.cos(2 * pi * path)
+                * (
+                    np.cos(2 * pi * less * r) * _pixel_response(question, less, down, across)
+                    - np.sin(2 * pi * more * r) * _pixel_response(question, more, down, across)
+                )
+            )
+        own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
+    return found
+
+
+def _pixel_response(question, frequency, down, across):
+    """Part of a wave of this frequency [1/sample] in this direction that pixels keep."""
+    optics, left = question.optics, 1.0
+    for along, cell, side, spots in zip(
+        (down, across), question.cell, question.aperture, optics.birefringence, strict=True
+    ):
+        wave = frequency * along
+        left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
+        if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
+            left = left * np.sinc(side * question.ratio * (wave - np.rint(wave)))
+    return left * np.exp(-2 * (pi * optics.diffuser / question.pitch * frequency) ** 2)
+
+
+def ring_errors(
+    outside: Outside, question: Question, tiling: Tiling, far: FarField
+) -> tuple[float, float, float]:
+    """Return the relative RMS error of a frame by such tiles; its 99.9 % quantile and maximum in noise.
+
+    far: Gaussians for the light that tiles leave out. The last two figures are as in
+    `Outside.error`.
+    """
+    if not outside.level > 0:
+        return 0.0, 0.0, 0.0
+    side, valid = tiling.side, tiling.valid
+    (windows, light), table = outside.windows(valid), _repeated_response(question, tiling, far)
+    part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
+    light = light[:, part, part]
+    within = slice(side // 2, side // 2 + side)
+    error = np.abs(
+        _middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid)
+    )
+    rows, cols = (
+        min(n - 2 * outside.margin, valid) for n in outside.image.shape
+    )  # of a narrow frame all
+    error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
+    local = scipy.ndimage.uniform_filter(light, (0, 2 * outside.around + 1, 2 * outside.around + 1))
+    local = local[:, rim : rim + rows, rim : rim + cols]
+    sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
+    weight = windows.weight[:, None] * question.share
+    return (
+        sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())),
+        quantile(sigma, weight, 0.999),
+        float(sigma.max() * windows.steepest),
+    )
+
+
+def _middle(light, table, valid):
+    """The middles, (n, C, valid, valid), of windows (n, side, side) blurred by tables (C, side, side // 2 + 1)."""
+    side = light.shape[-1]
+    inner = slice((side - valid) // 2, (side + valid) // 2)
+    spectra = scipy.fft.rfft2(light, workers=-1)[:, None] * table
+    rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[
+        :, :, inner
+    ]  # the others are not needed
+    return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
+
+
+def _repeated_response(question, tiling, far):
+    """Transforms of a tile's response to points outside its overlap, at a period twice its side, by channels."""
+    side, optics = tiling.side, question.optics
+    of = (
+        optics,
+        question.scene.wavelengths,
+        question.q,
+        question.cell,
+        question.aperture,
+        question.ratio,
+    )
+    held = question.kept(
+        f"held by tiles of {side} that share {tiling.overlap}",
+        (*of, far.sigmas, far.tails),
+        lambda: _tile_response(question, tiling, far),
+    )
+    quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(
+        -1, side, side
+    )
+    at = np.abs(np.arange(-side, side))
+    whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[
+        :, at[:, None], at
+    ]  # up to the windows' end, a side away
+    return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
+
+
+def _tile_response(question, tiling, far):
+    """A tile's response to a point at places below and right of it, by wavelength: float32 (L, side, side)."""
+    y, x = np.indices((tiling.side, tiling.side), float)
+    r = np.maximum(np.hypot(y, x), 1)
+    rings = waves(question, r, y / r, x / r)
+    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
+    held = np.zeros(rings.shape, np.float32)
+    held[:, outer] = (
+        rings[:, outer]
+        + far.tails @ r[outer] ** -np.array(POWERS)[:, None]
+        - (
+            energies(far.sigmas, far.tails)[:, :-1]
+            @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
+        )
+    )
+    return held

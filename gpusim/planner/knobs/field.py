@@ -1,33 +1,39 @@
-"""Field: a blur that is not the same all over the frame."""
+"""Field: a blur that varies over the frame."""
 
 import numpy as np
 
-from gpusim.optics.field import FieldBlur, FlatField, choose, natural_difference
+from gpusim.optics.field import (
+    Differences,
+    FieldBlur,
+    FlatField,
+    choose,
+    farthest_corner,
+    natural_difference,
+)
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.planner.differences import Differences, farthest_corner
 from gpusim.planner.question import Question
 
-FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
+FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur without a tolerance
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
-# beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
+# beyond it predicted over true was .4 to .7 in sigmas: the windows see little of so wide a blur
 WIDEST_Q = 24.0
 BETWEEN_DOUBT = (
     "pixels end between the scene's samples, and light between blurred samples is interpolated"
 )
 WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
-WIDEST_ROOM = 8  # times the limit: what the end of kernels may cost a natural scene at most, if this one is flatter
+WIDEST_ROOM = 8  # times the limit: largest error of a natural scene by the end of kernels, if this scene is flatter
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
 def doubt_of(question: Question) -> str:
-    """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
+    """Return why predicted errors are not certain (the lens varies within its kernels, a very wide blur), or ""."""
     if not question.is_blurred:
         return ""
     if _pixels_end_between_samples(question):
         return BETWEEN_DOUBT
-    if question.optics.varies and min(question.size) < SMALL:
+    if not question.lens.is_uniform and min(question.size) < SMALL:
         return DOUBT
     return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
@@ -46,19 +52,28 @@ def _pixels_end_between_samples(question):
 
 
 def varying_planes(question: Question, response: Response, prior, flat):
-    """Planes from spectra, transfers on the axis, mix, field-varying rest, error and description of a blur that varies.
+    """Return the planes of a blur that varies over the field.
 
-    prior: E[x^T x] of likely spectra, shape (L, L). flat: see `Plan`.
-    Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
-    kernels share the limit. Raises OutOfRange.
+    Each channel has own planes, so each plane has one kernel at a place. Their number and the
+    field's kernels share the limit. Raises OutOfRange.
+
+    Args:
+        question: The question.
+        response: Channels over wavelength and frequency.
+        prior: E[x^T x] of likely spectra, shape (L, L).
+        flat: See `Plan`.
+
+    Returns:
+        Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
+        description.
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
     mix, transfers = (
         each.any(axis=2) * 1.0,
         each.sum(axis=0),
-    )  # a plane is seen by one channel alone
-    # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
+    )  # each plane is seen by only one channel
+    # differences of neighbours in a plane over the channel's: planes of equal strength have equal weights
     spectra, (rows, cols) = question.facts.spectra, question.size
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
@@ -67,7 +82,7 @@ def varying_planes(question: Question, response: Response, prior, flat):
     whole = np.sqrt(
         np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0)
     )
-    strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
+    strength = _round_down(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
     contrast = (
@@ -78,11 +93,11 @@ def varying_planes(question: Question, response: Response, prior, flat):
         np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300)
     )
     varying = _rest(
-        question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit)
+        question, transfers * flat, _round_down(limit / contrast), count, levels, _round_down(limit)
     )
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
-    error = float(np.hypot(error, _misplaced(question, varying)))
+    error = float(np.hypot(error, _border_error(question, varying)))
     return (
         table,
         transfers[None],
@@ -118,18 +133,17 @@ def _planes(question, response, prior, limit):
 
 
 def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
-    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1.
+    """Difference of the blur from the blur on the axis.
 
-    limit: of the error of natural scenes. levels, flat_limit: strength of the planes in flat fields, and the limit of
-    the error of these.
+    transfers: of the planes, (planes, L), for lights of 1. limit: of the error of natural scenes.
+    levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
     """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
-    axis = tuple(question.ratio * at for at in question.axis)
     of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
-    levels = _stepped(np.maximum(levels, 1e-12))
+    levels = _round_down(np.maximum(levels, 1e-12))
 
     def made():
-        differences = Differences(*of[:-1], of[-1] / 8, axis)
+        differences = Differences(*of[:-1], of[-1] / 8)
         return choose(
             differences,
             shape,
@@ -137,29 +151,30 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
             FlatField(differences, shape, levels, flat_limit / 2),
         )
 
-    return question.kept("field plan", (*of, limit, axis, count, levels, flat_limit), made)
+    return question.kept("field plan", (*of, limit, count, levels, flat_limit), made)
 
 
-def _stepped(values):
-    """Values down to the next power of 2^(1/2), so that scenes that are alike take the same plan of the field."""
+def _round_down(values):
+    """Values rounded down to a power of 2^(1/2): similar scenes then take the same plan of the field."""
     return np.exp2(np.floor(2 * np.log2(values)) / 2)
 
 
-def _misplaced(question, varying):
+def _border_error(question, varying):
     """Relative RMS error of light from outside the frame, and of light that is lost in a dark world.
 
-    Light from outside is spread as at the frame's border, where a lens would go on to vary. The corner's spread moves
-    light by d pixels at R pixels from the axis: a strip d wide, less the margin, is too bright, or too dark, by d / R,
-    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis,
-    and the differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a
-    frame, 1 at the corner, is 0.42 .. 0.45.
+    Light from outside is spread as at the frame's border, although a lens would continue to vary.
+    The corner's spread moves light by d pixels at R pixels from the axis: if light moves inward, a
+    strip d wide, minus the margin, is too bright, or too dark, by d / R. In a dark world nothing
+    comes from outside; the kernels' deficit against the kernels on the axis, which the differences
+    share out evenly, is lost there. It grows with the square of the height h, whose root mean
+    square over a frame, 1 at the corner, is 0.42 .. 0.45.
     """
     wavelengths, size, (rows, cols) = (
         question.content.wavelengths,
         varying.kernels.shape[-1],
         question.size,
     )
-    middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
+    middle = (np.array(question.size) - 1) / 2 + question.lens.axis
     corner = farthest_corner(question.size, middle)
     height = max(float(np.hypot(*corner)), 1.0)
     outer, axis = (
@@ -182,7 +197,7 @@ def _misplaced(question, varying):
 
 
 def _blocks(parts):
-    """Rows of each part (n, L) in a place of their own: shape (parts, sum of n, L), 0 elsewhere."""
+    """Rows of the parts (n, L) placed one after another: shape (parts, sum of n, L), 0 elsewhere."""
     ends = np.cumsum([len(part) for part in parts])
     out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
     for own, part, end in zip(out, parts, ends, strict=True):

@@ -1,4 +1,4 @@
-"""Geometry: where the lens puts the samples."""
+"""Geometry: places of the samples in the lens's picture."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,17 +10,16 @@ import numpy as np
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.calibration import Calibration
 from gpusim.optics.geometry import DistortionGrid, distortion_grid, place_phases
-from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import Notes, Question
 
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 
 def viewed(question: Question, probes: Probes, notes: Notes):
-    """Say that the frame is a view of the scene, and what its interpolation errs."""
+    """Note that the frame is a view of the scene, with the error of its interpolation."""
     notes.bounds["view"] = _with_rim(
-        question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio)
+        question, probes, lambda seen: seen.resampling_error(question.scene.view, question.ratio)
     )
     notes.models["optics.distort"] = (
         "a view of the scene, interpolated by cubics: displaced, turned or magnified as "
@@ -31,9 +30,10 @@ def viewed(question: Question, probes: Probes, notes: Notes):
 def interpolated(
     question: Question, told: Callable[[], Probes], notes: Notes
 ) -> DistortionGrid | None:
-    """The lens's distortion of the samples, with the error of its interpolation; None if the lens has none.
+    """Return the lens's distortion of the samples, and note the error of its interpolation; None without distortion.
 
-    Of the margin's samples, too, if there is blur to need them. told: gives the scene's probes. Raises OutOfRange.
+    The margin's samples are included if there is blur. told: gives the scene's probes. Raises
+    OutOfRange.
     """
     distortion = question.distortion
     if distortion is None:
@@ -46,7 +46,9 @@ def interpolated(
     ):  # else it is an error of the view, whose places are anywhere
         width = sum(made.ratio) / 2 if made.method == "area" else None
         everywhere, worst = (
-            _with_rim(question, told(), partial(Probes.interpolated, phases=phases, width=width))
+            _with_rim(
+                question, told(), partial(Probes.interpolation_bound, phases=phases, width=width)
+            )
             for phases in place_phases(made, seen)
         )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
@@ -71,8 +73,8 @@ def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Boun
 def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
     """The error of places and fluxes between the nodes of a grid."""
     (move, flux), (most, largest) = made.typical, made.error
-    usual, worst = probes.moved(move), probes.moved(most)
-    bright, brightest = probes.brightened(flux), probes.brightened(largest)
+    usual, worst = probes.shift_error(move), probes.shift_error(most)
+    bright, brightest = probes.brightness_error(flux), probes.brightness_error(largest)
     return Bound(
         hypot(usual.rms, bright.rms),
         *(
@@ -83,7 +85,7 @@ def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
 
 
 def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
-    """The distortion that the frame gets: `made`, or None if it may be left out.
+    """Return the distortion that the frame gets: `made`, or None if it may be left out.
 
     probes: of the scene, if there is a tolerance.
     """
@@ -92,7 +94,7 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
     move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
-        bound = probes.moved(move)
+        bound = probes.shift_error(move)
         others = [
             one
             for name, one in notes.bounds.items()
@@ -111,7 +113,7 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
 
 
 def describe_calibration(question: Question, notes: Notes):
-    """Say what the frame takes from a calibration in place of the scene's own field of view."""
+    """Note the parts of a calibration that replace the scene's own field of view."""
     calibration = question.optics.distortion
     if not isinstance(calibration, Calibration):
         return
@@ -121,8 +123,8 @@ def describe_calibration(question: Question, notes: Notes):
     fov = question.scene.fov
     if fov and abs(2 * np.tan(fov / 2) / across - 1) > NEGLIGIBLE:
         notes.leave_out(
-            f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
-            f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg",
+            f"the scene's field of view, {np.degrees(fov):.4g} deg: the calibration's, "
+            f"{np.degrees(2 * np.arctan(across / 2)):.4g} deg, is used",
             UNKNOWN,
             "field of view",
         )

@@ -1,4 +1,4 @@
-"""Highlights: split off the picture where what is added in their place is known exactly."""
+"""Highlights: split off the picture if their images can be added exactly."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,21 +12,20 @@ from gpusim.optics.highlights import (
     split_highlights,
     unsplit_error,
 )
-from gpusim.optics.lens import tail_of
 from gpusim.optics.outside import rule_of, seen_light, spread_afar
-from gpusim.planner.facts import Facts
-from gpusim.planner.notes import Notes
-from gpusim.planner.operation import Operation
-from gpusim.planner.question import Question
+from gpusim.planner.facts import Facts, Operation
+from gpusim.planner.question import Notes, Question
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
     """The light that goes through the blur.
 
-    brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
-    highlights in it, as the lens shows it. highest: maximum, likewise. highlights: what was split
-    off, or None.
+    Attributes:
+        brightness: Sums over wavelength and channels, float32 (rows, cols).
+        level: Root mean square of the frame as the lens shows it, highlights included.
+        highest: Maximum, likewise.
+        highlights: The highlights that were split off, or None.
     """
 
     brightness: np.ndarray
@@ -40,17 +39,21 @@ class Picture:
         return bool(self.brightness.max(initial=0) > THRESHOLD * median_of(self.brightness))
 
     def from_afar(self, question: Question, distance: float) -> float:
-        """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
-        tail = tail_of(question.optics) * question.mean_q
-        if not (tail and self.level > 0):
+        """Return the relative RMS error of neglecting light that the lens spreads farther than `distance` [sample]."""
+        tail = question.lens.tail
+        if tail is None or not self.level > 0:
             return 0.0
         light = spread_afar(
-            self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance
+            self.brightness,
+            rule_of(question.scene.border),
+            question.scene.margin,
+            tail.strength * question.mean_q,
+            distance,
         )
         return float(np.sqrt(np.mean(light**2))) / self.level
 
     def operation(self, question: Question, exposure_time: float | None) -> Operation:
-        """How the camera will expose it. exposure_time: given, or None [s]."""
+        """Return the camera's operation for it. exposure_time: [s]; None: the camera's own."""
         return Operation.of(
             question.camera,
             question.facts,
@@ -61,9 +64,11 @@ class Picture:
         )
 
     def mosaic(self, weights, share) -> float | None:
-        """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
+        """Return the mean square of the highlights' mosaic over their channels' together; None without highlights.
 
-        weights: electrons per content, (C, L). share: part of the pixels that has each channel, (C,).
+        Args:
+            weights: Electrons per content, (C, L).
+            share: Part of the pixels that has each channel, (C,).
         """
         split = self.highlights
         if split is None:
@@ -72,7 +77,7 @@ class Picture:
         return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
 
     def describe(self, notes: Notes):
-        """Say what was split off."""
+        """Note the highlights that were split off."""
         split = self.highlights
         if split is None:
             return
@@ -80,16 +85,16 @@ class Picture:
             f"{len(split.places)} highlights added exactly, each with its own spectrum"
         )
         if split.residue:
-            notes.beside["local error beside further highlights"] = split.residue
+            notes.beside["local error next to further highlights"] = split.residue
 
     def describe_unsplit(self, notes: Notes):
-        """Say what the transforms err beside highlights that stay in the picture."""
+        """Note the transforms' error next to highlights that stay in the picture."""
         if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
-            notes.beside["local error beside highlights"] = left
+            notes.beside["local error next to highlights"] = left
 
 
 def whole(question: Question) -> Picture:
-    """The picture with its highlights."""
+    """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
     return Picture(
         brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None
@@ -97,7 +102,7 @@ def whole(question: Question) -> Picture:
 
 
 def split(question: Question) -> tuple[Question, Picture]:
-    """The question of what is left without highlights, and the picture."""
+    """Return the question without highlights, and the picture."""
     scene, facts, picture = question.scene, question.facts, whole(question)
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
@@ -115,20 +120,16 @@ def split(question: Question) -> tuple[Question, Picture]:
 
 
 def can_be_split(question: Question) -> bool:
-    """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
-    optics, cell = question.optics, question.cell
-    ideal = (
-        optics.is_ideal
-        and not optics.varies
-        and optics.distortion is None
+    """Return whether highlights can be split off: their kernels are Airy patterns, integrated over squares."""
+    lens, (height, width) = question.lens, question.cell
+    return (
+        lens.is_airy
+        and lens.is_uniform
+        and not question.period
+        and question.optics.distortion is None
         and question.facts.depth is None
         and question.scene.view.is_plain
-    )
-    return (
-        question.is_blurred
-        and not question.period
-        and ideal
-        and cell[0] == cell[1]
-        and not any(question.moved)
+        and height == width
+        and not any(lens.displacement)
         and (question.ratio > 1 or not question.sensor.stacked)
     )

@@ -1,4 +1,4 @@
-"""Noise: fixed patterns that are far below the photons' noise, where a tolerance says how far that has to be."""
+"""Noise: fixed patterns that are far below the photon noise, measured by a tolerance."""
 
 from dataclasses import replace
 from math import sqrt
@@ -18,11 +18,12 @@ OFFSETS = {"dsnu": "DSNU", "row_dsnu": "DSNU of rows", "column_dsnu": "DSNU of c
 
 
 def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sensor, list[str]]:
-    """The sensor without fixed patterns that are FAR below a tolerance, and what these are; itself without one.
+    """Return the sensor without fixed patterns that are FAR below a tolerance, and their names.
 
-    It follows from sensor and tolerance alone, so that digital numbers are the same on every device. A response is
-    judged at saturation, an offset in the dark, where each counts most; an offset is no relative error of a frame
-    whose light is not known, so that a tolerance of that alone leaves all offsets in.
+    Without a tolerance it is the same sensor. The result depends only on sensor and tolerance, so
+    digital numbers are the same on every device. Each is judged at its largest effect: a response
+    at saturation, an offset in the dark. An offset is no relative error of a frame whose light is
+    not known, so a tolerance with only a relative error keeps all offsets.
     """
     if tolerance is None:
         return sensor, []

@@ -1,4 +1,4 @@
-"""Sampling: which of the scene's samples a pixel is made of, and what they leave out."""
+"""Sampling: the scene's samples that make a pixel, and the structure that they miss."""
 
 from math import ceil, inf
 
@@ -9,20 +9,21 @@ from gpusim.optics.sampling import (
     NODES,
     SPARE,
     Taps,
-    bordered,
+    apply_border,
     frame_start,
     pixel_taps,
     sampling_error,
 )
-from gpusim.planner.notes import Notes
-from gpusim.planner.question import Question, displaced
+from gpusim.planner.question import Notes, Question, displacement_suffix
 
 
 def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:
-    """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
+    """Return taps of the rows and the columns of pixels, and the spare samples they use.
 
-    most: spare samples on each side that the blur can give. The blur knows what is beyond the scene's samples; a
+    Taps are None if each pixel is one sample. The blur extends beyond the scene's samples; a
     picture without blur is constant over each of them. Raises OutOfRange.
+
+    most: spare samples on each side that the blur can give.
     """
     ratio, is_blurred = question.ratio, question.is_blurred
     if ratio == 1 and (is_blurred or not question.more):
@@ -35,12 +36,12 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
 
 
 def describe(question: Question, taps, notes: Notes):
-    """Say what pixels are made of, and what structure the samples leave out."""
+    """Note how pixels are made, and the structure that the samples miss."""
     ratio, weights = question.ratio, question.weights
     if taps is not None:
         notes.models["optics.sample"] = (
             f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
-            f"its aperture{displaced(question.sensor.displacement)}"
+            f"its aperture{displacement_suffix(question.sensor.displacement)}"
         )
     finer = sampling_error(
         question.facts.moments(weights),
@@ -82,7 +83,7 @@ def _blurred_axes(question, spare):
 
 
 def _plain_axes(question):
-    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border's rule."""
+    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border rule."""
     axes, ratio, border = [], question.ratio, question.scene.border
     for n, pixels, width, move in _axes(question):
         more = ceil(ratio * abs(move))
@@ -96,5 +97,5 @@ def _plain_axes(question):
                 f"{move:.6g} pixels, beyond the frame",
                 'within it, as optics model "none" sees no surroundings; or border = "edge"',
             )
-        axes.append(bordered(taps, n, more, border) if more else taps)
+        axes.append(apply_border(taps, n, more, border) if more else taps)
     return axes

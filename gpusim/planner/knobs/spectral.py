@@ -1,4 +1,4 @@
-"""Spectral fusion: which planes go through the blur in place of all wavelengths, and how channels are made of them."""
+"""Spectral fusion: the planes that are blurred in place of all wavelengths, and the channels made of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,16 +12,15 @@ from gpusim.domain.spectrum import LINE
 from gpusim.optics.drift import Watch, wrong_moments
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.optics.planned_tables import field_tables
 from gpusim.optics.sampling import pixel_response
+from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
+from gpusim.planner.facts import Operation
 from gpusim.planner.knobs.field import varying_planes
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.knobs.sampling import taps_of
-from gpusim.planner.notes import DECLARED, Notes
-from gpusim.planner.operation import Operation
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
-from gpusim.planner.question import Question
+from gpusim.planner.question import DECLARED, Notes, Question
 
 PRIOR = (
     "munsell",
@@ -37,7 +36,7 @@ FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """What goes through the blur: see `gpusim.planner.plan.Plan` for each."""
+    """The planes that are blurred: see `gpusim.planner.plan.Plan` for each."""
 
     flat: np.ndarray
     table: np.ndarray | None
@@ -47,7 +46,7 @@ class Planes:
     varying: FieldBlur | None = None
 
     def describe(self, question: Question, notes: Notes):
-        """Say what is summed over wavelength."""
+        """Note the sums over wavelength."""
         content = question.content
         if self.table is not None:
             notes.models[_stage(content)] = (
@@ -56,23 +55,23 @@ class Planes:
             )
 
     def describe_tables(self, question: Question, notes: Notes):
-        """Say what tables are summed over wavelength."""
+        """Note the tables that are summed over wavelength."""
         if self.transfers is not None:
             notes.models.setdefault(
                 "spectral.integrate",
-                f"tables of {len(question.scene.wavelengths)} wavelengths to those of the planes",
+                f"tables of {len(question.scene.wavelengths)} wavelengths combined into the planes'",
             )
 
 
 def unblurred(question: Question, notes: Notes) -> Planes:
     """Channels straight from the content."""
-    content, optics, weights = question.content, question.optics, question.weights
+    content, weights = question.content, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
     notes.models[_stage(content)] = (
         f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
         "(no blur to apply)"
     )
-    notes.leave_out(f'{optics.unused}: optics.model is "none"', DECLARED)
+    notes.leave_out(question.lens.words, DECLARED)
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
 
@@ -80,7 +79,11 @@ def unblurred(question: Question, notes: Notes) -> Planes:
 class Way:
     """One way to treat the wavelengths.
 
-    count: planes that are transformed. bound: error of what it leaves out. words: what it is. make: gives its planes.
+    Attributes:
+        count: Planes that are transformed.
+        bound: Its error.
+        words: The way in words.
+        make: Makes its planes.
     """
 
     count: int
@@ -90,25 +93,25 @@ class Way:
 
 
 def ways(question: Question, probes: Probes | None) -> list[Way]:
-    """Every way there is, from the fewest planes on; the last is exact. Of a blur that varies over the field, one.
+    """Return all ways, from the fewest planes on; the last is exact. A blur that varies over the field has one.
 
-    probes: of the scene, where there is a tolerance. Raises OutOfRange.
+    probes: of the scene, with a tolerance. Raises OutOfRange.
     """
     flat = _flat(question)
     even = question.weights / flat
     exact = _exact(question.content, even, flat)
-    if question.optics.varies:
-        return [_varying(question, even, flat, probes)]
+    if not question.lens.is_uniform:
+        return [_varying_way(question, even, flat, probes)]
     if probes is None:
         return [exact]
     response = response_of(question, even, flat)
-    found = (_guaranteed if question.guaranteed else _fused)(
+    found = (_guaranteed_ways if question.guaranteed else _fused_ways)(
         question, response, flat, exact.count, probes
     )
     return [*found, exact]
 
 
-def _varying(question, even, flat, probes):
+def _varying_way(question, even, flat, probes):
     inputs, transfers, mix, varying, wrong, words = varying_planes(
         question, response_of(question, even, flat), prior_of(question), flat
     )
@@ -119,7 +122,7 @@ def _varying(question, even, flat, probes):
 
 
 def describe_unseen(question: Question, notes: Notes):
-    """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
+    """Note light that the scene does not hold, with its electrons if it continues as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
     if len(nodes) == 1:
         notes.leave_out(
@@ -131,7 +134,7 @@ def describe_unseen(question: Question, notes: Notes):
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         notes.leave_out(
             f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
-            "it goes on as at the ends",
+            "it continues as at the ends",
             Bound(_light_outside(question)),
             "light outside the wavelengths",
             of_scene=True,
@@ -162,7 +165,7 @@ def _stage(content):
 
 
 def _flat(question):
-    """What a flat field of each wavelength gives where every sample is a point of light of 1."""
+    """Response to a uniform scene of each wavelength, if each sample is a unit point source."""
     if (
         min(question.cell) < 1
     ):  # points in the middle of the apertures would count too much of a flat scene
@@ -172,7 +175,7 @@ def _flat(question):
 
 
 def _exact(content, weights, flat):
-    """The planes that treat every band, or every entry, by itself."""
+    """The planes that treat every band, or every entry, separately."""
     spectra = content.entry_spectra
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
@@ -195,13 +198,13 @@ def _exact(content, weights, flat):
 
 
 def transfers_at(question: Question, flat, period: int) -> np.ndarray:
-    """Transfer functions of the wavelengths at the frequencies of a square period, what pixels average out with them.
+    """Return transfer functions of the wavelengths at the frequencies of a square period, pixels included.
 
-    Real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); of a blur that varies over the
-    field at FIELD_POINTS, (L, P, n, n // 2 + 1).
+    They are real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); for a
+    blur that varies over the field they are at FIELD_POINTS, (L, P, n, n // 2 + 1).
     """
-    optics, scene = question.optics, question.scene
-    if not optics.varies:
+    scene = question.scene
+    if question.lens.is_uniform:
         tables = question.tables.even(
             question.q, question.cell, period, question.ratio, question.moved
         )
@@ -220,7 +223,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 
 
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
-    """Windows of the scene in which errors are computed."""
+    """Return windows of the scene in which errors are computed."""
     scene = question.scene
     flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
     tables = np.ones((1, SIDE, SIDE // 2 + 1))
@@ -244,11 +247,11 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
         seconds=operation.seconds,
         noise=operation.noise,
         apart=picture.mosaic(question.weights, question.share),
-        **_seen_part(question, windows),
+        **_inner_part(question, windows),
     )
 
 
-def _seen_part(question, windows):
+def _inner_part(question, windows):
     """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
     scene, sensor = question.scene, question.sensor
     inner = tuple(min(n, INNER) for n in scene.samples)
@@ -263,15 +266,18 @@ def _seen_part(question, windows):
 
 
 def response_of(question: Question, even, flat) -> Response:
-    """The channels over wavelength and frequency; even: weights of what is flat."""
+    """Return the channels over wavelength and frequency.
+
+    even: weights over the response to flat fields.
+    """
     cfa, tables = question.sensor.cfa_indices, transfers_at(question, flat, SAMPLED_PERIOD)
     return question.kept("response", (even, tables, cfa), lambda: Response.of(even, tables, cfa))
 
 
-def _fused(question, response, flat, planes, probes):
+def _fused_ways(question, response, flat, planes, probes):
     """The joint operators of fewer than `planes` planes.
 
-    Their errors are those of the scene's own spectra whatever the prior: what lies outside the prior is seen.
+    Their errors are computed for the scene's own spectra, so they include light outside the prior.
     """
     prior, content = prior_of(question), question.content
     if not np.trace(prior) > 0:
@@ -280,15 +286,15 @@ def _fused(question, response, flat, planes, probes):
     if not operator.ranks:
         return  # fewer wavelengths than channels
     most = min(operator.ranks[-1], planes - 1)
-    for rank, bound in probes.fused(operator.w_in[:, :most].T, operator.transfers(most)):
+    for rank, bound in probes.fused_bounds(operator.w_in[:, :most].T, operator.transfers(most)):
         if rank < question.least:
             continue
 
         def make(rank=rank, bound=bound):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
-            watch = Watch.of(response, inputs, transfers, content).scaled(question.facts.pairs)
-            expected = operator.predicted(rank, question.facts.spectra)
-            falls = watch.falling(
+            watch = Watch.of(response, inputs, transfers, content).with_scale(question.facts.pairs)
+            expected = operator.predict_error(rank, question.facts.spectra)
+            falls = watch.forecast_falls(
                 wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
                 for more in range(rank + 1, most + 1)
             )
@@ -307,7 +313,10 @@ def _fused(question, response, flat, planes, probes):
 
 
 def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
-    """Tells what a blur errs that is left out of other scenes. bound: of that of the question's own."""
+    """Return a watch that predicts the error of leaving the blur out of later scenes.
+
+    bound: that error for the question's scene.
+    """
     flat = _flat(question)
     watch, expected = Watch.of_no_blur(
         response_of(question, question.weights / flat, flat),
@@ -316,13 +325,13 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
         question.facts.spectra,
     )
     return replace(
-        watch.scaled(question.facts.pairs),
+        watch.with_scale(question.facts.pairs),
         factor=max(1.0, bound.rms / expected if expected else 1.0),
     )
 
 
-def _guaranteed(question, response, flat, planes, probes):
-    """Operators that are right for every spectrum, to a bound, of fewer than `planes` planes."""
+def _guaranteed_ways(question, response, flat, planes, probes):
+    """Operators with a bound for every spectrum, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
         operator = question.kept(
@@ -351,10 +360,10 @@ def _guaranteed(question, response, flat, planes, probes):
 
 
 def prior_of(question: Question) -> np.ndarray:
-    """E[x^T x] of likely spectra, shape (L, L).
+    """Return E[x^T x] of likely spectra, shape (L, L).
 
-    The reflectances of PRIOR where a cube's light is known, so that all frames of a film share the operator; otherwise
-    the scene's own.
+    If the light of a cube is known they are the reflectances of PRIOR, and all frames of a film
+    share the operator; otherwise the scene's own.
     """
     if not (question.content.is_spectral and question.scene.light_is_known):
         return question.facts.spectra.values

@@ -1,0 +1,393 @@
+"""The truth's own questions about a lens: which kind it is, and how it spreads the light of a point, float64.
+
+The differences of a pupil's kernels from the kernel on its axis are splines of degree 5 in the place, and in the
+wavelength, through so many places and wavelengths that they err by no more than ERROR half-way between. Spreads that
+are given are linear between their own field points and wavelengths, and turn with the field by a Fourier series in the
+angle.
+"""
+
+from abc import ABC, abstractmethod
+from math import ceil, prod
+
+import numpy as np
+import scipy
+
+from gpusim.domain.errors import DoesNotFit, OutOfRange
+from gpusim.domain.optics import Optics
+from gpusim.judge.truth_light import axis_of
+from gpusim.optics import tables
+from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
+from gpusim.optics.psf import spread_at
+
+DEGREE = 5  # of the splines
+LEAST_PLACES, LEAST_WAVELENGTHS = 13, 5  # along an axis, and of a scene, to begin with
+ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may err half-way between places
+ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
+MOST_BYTES = 2**30  # of the differences at all places
+LEAST_REACH, RINGS, RADII = (
+    48,
+    16,
+    2,
+)  # [sample] of the differences, at least; rings of the diffraction; radii of rays
+
+
+def require_truth(camera, scene):
+    """Raise OutOfRange for a camera and a scene of which the truth is not known."""
+    optics = camera.optics
+    for what, allowed, is_so in (
+        (
+            f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
+            "1 sample per pixel",
+            optics.varies and scene.samples_per_pixel != 1,
+        ),
+        (
+            f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
+            "1 sample per pixel, or samples of the irradiance",
+            optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1,
+        ),
+        (
+            "depth beside distortion, a calibration or measured point spreads",
+            "a scene without depth, or a lens without them",
+            scene.depth is not None
+            and optics.model != "none"
+            and (optics.distortion is not None or optics.psf is not None),
+        ),
+    ):
+        if is_so:
+            raise OutOfRange("verify", what, allowed)
+    if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
+        raise OutOfRange(
+            "verify",
+            "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
+            "middle".format(*axis),
+            "an axis in the middle",
+        )
+
+
+def transfer_of(optics: Optics, wavelength, pitch):
+    """Transfer function of the lens at all fy and fx [cycle/sample], and the frequency that ends it."""
+    if optics.psf is not None:
+        return _measured(optics.psf, wavelength, pitch)
+    q, waves = (
+        wavelength * 1e-9 * optics.working_f_number / pitch,
+        optics.waves(np.array([wavelength])),
+    )
+    if optics.is_ideal:
+        own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
+    else:
+        own = tables.exact_otf(optics.pupil, waves)
+    spots, diffuser = [length / pitch for length in optics.birefringence], optics.diffuser / pitch
+
+    def transfer(fy, fx):
+        out = np.zeros((len(fy), len(fx)), complex)
+        inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
+        out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
+        down, across = (
+            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
+            for spot, f in zip(spots, (fy, fx), strict=True)
+        )
+        return out * down[:, None] * across
+
+    return transfer, 1 / q
+
+
+def _measured(spread, wavelength, pitch):
+    """The same of a spread that is given. Its samples are of what has no frequency beyond half their rate."""
+    values, step = spread_at(spread, [wavelength])[0], spread.spacing / pitch
+    along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
+
+    def transfer(fy, fx):
+        to_y, to_x = (
+            np.exp(-2j * np.pi * step * np.outer(f, at))
+            for f, at in zip((fy, fx), along, strict=True)
+        )
+        if (
+            not spread.integrated
+        ):  # a frequency of exactly half the rate counts half for either sign
+            to_y, to_x = (
+                to * _passed(np.abs(f) * step)[:, None]
+                for to, f in zip((to_y, to_x), (fy, fx), strict=True)
+            )
+        return to_y @ values @ to_x.T
+
+    return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
+
+
+def _passed(rate):
+    return np.where(rate < 0.5 - 1e-12, 1.0, np.where(rate < 0.5 + 1e-12, 0.5, 0.0))
+
+
+class Field(ABC):
+    """Kernels of a lens at places of the frame [pixel], from the first pixel's middle on.
+
+    lens: of `gpusim.optics.lens`. middle: of the axis [pixel]. corner: distance that is a field height of 1 [pixel].
+    limits: first and last place along each axis. half: how far differences go [pixel].
+    """
+
+    def __init__(self, lens, middle, corner, limits, half):
+        self.lens, self.middle, self.corner, self.limits, self.half = (
+            lens,
+            middle,
+            corner,
+            limits,
+            half,
+        )
+
+    def kernel(self, wavelength, y, x) -> np.ndarray:
+        """Energy of the pixels around a point at the place (y, x), (size, size)."""
+        place = [
+            (at - middle) / self.corner for at, middle in zip((y, x), self.middle, strict=True)
+        ]
+        return self.lens.kernels([wavelength], place, 2 * self.half + 1)[0]
+
+    @abstractmethod
+    def wavelengths(self, known):
+        """Wavelengths from which the kernels at all of `known` follow, and their shares in each of these, (N, L)."""
+
+    @abstractmethod
+    def differences(self, wavelength) -> "Splines | Turned":
+        """Differences from the kernel on the axis, by place. Raises DoesNotFit."""
+
+
+class _PupilField(Field):
+    """Of a pupil: splines in the place and the wavelength."""
+
+    def wavelengths(self, known):
+        """See `Field`."""
+        known = np.asarray(known, np.float64)
+        places = [
+            [limit[1] for limit in self.limits],
+            [
+                (middle + limit[1]) / 2
+                for middle, limit in zip(self.middle, self.limits, strict=True)
+            ],
+        ]
+        for count in (LEAST_WAVELENGTHS, 2 * LEAST_WAVELENGTHS - 1, 4 * LEAST_WAVELENGTHS - 3):
+            if count >= len(known):
+                break
+            nodes = np.linspace(known[0], known[-1], count)
+            share = scipy.interpolate.make_interp_spline(
+                nodes, np.eye(count), min(DEGREE, count - 1)
+            )
+            tried = known[
+                np.abs(known[:, None] - (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2).argmin(
+                    axis=0
+                )
+            ]
+            if all(
+                np.abs(
+                    np.tensordot(share(one), [self.kernel(node, *place) for node in nodes], 1)
+                    - (own := self.kernel(one, *place))
+                ).max()
+                <= ERROR * own.max()
+                for place in places
+                for one in tried
+            ):
+                return nodes, share(known).T
+        return known, np.eye(len(known))
+
+    def differences(self, wavelength):
+        """See `Field`."""
+        axis, known = self.kernel(wavelength, *self.middle), {}
+
+        def difference(y, x):
+            """At a place; of a lens that has a mirror, from the quadrant where both are on the positive side."""
+            side = [1, 1]
+            if self.lens.symmetry.is_mirrored:
+                side = [
+                    1 if at >= middle else -1
+                    for at, middle in zip((y, x), self.middle, strict=True)
+                ]
+                y, x = (
+                    middle + abs(at - middle)
+                    for at, middle in zip((y, x), self.middle, strict=True)
+                )
+            at = round(y, 6), round(x, 6)
+            if at not in known:
+                own = self.kernel(wavelength, y, x) - axis
+                known[at] = (own - own.mean()).astype(np.float32)
+            return known[at][:: side[0], :: side[1]]
+
+        count = [min(ceil(high - low) + 1, LEAST_PLACES) for low, high in self.limits]
+        while True:
+            axes = [np.linspace(*limit, n) for limit, n in zip(self.limits, count, strict=True)]
+            table = np.empty((*count, *axis.shape), np.float32)
+            for i, j in np.ndindex(*count):
+                table[i, j] = difference(axes[0][i], axes[1][j])
+            splines = Splines(table, axes)
+            more = [
+                min(2 * n - 1, ceil(high - low) + 1)
+                for n, (low, high) in zip(count, self.limits, strict=True)
+            ]
+            if more == count or splines.between(difference) <= ERROR * axis.max():
+                return splines
+            count = more
+            needed = 8 * prod(count) * axis.size
+            if needed > MOST_BYTES:
+                raise DoesNotFit(
+                    f"verify: kernels at {count[1]} x {count[0]} places of the field",
+                    needed,
+                    MOST_BYTES,
+                    "the reference",
+                )
+
+
+class _MeasuredField(Field):
+    """Of spreads that are given: linear between their own field points and wavelengths."""
+
+    def wavelengths(self, known):
+        """See `Field`."""
+        known = np.asarray(known, np.float64)
+        own = self.lens.spread_data.wavelengths
+        return (
+            (known, np.eye(len(known)))
+            if len(known) <= len(own)
+            else (own, np.stack([np.interp(known, own, one) for one in np.eye(len(own))]))
+        )
+
+    def differences(self, wavelength):
+        """See `Field`."""
+        spread, axis = self.lens.spread_data, self.kernel(wavelength, *self.middle)
+
+        def difference(y, x):
+            own = self.kernel(wavelength, y, x) - axis
+            return own - own.mean()
+
+        if spread.grid is not None:
+            axes = [
+                middle + self.corner * np.asarray(at)
+                for middle, at in zip(self.middle, spread.grid, strict=True)
+            ]
+            return Splines(
+                np.array([[difference(y, x) for x in axes[1]] for y in axes[0]]), axes, 1
+            )
+        heights = self.corner * np.asarray(spread.heights)
+
+        def around(count, first=0.0):
+            angles = first + 2 * np.pi * np.arange(count) / count
+            at = [
+                (self.middle[0] + height * np.sin(angle), self.middle[1] + height * np.cos(angle))
+                for height in np.maximum(heights, 1e-9)
+                for angle in angles
+            ]
+            return np.array([difference(*one) for one in at]).reshape(
+                len(heights), count, *axis.shape
+            )
+
+        for count in ANGLES:
+            turned = Turned(around(count), heights, self.middle)
+            if turned.between(around(4, np.pi / count), np.pi / count) <= ERROR * axis.max():
+                break
+        return turned
+
+
+def field_of(camera, scene) -> Field:
+    """Return the kernels of a camera's lens in front of a scene's frame."""
+    optics, sensor = camera.optics, camera.sensor
+    pitch, corner = sensor.pixel_pitch, float(np.hypot(*scene.shape)) / 2
+    aperture = tuple(side / pitch for side in sensor.aperture)
+    axis = axis_of(camera, scene.shape)
+    limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.shape]
+    middle = [(n - 1) / 2 + at for n, at in zip(scene.shape, axis, strict=True)]
+    farthest = np.hypot(
+        *(max(at - low, high - at) for at, (low, high) in zip(middle, limits, strict=True))
+    )
+    q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
+    lateral = np.abs(optics.lateral_color_at(scene.wavelengths)).max() * farthest
+    rays = open_lens(optics, pitch).spread(scene.wavelengths, float(farthest / corner))
+    half = ceil(max(LEAST_REACH, RINGS * q, RADII * rays) + lateral)
+    if optics.psf is None:
+        lens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
+        return _PupilField(lens, middle, corner, limits, half)
+    endless = (np.inf, np.inf)
+    given = MeasuredLens(optics, optics.psf, pitch, aperture, endless, sensor.displacement)
+    limits = [(-0.5, n - 0.5) for n in scene.shape]
+    return _MeasuredField(given, middle, corner, limits, max(half, given.least_size // 2))
+
+
+class Splines:
+    """Kernels (P, Q, size, size) at places along two axes as splines of a degree, whose coefficients replace them."""
+
+    def __init__(self, table, axes, degree=DEGREE):
+        self.axes, self.degree = axes, degree
+        for number, places in enumerate(axes):
+            spline = scipy.interpolate.make_interp_spline(
+                places, np.moveaxis(table, number, 0), self._degree(places)
+            )
+            table = np.moveaxis(spline.c.astype(table.dtype), 0, number)
+        self.table = table
+
+    def between(self, kernel) -> float:
+        """Largest difference from `kernel(y, x)`, far from the first place and half-way between places."""
+        worst = 0.0
+        for share in (0.5, 0.77, 1.0):
+            cells = [min(int(share * (len(places) - 1)), len(places) - 2) for places in self.axes]
+            y, x = (
+                (places[k] + places[k + 1]) / 2 for places, k in zip(self.axes, cells, strict=True)
+            )
+            down, across = (
+                self._basis(places, np.array([at]))
+                for places, at in zip(self.axes, (y, x), strict=True)
+            )
+            found = np.einsum("i,j,ijab->ab", down[0], across[0], self.table, optimize=True)
+            worst = max(worst, float(np.abs(found - kernel(y, x)).max()))
+        return worst
+
+    def parts(self, y, x):
+        """Shares of sources at rows y and columns x, as (rows, columns, their shares, kernel)."""
+        down, across = (
+            self._basis(places, at) for places, at in zip(self.axes, (y, x), strict=True)
+        )
+        for i, j in np.ndindex(self.table.shape[:2]):
+            rows, cols = np.flatnonzero(down[:, i]), np.flatnonzero(across[:, j])
+            if len(rows) and len(cols):
+                rows, cols = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+                yield rows, cols, down[rows, i, None] * across[cols, j], self.table[i, j]
+
+    def _degree(self, places):
+        return min(self.degree, len(places) - 1)
+
+    def _basis(self, places, at):
+        """Weights of the coefficients at places `at`, (len(at), len(places))."""
+        knots = scipy.interpolate.make_interp_spline(
+            places, np.zeros(len(places)), self._degree(places)
+        ).t
+        at = np.clip(at * 1.0, places[0], places[-1])
+        return scipy.interpolate.BSpline.design_matrix(at, knots, self._degree(places)).toarray()
+
+
+class Turned:
+    """Kernels (H, M, size, size) at heights [pixel] and even angles about `middle`.
+
+    They are linear in the height, and a series of sines and cosines in the angle.
+    """
+
+    def __init__(self, table, heights, middle):
+        self.table, self.heights, self.middle = table, heights, middle
+
+    def between(self, table, angle) -> float:
+        """Largest difference from kernels (H, 4, size, size) at even angles from `angle` on."""
+        share = self._series(angle + np.arange(4) * np.pi / 2)
+        return float(
+            np.abs(np.einsum("am,hmyx->hayx", share, self.table, optimize=True) - table).max()
+        )
+
+    def parts(self, y, x):
+        """See `Splines`."""
+        y, x = y[:, None] - self.middle[0], x - self.middle[1]
+        height, series = (
+            np.clip(np.hypot(y, x), 0, self.heights[-1]),
+            self._series(np.arctan2(y, x)),
+        )
+        for one, kernels in zip(np.eye(len(self.heights)), self.table, strict=True):
+            share = np.interp(height, self.heights, one)
+            for number, kernel in enumerate(kernels):
+                yield slice(None), slice(None), share * series[..., number], kernel
+
+    def _series(self, angle):
+        """Weights of the angles in the trigonometric polynomial through them, (..., M), M odd."""
+        count = self.table.shape[1]
+        apart = np.asarray(angle)[..., None] - 2 * np.pi * np.arange(count) / count
+        return 1 / count + 2 / count * sum(
+            (np.cos(k * apart) for k in range(1, count // 2 + 1)), np.zeros(apart.shape)
+        )
