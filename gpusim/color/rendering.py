@@ -1,4 +1,4 @@
-"""How this camera's digital numbers become display colours, at this exposure."""
+"""Conversion of a camera's digital numbers to display colours, for one exposure."""
 
 from dataclasses import dataclass, replace
 
@@ -18,13 +18,20 @@ from gpusim.optics.weights import product_weights
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Colour transforms of one exposure; a camera value is (DN - dark level) / (white level - dark level).
+    """Colour transforms of one exposure.
 
-    display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
-    that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
-    model: in words. white: the camera value of display white in its strongest channel. saturation: the largest there
-    is. diffuser: the linear display value of a perfect white diffuser in the scene's light, 1 if normalised, or its
-    light is not known.
+    A camera value is (DN - dark level) / (white level - dark level).
+
+    Attributes:
+        display_from_camera: Matrix to linear display RGB, white = 1, shape (3, C).
+        ceiling: Largest camera values, shape (C,). Clipping to them keeps blown-out highlights
+            neutral.
+        neutral: Camera values of white, the largest 1, shape (C,).
+        model: Method in words.
+        white: Camera value of display white in its strongest channel.
+        saturation: Largest camera value.
+        diffuser: Linear display value of a perfect white diffuser in the scene's light; 1 if
+            normalised, or if its light is not known.
     """
 
     display_from_camera: np.ndarray
@@ -43,10 +50,11 @@ class Colors:
     """A Rendering without its levels.
 
     Attributes:
-        matrix: To linear display RGB for white as 1, shape (3, C).
+        matrix: Matrix to linear display RGB for white as 1, shape (3, C).
         neutral: Camera values of white, the largest 1, shape (C,).
-        model: In words.
-        brightest: Electrons per second of a perfect white diffuser in the strongest plane; None if that is not known.
+        model: Method in words.
+        brightest: Electrons per second of a perfect white diffuser in the strongest plane, or None
+            if that is not known.
         share: White in the strongest plane over white in the strongest pixel [1].
     """
 
@@ -75,10 +83,11 @@ def choose_colors(
     camera: Camera,
     cache=lambda _, function, *args, **kwargs: function(*args, **kwargs),
 ) -> Colors:
-    """Return the transforms by which white in the scene's light comes out neutral.
+    """Return the transforms that make white in the scene's light neutral.
 
     Args:
-        white_rate: Electrons per second that a perfect white diffuser gives in each channel, shape (C,), or None.
+        white_rate: Electrons per second of a perfect white diffuser in each channel, shape (C,), or
+            None.
         light: The scene's light. None if it is not known: the processor's target light is assumed.
         camera: The camera. Its lens transmission, sensor, processor and display matter.
         cache: Function `cache(name, function, *args)` that may return an earlier result.
@@ -100,18 +109,19 @@ def choose_colors(
 def render_exposure(
     colors: Colors, sensor: Sensor, *, scaling: str, pixels: int, exposure_time: float
 ) -> Rendering:
-    """Return the rendering of an exposure, white as bright as `Processor.scaling` says.
+    """Return the rendering of an exposure, with white as bright as `Processor.scaling` says.
 
-    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
-    camera only. So linear display values are proportional to exposure time and analog gain up to saturation, which is
-    1 / `AutoExposure.white` of display white, where all channels are clipped to white. "normalised": the camera value
-    of a perfect white diffuser is display white, or saturation if the scene's light is unknown.
+    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest
+    channel, a property of the camera only. Linear display values are therefore proportional to
+    exposure time and analog gain up to saturation, at 1 / `AutoExposure.white` of display white;
+    there all channels are clipped to white. "normalised": the camera value of a perfect white
+    diffuser is display white, or saturation if the scene's light is unknown.
 
     Args:
         colors: The transforms.
         sensor: The sensor as operated (see `gpusim.pipeline.frame.Exposure`).
-        scaling: Of the processor.
-        pixels: Number of pixels whose charge was added to one.
+        scaling: Scaling of the processor.
+        pixels: Number of pixels whose charge is added to one.
         exposure_time: Exposure time [s].
 
     Returns:
@@ -131,7 +141,7 @@ def render_exposure(
 
 
 def _white_rates(rates, camera):
-    """Electrons per second that a perfect white diffuser gives in the camera's planes; None if that is not known."""
+    """Return electrons per second from a perfect white diffuser in the camera's planes, or None."""
     letters = planes_of(camera)
     if rates is None or letters == XYZ:
         return rates
@@ -139,9 +149,10 @@ def _white_rates(rates, camera):
 
 
 def _share_of_white(rates, camera) -> float:
-    """Return white in the strongest plane over white in the strongest pixel, 1 unless learned filters leave it out.
+    """Return white in the strongest plane over white in the strongest pixel.
 
-    Exposure is metered on all pixels, clear ones too, and filters may give only red, green and blue.
+    It is 1 unless learned filters leave that pixel's channel out: exposure is metered on all
+    pixels, also clear ones, while filters may return only red, green and blue.
     """
     shown, letters = planes_of(camera), camera.sensor.channels
     if shown == XYZ or {*letters} <= {*shown}:
@@ -153,7 +164,7 @@ def _share_of_white(rates, camera) -> float:
 
 
 def _match_colors(white_rate, light, camera, cache):
-    """Return the transforms by which white in the scene's light comes out neutral, without its rates."""
+    """Return the transforms that make white in the scene's light neutral, without its rates."""
     processor, letters = camera.processor, planes_of(camera)
     known = light is not None and processor.white_balance == "illuminant"
     if not known:
@@ -164,7 +175,7 @@ def _match_colors(white_rate, light, camera, cache):
         if processor.color != "none":
             transforms = cache("transforms", transform_set, **transform_arguments(camera))
         return _balanced(camera, white, "white as preset", transforms)
-    if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
+    if letters == XYZ:  # XYZ of surfaces in the target light: the filters have balanced white
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(
@@ -200,7 +211,7 @@ def _match_colors(white_rate, light, camera, cache):
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
-    """Letters of what demosaicking gives: the sensor's channels, or what learned filters make of them."""
+    """Return the letters of the demosaicked planes: the sensor's or the filters' outputs."""
     table = camera.processor.table
     return camera.sensor.channels if table is None else table.layout.outputs
 
@@ -208,11 +219,20 @@ def planes_of(camera: Camera) -> tuple[str, ...]:
 def rebalanced(
     once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float
 ) -> Rendering:
-    """The same exposure, rendered for the white that the picture itself suggests.
+    """Return the rendering of the same exposure for the white estimated from the picture.
 
-    once: for the target light. transforms: of a set of lights, where a matrix or the estimate needs them. thumbnail:
-    block means of camera values, shape (C, rows, cols). floor: of darkness.
-    Raises BadData (see `estimate_white`).
+    Args:
+        once: Rendering for the target light.
+        camera: The camera.
+        transforms: Transforms of a set of lights, if a matrix or the estimate needs them.
+        thumbnail: Block means of camera values, shape (C, rows, cols).
+        floor: Mean response that counts as dark [camera value].
+
+    Returns:
+        The rendering.
+
+    Raises:
+        BadData: See `estimate_white`.
     """
     processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
@@ -220,7 +240,10 @@ def rebalanced(
 
 
 def _balanced(camera, white, words, transforms):
-    """Return the transforms by which `white` (C,), largest 1, comes out neutral. transforms: of a set of lights."""
+    """Return transforms that make `white` (C,), largest 1, neutral.
+
+    transforms: transforms of a set of lights, or None without a matrix.
+    """
     processor = camera.processor
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), white)
@@ -231,7 +254,7 @@ def _balanced(camera, white, words, transforms):
 
 
 def transform_arguments(camera: Camera) -> dict:
-    """Return the arguments of `transform_set` for a camera: of a set of lights, between which an estimate chooses."""
+    """Return the arguments of `transform_set` for a camera, for estimates of the light."""
     processor, letters = camera.processor, planes_of(camera)
     return {
         "qe": efficiency(camera, letters),
@@ -244,9 +267,10 @@ def transform_arguments(camera: Camera) -> dict:
 
 
 def _channels_shown(letters, neutral):
-    """Matrix (3, C) from channels to the display without colour correction, white as 1, and what it is in words.
+    """Return the matrix (3, C) without colour correction, white as 1, and its name.
 
-    Red, green and blue are shown as such, and so are any three channels; others are added to a grey.
+    Red, green and blue are shown as such, and so are any three channels. Others are added to a
+    grey.
     """
     balance = np.divide(
         1, neutral, out=np.zeros_like(neutral), where=neutral > 0
@@ -261,7 +285,7 @@ def _channels_shown(letters, neutral):
 
 
 def efficiency(camera: Camera, letters) -> Spectrum:
-    """Quantum efficiency [e-/photon] of the channels with these letters behind the lens, shape (letters, L)."""
+    """Return the quantum efficiency [e-/photon] of channels behind the lens, shape (letters, L)."""
     optics, qe = camera.optics, camera.sensor.qe
     rows = np.atleast_2d(qe.values)[[camera.sensor.channels.index(letter) for letter in letters]]
     qe = Spectrum(qe.wavelengths, rows, qe.name)

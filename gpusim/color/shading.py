@@ -1,4 +1,4 @@
-"""Gains that undo what a lens and a sensor lose toward the corner."""
+"""Shading correction: gains that compensate the fall-off of lens and sensor toward the corner."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.optics.geometry import relative_illumination
 
-NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
-INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
+NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # numbers of nodes to try, per axis
+INTERPOLATION = 2e-4  # largest relative error of the gains between nodes
 
 
 def relative_response(
@@ -16,15 +16,19 @@ def relative_response(
     falloff: np.ndarray | None = None,
     nodes: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the response to a flat scene relative to the axis, float64 (rows, cols).
+    """Return the response to a uniform scene relative to the axis.
 
-    It holds relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
+    It combines relative illumination, microlenses, the sensor's vignetting, and the spread of light
+    by distortion.
 
     Args:
         shape: Rows and columns of the pixels.
         slope: Tangent of the field angle per pixel; 0: no cos^4 law.
         falloff: Further fall-off of every pixel, shape (rows, cols), or None.
-        nodes: Of a distortion, see `gpusim.optics.geometry.DistortionGrid`, or None.
+        nodes: Nodes of a distortion, see `gpusim.optics.geometry.DistortionGrid`, or None.
+
+    Returns:
+        Response, float64, shape (rows, cols).
     """
     response = np.ones(shape)
     if slope:

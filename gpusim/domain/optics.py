@@ -193,7 +193,7 @@ class Optics:
 
     @property
     def magnification(self) -> float:
-        """Image size over object size, m = -f / (d - f): negative (upside down), 0 for a scene at infinity."""
+        """Image size over object size, m = -f / (d - f): inverted, 0 for a scene at infinity."""
         return -self.focal_length / (self.object_distance - self.focal_length)
 
     @property
@@ -208,10 +208,11 @@ class Optics:
 
     @property
     def irradiance_factor(self) -> float:
-        """On-axis irradiance over radiance [sr] of a lossless lens: A pi / (1 + 4 N^2 (1 + |m|)^2), A = pupil.area.
+        """On-axis irradiance over radiance [sr] of a lossless lens.
 
-        This is pi sin^2(theta) of the cone of half-angle tan(theta) = 1 / (2 N (1 + |m|)) that the aperture fills as
-        seen from the image. The often quoted pi / (4 N^2) is its limit for large N and m = 0; at f/4 it is 1.6 % more.
+        A pi / (1 + 4 N^2 (1 + |m|)^2) with A = pupil.area. This is pi sin^2(theta) of the cone that
+        the aperture fills as seen from the image, with half-angle tan(theta) = 1 / (2 N (1 + |m|)).
+        The often quoted pi / (4 N^2) is its limit for large N and m = 0; at f/4 it is 1.6 % larger.
         """
         return self.pupil.area * np.pi / (1 + 4 * self.working_f_number**2)
 
@@ -259,12 +260,12 @@ class Optics:
 
     @cached_property
     def is_symmetric(self) -> bool:
-        """Whether the blur on the axis is the same at every angle, and so even along rows and columns."""
+        """True if the blur on the axis is rotationally symmetric (even along rows and columns)."""
         return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
 
     @cached_property
     def has_mirror(self) -> bool:
-        """Whether the blur at a field point mirrors the blur at the point on the other side of the axis."""
+        """True if the blurs at opposite field points are mirror images of each other."""
         odd = [
             self.wavefront.polynomial(height)[:, 1::2]
             for height in (0.5, 1.0, *self.wavefront.heights)
@@ -383,16 +384,16 @@ class Optics:
         return 1 / self.object_distance - 1 / distance
 
     def displacement(self, diopters: float) -> float:
-        """Return the sensor displacement with the same defocus as `diopters`: D times the image distance squared.
+        """Return the sensor displacement with the same defocus: D times the image distance squared.
 
-        Both have the same W020: D a^2 / 2, a the pupil's radius, equals d / (8 N^2 (1 + |m|)^2) for
-        this d.
+        Both have the same W020: D a^2 / 2, with the pupil's radius a, equals d / (8 N^2 (1 +
+        |m|)^2) for this d.
 
         Args:
-            diopters: Defocus [1/m].
+            diopters: Defocus D [1/m].
 
         Returns:
-            Displacement [m].
+            Displacement d [m].
         """
         return diopters * self.image_distance**2
 

@@ -13,9 +13,10 @@ from gpusim.domain.short_repr import brief
 
 @dataclass(frozen=True, eq=False)
 class PointSpread:
-    """Measured or traced point spreads, one per wavelength, each of energy 1; of one field point or of many.
+    """Measured or ray-traced point spread functions: one per wavelength and field point.
 
-    `np.asarray` gives the values. Between field points and wavelengths the spread is linear.
+    Each has energy 1. `np.asarray` returns the values. Between field points and wavelengths the
+    spread is linear.
 
     Attributes:
         wavelengths: [nm], increasing, shape (L,).
@@ -167,9 +168,10 @@ def gaussian_kernel(sigma, radius) -> np.ndarray:
 
 
 def pillbox_kernel(diameter) -> np.ndarray:
-    """Return the energy of an even disc in unit pixels about its centre, shape (n, n), n odd; sum 1.
+    """Return the energy of a uniform disc in unit pixels about its centre, shape (n, n), n odd.
 
-    Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 - x^2).
+    Its sum is 1. Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 -
+    x^2).
     """
     if not 0 < diameter < 1e4:
         raise OutOfRange("pillbox diameter", f"{diameter:g} pixels", "0 < diameter < 1e4")
@@ -194,7 +196,8 @@ def _disc_below(x, y, r):
 
     w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
     left, right = np.minimum(x, -w), np.clip(x, -w, w)
-    # within the chord the strip goes from the lower arc to y; outside it, it is the disc if y > 0, else empty
+    # Within the chord the strip goes from the lower arc to y. Outside the chord the strip is the
+    # whole disc for y > 0, and empty for y < 0.
     inside = column(-w, right) + y * (right + w)
     beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
     return inside + np.where(y > 0, beside, 0)

@@ -52,7 +52,7 @@ class Pupil:
 
     @property
     def area(self) -> float:
-        """Open area over the area of the circumscribed circle [1]: the share of a full circle's light that passes."""
+        """Open area over the area of the circumscribed circle [1], the share of light passed."""
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
 
@@ -63,7 +63,7 @@ class Pupil:
 
     @property
     def sides(self) -> np.ndarray:
-        """Directions of the normals of its straight sides [rad], from x towards y; empty for a circle."""
+        """Normal directions of its straight sides [rad], from x towards y; empty for a circle."""
         n = self.blades
         return self.rotation + (2 * np.arange(n) + 1) * np.pi / max(n, 1)
 
@@ -75,7 +75,7 @@ class Pupil:
 
     @property
     def inner_radius(self) -> float:
-        """Radius of the largest circle that fits into its outline: the distance of straight sides [1]."""
+        """Radius of the largest circle inside its outline, the distance of straight sides [1]."""
         return float(np.cos(np.pi / self.blades)) if self.blades else 1.0
 
     @property
@@ -85,7 +85,10 @@ class Pupil:
 
     @property
     def cutoff(self) -> tuple[int, float]:
-        """Sides and inner radius of the polygon beyond which its transfer function is 0; 0 sides: a circle."""
+        """Sides and inner radius of the polygon outside which its transfer function is 0.
+
+        0 sides: a circle.
+        """
         n = self.blades
         if n % 2 == 0:
             return n, self.inner_radius
@@ -207,7 +210,10 @@ def disc_power(k) -> np.ndarray:
 
 
 def symmetric(pupil: Pupil, waves) -> bool:
-    """Return whether pupil and wavefronts are the same at every angle, with a real, radial transfer function."""
+    """Return True if pupil and wavefronts are rotationally symmetric.
+
+    The transfer function is then real and radial.
+    """
     order = waves.shape[-1]
     turned = np.zeros_like(waves)
     for k in range((order - 1) // 2 + 1):
@@ -217,7 +223,10 @@ def symmetric(pupil: Pupil, waves) -> bool:
 
 
 def noll(j) -> np.ndarray:
-    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
+    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j.
+
+    Its mean square over the unit disc is 1.
+    """
     n = int((np.sqrt(8 * j - 7) - 1) / 2)
     rank = j - n * (n + 1) // 2 - 1  # place among the n + 1 polynomials of order n
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1

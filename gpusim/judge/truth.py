@@ -1,22 +1,25 @@
-"""The truth about frames: exact mean electrons, from the scene's own samples and the camera's own numbers, float64.
+"""The float64 truth of a frame: mean electrons from the scene's samples and the camera's numbers.
 
-Every wavelength by itself, nothing split off and nothing folded, in a world that goes on without end as its border
-says. Light is put where the lens and a view put it by Fourier series (`gpusim.judge.truth_light`), blurred and
-integrated over each pixel wherever it lies (`gpusim.judge.truth_blur`), and spread by each sample's own kernel, about
-where the axis meets the frame, if the blur varies over the field (`gpusim.judge.truth_field`). What it asks about a
-lens is in `gpusim.judge.truth_lens`.
+Every wavelength is computed separately, without highlights or folding, in a world that continues to
+infinity by the border rule. Fourier series move the light to its place behind the lens and the view
+(`gpusim.judge.truth_light`). It is blurred and integrated over each pixel
+(`gpusim.judge.truth_blur`). If the blur varies over the field, each sample is spread by its own
+kernel, with respect to the optical axis (`gpusim.judge.truth_field`). `gpusim.judge.truth_lens` has
+the kinds of lenses.
 
-What the frame and the truth both still use, and what judges it from outside (tests/judges, but where another is named):
-- electrons per content, cubics in the wavelength between the scene's (`planner.weights`): tests/host/test_weights.py;
-- the pupil's transfer function and kernels (`optics.otf`, `optics.rays`, `optics.lens`): test_truth_stars.py, against
-  Hankel and Fourier integrals of the pupil;
-- samples, where the lens puts them, are points of light whose energy is kept whatever the fill factor, and an even
-  scene gives even pixels: test_truth_stars.py, test_truth_scenes.py;
-- light from afar, on a coarse grid with what the planner predicts (`planner.border.unseen`): test_border.py;
-- formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`, `planner.geometry`):
-  test_opencv.py, tests/frames/test_geometry.py;
-- layers and kernels by distance (`planner.depth`), and samples that are even over their cells if nothing blurs them:
-  tests/frames/test_depth.py, tests/frames/test_sampling.py.
+The frame and the truth share these parts. Each has an independent test (in tests/judges unless
+stated):
+- electrons per content, cubic in the wavelength between the scene's wavelengths (`optics.weights`):
+  tests/host/test_weights.py;
+- transfer function and kernels of the pupil (`optics.otf`, `optics.rays`, `optics.lens`):
+  test_truth_stars.py, by Hankel and Fourier integrals of the pupil;
+- displaced samples are points of light that keep their energy for any fill factor, and a uniform
+  scene gives uniform pixels: test_truth_stars.py, test_truth_scenes.py;
+- light from afar, on a coarse grid (`optics.outside.unseen`): test_border.py;
+- formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`,
+  `optics.geometry`): test_opencv.py, tests/frames/test_geometry.py;
+- layers and kernels by distance (`optics.depth`), and samples that fill their cells if there is no
+  blur: tests/frames/test_depth.py, tests/frames/test_sampling.py.
 """
 
 import dataclasses
@@ -95,7 +98,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
 
 
 def _electrons(simulator, camera, scene, exposure_time, parts):
-    """Mean electrons of parts of a frame: see `true_mean`."""
+    """Return the mean electrons of parts of a frame: see `true_mean`."""
     optics, cfa, lens = camera.optics, camera.sensor.cfa_indices, lens_of(camera)
     light = placed_light(camera, scene)
     if lens.is_pointlike:

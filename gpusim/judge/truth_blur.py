@@ -1,13 +1,15 @@
-"""The truth's blur where it is the same all over the field: every wavelength, in a world without end, float64.
+"""The truth of a blur that is the same all over the field, float64.
 
-Samples are points of light, and an even scene gives even pixels. A mirrored world repeats itself every two frames, and
-so does a transform of that length, exactly. Any other is transformed with REACH samples around the frame; what lies
-beyond is smooth light from afar, and comes from a coarse grid (`gpusim.optics.outside.unseen`). A pupil with straight
-blades throws it along their normals instead, too narrow for a coarse grid, which takes the mean over directions: with
-BLADES_REACH samples around the frame. Beyond a scene's own margin its outermost samples go on.
+Every wavelength is computed separately, in a world that continues to infinity. Samples are points
+of light, and a uniform scene gives uniform pixels. A mirrored world repeats every two frames, and
+so does a transform of that length, exactly. Other worlds are transformed with REACH samples around
+the frame; the smooth light from beyond comes from a coarse grid (`gpusim.optics.outside.unseen`). A
+pupil with straight blades throws light along their normals, in beams too narrow for a coarse grid,
+which takes the mean over directions: BLADES_REACH samples surround the frame. Beyond the margin of
+a scene its outermost samples continue.
 
-A pixel is the integral over its aperture wherever it lies among the samples: all frequencies that the lens passes are
-followed to its place, one by one, and nothing is interpolated.
+A pixel is the integral over its aperture at its place among the samples. All frequencies that the
+lens passes are evaluated there; nothing is interpolated.
 """
 
 from math import ceil
@@ -30,7 +32,15 @@ CELLS = 32  # of the coarse grid along the reach
 def period_of(
     optics: Optics, scene, pitch: float, depth_reach: float = 0.0, displaced: int = 0
 ) -> tuple[int, int]:
-    """Rows and columns of the transforms that this scene needs; pitch: of its samples [m], displaced: how far, too."""
+    """Return rows and columns of the transforms that a scene needs.
+
+    Args:
+        optics: The lens.
+        scene: The scene.
+        pitch: Distance of the samples [m].
+        depth_reach: Reach of the depth plan [sample].
+        displaced: Largest displacement of the apertures [sample].
+    """
     shape = [n + 2 * scene.margin for n in scene.samples]
     lens = open_lens(optics, pitch)
     reach = ceil(max(depth_reach, lens.spread(scene.wavelengths))) + 2
@@ -83,7 +93,16 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
 
 
 def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
-    """What light from beyond the transforms adds at places (rows, cols) among the samples; weights: times q, (C, L)."""
+    """Return the light from beyond the transforms, (C, rows, cols), or 0.
+
+    Args:
+        weights: Electrons per content times q, shape (C, L).
+        light: As for `blurred_rates`.
+        optics: The lens.
+        scene: The scene.
+        period: Rows and columns of the transforms.
+        places: Rows and columns of the pixels among the samples.
+    """
     border, tail = rule_of(scene.border), open_lens(optics, 1.0).tail
     if border == "reflect" or tail is None:
         return 0.0

@@ -1,8 +1,9 @@
-"""The truth about a blur that varies over the field: every sample's light is spread as at its own place, float64.
+"""The truth of a blur that varies over the field, float64: each sample is spread by its own kernel.
 
-The lens as on its axis gives the whole frame (`gpusim.judge.truth_blur`). To it comes every sample's light, spread by
-the difference of its own kernel from that on the axis, which ends sooner and has no energy: a star keeps its energy,
-and a flat field is the sum of its points. Places count from where the axis meets the frame.
+`gpusim.judge.truth_blur` computes the whole frame with the kernel on the axis. This module adds the
+light of every sample, spread by the difference of its own kernel from the kernel on the axis. The
+difference ends sooner and has no energy: a star keeps its energy, and a flat field is the sum of
+its points. Field points are relative to the optical axis.
 """
 
 from math import prod
@@ -19,7 +20,14 @@ BLOCKS, SIDE = 16, 32  # of others
 
 
 def blocks(shape) -> list[tuple[slice, slice]]:
-    """Parts of a frame that are looked at: all of a small one, or BLOCKS of SIDE x SIDE pixels: a Halton sequence."""
+    """Return the parts of a frame that are judged.
+
+    A small frame is one part. A large one has BLOCKS parts of SIDE x SIDE pixels, at the places of
+    a Halton sequence.
+
+    Args:
+        shape: Rows and columns of the frame.
+    """
     if prod(shape) <= WHOLE:
         return [(slice(0, shape[0]), slice(0, shape[1]))]
     fractions = scipy.stats.qmc.Halton(2, scramble=False).random(BLOCKS + 1)[1:]
@@ -31,10 +39,17 @@ def blocks(shape) -> list[tuple[slice, slice]]:
 
 
 def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
-    """Electrons per second that a lens gives more than as on its axis, in parts of the frame: a list of (C, h, w).
+    """Return the electrons per second beyond the blur on the axis, one array (C, h, w) per part.
 
-    light: of every wavelength where the lens puts it, (L, rows, cols), with the scene's margin, one sample per pixel.
-    parts: see `blocks`. Raises DoesNotFit.
+    Args:
+        light: Light of every wavelength at its place in the image, (L, rows, cols), with the margin
+            of the scene, one sample per pixel.
+        camera: The camera.
+        scene: The scene.
+        parts: Parts of the frame, see `blocks`.
+
+    Raises:
+        DoesNotFit: The kernels need more memory than MOST_BYTES.
     """
     lens, weights = field_of(camera, scene), electrons_per_content(scene, camera)
     total = [np.zeros((len(weights), *(at.stop - at.start for at in part))) for part in parts]
@@ -55,7 +70,7 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
 
 
 def _taken(light, part, half, margin, border):
-    """Light of a part and `half` samples around it, as the border says."""
+    """Return the light of a part and `half` samples around it, continued by the border rule."""
     at = [np.arange(one.start - half, one.stop + half) + margin for one in part]
     y, x = (
         border_indices(places, n, border) for places, n in zip(at, light.shape[1:], strict=True)
@@ -67,7 +82,10 @@ def _taken(light, part, half, margin, border):
 
 
 def _spread(total, light, kernels, limits, part):
-    """Add light (C, h + 2 half, w + 2 half) as it is spread to `total` (C, h, w), that from beyond limits as there."""
+    """Add light (C, h + 2 half, w + 2 half) to `total` (C, h, w), after its spread.
+
+    Light from beyond `limits` has the kernels of the limits.
+    """
     half = (light.shape[1] - total.shape[1]) // 2
     places = [
         np.clip(np.arange(at.start - half, at.stop + half), *limit)

@@ -1,9 +1,9 @@
-"""The truth's own questions about a lens: which kind it is, and how it spreads the light of a point, float64.
+"""Lenses of the truth: supported cases, transfer functions, kernels over the field, float64.
 
-The differences of a pupil's kernels from the kernel on its axis are splines of degree 5 in the place, and in the
-wavelength, through so many places and wavelengths that they err by no more than ERROR half-way between. Spreads that
-are given are linear between their own field points and wavelengths, and turn with the field by a Fourier series in the
-angle.
+For a pupil, the differences of its kernels from the kernel on the axis are splines of degree 5 in
+the place and in the wavelength. Their nodes are dense enough to err by at most ERROR half-way
+between. Given point spreads are linear between their own field points and wavelengths, and turn
+with the field by a Fourier series in the angle.
 """
 
 from abc import ABC, abstractmethod
@@ -32,7 +32,11 @@ LEAST_REACH, RINGS, RADII = (
 
 
 def require_truth(camera, scene):
-    """Raise OutOfRange for a camera and a scene of which the truth is not known."""
+    """Check that the truth supports a camera and a scene.
+
+    Raises:
+        OutOfRange: It does not; the message says what is allowed.
+    """
     optics = camera.optics
     for what, allowed, is_so in (
         (
@@ -65,7 +69,17 @@ def require_truth(camera, scene):
 
 
 def transfer_of(optics: Optics, wavelength, pitch):
-    """Transfer function of the lens at all fy and fx [cycle/sample], and the frequency that ends it."""
+    """Return the transfer function of a lens, and its cut-off frequency [cycle/sample].
+
+    Args:
+        optics: The lens, on its axis.
+        wavelength: [nm].
+        pitch: Distance of the samples [m].
+
+    Returns:
+        A function (fy, fx) [cycle/sample], and the cut-off; a cut-off of 0 means that the function
+        includes the pixels.
+    """
     if optics.psf is not None:
         return _measured(optics.psf, wavelength, pitch)
     q, waves = (
@@ -92,7 +106,10 @@ def transfer_of(optics: Optics, wavelength, pitch):
 
 
 def _measured(spread, wavelength, pitch):
-    """The same of a spread that is given. Its samples are of what has no frequency beyond half their rate."""
+    """Return the same for a given point spread.
+
+    Its samples are of a function without frequencies beyond half the sampling rate.
+    """
     values, step = spread_at(spread, [wavelength])[0], spread.spacing / pitch
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
@@ -118,10 +135,14 @@ def _passed(rate):
 
 
 class Field(ABC):
-    """Kernels of a lens at places of the frame [pixel], from the first pixel's middle on.
+    """Kernels of a lens at places of the frame, from the centre of the first pixel [pixel].
 
-    lens: of `gpusim.optics.lens`. middle: of the axis [pixel]. corner: distance that is a field height of 1 [pixel].
-    limits: first and last place along each axis. half: how far differences go [pixel].
+    Attributes:
+        lens: The lens, see `gpusim.optics.lens`.
+        middle: Place of the optical axis [pixel].
+        corner: Distance that is a field height of 1 [pixel].
+        limits: First and last place along each axis.
+        half: Half size of the differences [pixel].
     """
 
     def __init__(self, lens, middle, corner, limits, half):
@@ -134,7 +155,7 @@ class Field(ABC):
         )
 
     def kernel(self, wavelength, y, x) -> np.ndarray:
-        """Energy of the pixels around a point at the place (y, x), (size, size)."""
+        """Return the energy of the pixels around a point at (y, x), (size, size)."""
         place = [
             (at - middle) / self.corner for at, middle in zip((y, x), self.middle, strict=True)
         ]
@@ -142,15 +163,15 @@ class Field(ABC):
 
     @abstractmethod
     def wavelengths(self, known):
-        """Wavelengths from which the kernels at all of `known` follow, and their shares in each of these, (N, L)."""
+        """Return wavelength nodes, and their shares at each wavelength of `known`, (N, L)."""
 
     @abstractmethod
     def differences(self, wavelength) -> "Splines | Turned":
-        """Differences from the kernel on the axis, by place. Raises DoesNotFit."""
+        """Return the differences from the kernel on the axis, by place. Raises DoesNotFit."""
 
 
 class _PupilField(Field):
-    """Of a pupil: splines in the place and the wavelength."""
+    """Kernels of a pupil: splines in the place and the wavelength."""
 
     def wavelengths(self, known):
         """See `Field`."""
@@ -233,7 +254,7 @@ class _PupilField(Field):
 
 
 class _MeasuredField(Field):
-    """Of spreads that are given: linear between their own field points and wavelengths."""
+    """Kernels of given point spreads: linear between their field points and wavelengths."""
 
     def wavelengths(self, known):
         """See `Field`."""
@@ -306,7 +327,10 @@ def field_of(camera, scene) -> Field:
 
 
 class Splines:
-    """Kernels (P, Q, size, size) at places along two axes as splines of a degree, whose coefficients replace them."""
+    """Kernels (P, Q, size, size) at places along two axes, as splines.
+
+    The coefficients of the splines replace the kernels.
+    """
 
     def __init__(self, table, axes, degree=DEGREE):
         self.axes, self.degree = axes, degree
@@ -318,7 +342,7 @@ class Splines:
         self.table = table
 
     def between(self, kernel) -> float:
-        """Largest difference from `kernel(y, x)`, far from the first place and half-way between places."""
+        """Return the largest difference from `kernel(y, x)` half-way between places."""
         worst = 0.0
         for share in (0.5, 0.77, 1.0):
             cells = [min(int(share * (len(places) - 1)), len(places) - 2) for places in self.axes]
@@ -334,7 +358,7 @@ class Splines:
         return worst
 
     def parts(self, y, x):
-        """Shares of sources at rows y and columns x, as (rows, columns, their shares, kernel)."""
+        """Yield rows, columns, shares of the sources there, and their kernel."""
         down, across = (
             self._basis(places, at) for places, at in zip(self.axes, (y, x), strict=True)
         )
@@ -348,7 +372,7 @@ class Splines:
         return min(self.degree, len(places) - 1)
 
     def _basis(self, places, at):
-        """Weights of the coefficients at places `at`, (len(at), len(places))."""
+        """Return the weights of the coefficients at places `at`, (len(at), len(places))."""
         knots = scipy.interpolate.make_interp_spline(
             places, np.zeros(len(places)), self._degree(places)
         ).t
@@ -366,7 +390,7 @@ class Turned:
         self.table, self.heights, self.middle = table, heights, middle
 
     def between(self, table, angle) -> float:
-        """Largest difference from kernels (H, 4, size, size) at even angles from `angle` on."""
+        """Return the largest difference from kernels (H, 4, size, size) from `angle` on."""
         share = self._series(angle + np.arange(4) * np.pi / 2)
         return float(
             np.abs(np.einsum("am,hmyx->hayx", share, self.table, optimize=True) - table).max()
@@ -385,7 +409,7 @@ class Turned:
                 yield slice(None), slice(None), share * series[..., number], kernel
 
     def _series(self, angle):
-        """Weights of the angles in the trigonometric polynomial through them, (..., M), M odd."""
+        """Return the weights of the angles in their trigonometric polynomial, (..., M), M odd."""
         count = self.table.shape[1]
         apart = np.asarray(angle)[..., None] - 2 * np.pi * np.arange(count) / count
         return 1 / count + 2 / count * sum(
