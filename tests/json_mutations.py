@@ -248,7 +248,7 @@ def read_link(path):
     """What the page does with an address, but for its pictures."""
     state = State.of_link(path.read_text("utf-8", "replace"), "phone")
     for one in (state, state.other or state):
-        one.built()
+        one.build()
         one.toml()
     return State.of_link(state.link(), "phone"), state.command("a scene.png")
 

@@ -468,7 +468,7 @@ PLOTS = [
 
 def looked(panel, name):
     """Arguments of a panel before an option, and the option's."""
-    base, option = (SCENE | OWN)[name]
+    base, option = ((ROWS["plan"] if panel == "plan" else SCENE) | OWN)[name]
     if not USED[panel] & {"size"}:
         base = re.sub(r"^\w[\w.-]* | --size \S+| --device \S+", "", base)
     if "device" not in USED[panel]:

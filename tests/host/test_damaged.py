@@ -69,7 +69,7 @@ def test_links_of_other_kinds_are_refused(text):
 @pytest.mark.parametrize("value", [1e300, -1e300, 10**400, "x", [1, 2], {}, float("nan")])
 def test_settings_far_beyond_a_slider_are_refused_at_once(control, value):
     with refused(error=GpusimError):
-        State("phone", {control.name: value}).built()
+        State("phone", {control.name: value}).build()
 
 
 @pytest.mark.parametrize(
