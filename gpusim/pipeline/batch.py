@@ -14,7 +14,7 @@ from gpusim.domain.short_repr import shortened
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import planned_by
-from gpusim.pipeline.program import Before, Program
+from gpusim.pipeline.program import Program, SharedOptics
 from gpusim.planner.plan import Plan
 
 MOST = 2**16  # items: each has a program of its own
@@ -163,7 +163,7 @@ class Batch:
         program = self._items[item] = Program(
             simulator,
             self._planned_for or scene,
-            before=alike.before if shared else Before(simulator.device),
+            before=alike.before if shared else SharedOptics(simulator.device),
             plan=self._plan,
         )
         if self._planned_for is not None:

@@ -97,11 +97,11 @@ class Cache:
         Returns:
             The result of the function.
         """
-        key = function, self.versioned(args), kwargs
+        key = function, self.with_versions(args), kwargs
         found = self._entries.get(name)  # read once: another thread may put its own there
         change, has_numbers = OTHER, True
         if found is not None:
-            change = compared(found[0][:-1], key)
+            change = compare(found[0][:-1], key)
             has_numbers = found[0][-1] == numbers
             if change == SAME and has_numbers:
                 return found[1]
@@ -115,7 +115,7 @@ class Cache:
                 and tape is not None
                 and tape.is_replayable
                 and (has_numbers or tape.renumber(numbers))
-                and (change != REPLACED or self._replaced(tape, found, key))
+                and (change != REPLACED or self._replace_arrays(tape, found, key))
             ):
                 tape.replay()
                 value = found[1]
@@ -128,19 +128,19 @@ class Cache:
             raise
         self._entries[name] = (*key, numbers), value, tape
         if self._device is not None:
-            self._renew(name, None if found is None else found[1], value)
+            self._set_versions(name, None if found is None else found[1], value)
         return value
 
-    def versioned(self, value):
+    def with_versions(self, value):
         """Return a value as part of a key: device arrays with the version of their contents."""
         if type(value) is tuple or type(value) is list:
-            return tuple([self.versioned(part) for part in value])
+            return tuple([self.with_versions(part) for part in value])
         if self._device is not None and isinstance(value, self._device.array_type):
             return One(value, _OWNERS.get(value, NOBODY)[1])
         return value
 
     @staticmethod
-    def _replaced(tape, found, key) -> bool:
+    def _replace_arrays(tape, found, key) -> bool:
         """Give the recorded kernels the arrays of a new key; False if that cannot be."""
         others = [
             (own.value, its.value)
@@ -163,7 +163,7 @@ class Cache:
             if not tape.is_replayable
         ]
 
-    def _renew(self, name, before, value):
+    def _set_versions(self, name, before, value):
         """Give the arrays of a new result a new version."""
         own = self._token, name
         parts = value if isinstance(value, tuple) else (value,)
@@ -205,10 +205,10 @@ def _require_pure(name, function):
 
 def same(a, b) -> bool:
     """Return whether two values are equal, dataclasses field by field. Other objects are equal to themselves only."""
-    return compared(a, b, ()) == SAME
+    return compare(a, b, ()) == SAME
 
 
-def compared(a, b, by_identity: tuple = BY_IDENTITY) -> int:
+def compare(a, b, by_identity: tuple = BY_IDENTITY) -> int:
     """Return SAME for equal keys, REFILLED if only contents of device arrays differ, else OTHER.
 
     REPLACED if other device arrays of the same shapes and types are in the places of some. by_identity: types whose
@@ -221,25 +221,25 @@ def compared(a, b, by_identity: tuple = BY_IDENTITY) -> int:
     if isinstance(a, One):
         if a.value is b.value:
             return SAME if a.version == b.version else REFILLED
-        return REPLACED if _alike(a.value, b.value) else OTHER
+        return REPLACED if _is_replaceable(a.value, b.value) else OTHER
     if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
-        return _all(a, b, by_identity) if len(a) == len(b) else OTHER
+        return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER
     if isinstance(a, dict):
         if list(a) != list(b):
             return OTHER
-        return _all(list(a.values()), list(b.values()), by_identity)
+        return _compare_all(list(a.values()), list(b.values()), by_identity)
     if isinstance(a, np.ndarray):
         return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
     if is_dataclass(a) and not isinstance(a, by_identity):
         names = [part.name for part in fields(a)]
         own, its = ([getattr(one, name) for name in names] for one in (a, b))
-        return _all(own, its, by_identity)
+        return _compare_all(own, its, by_identity)
     return OTHER
 
 
-def _alike(a, b):
+def _is_replaceable(a, b):
     """Return whether kernels can take one device array in place of the other."""
     return (
         type(a) is type(b)
@@ -257,13 +257,13 @@ def ones(key) -> list[One]:
     return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
 
 
-def _all(a, b, by_identity):
+def _compare_all(a, b, by_identity):
     """Return the least relation between pairs of parts."""
     least = SAME
     for own, its in zip(a, b, strict=True):
         if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):
             continue
-        found = compared(own, its, by_identity)
+        found = compare(own, its, by_identity)
         if found == OTHER:
             return OTHER
         least = min(least, found)

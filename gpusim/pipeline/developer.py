@@ -49,7 +49,7 @@ class _Numbers:
     def scale(self):
         return 1 / (self.white - self.black)
 
-    def corrected(self):
+    def on_corrected_scale(self):
         """The same on the scale of corrected mosaics."""
         span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
         return _Numbers(
@@ -185,7 +185,7 @@ class Developer:
                 {"black_level": numbers.black, "scale": numbers.scale},
                 words=f"to {CORRECTED_WHITE + 1} numbers",
             )
-            numbers = numbers.corrected()
+            numbers = numbers.on_corrected_scale()
         if processor.defects != "none":
             add(
                 "processor.defects",
@@ -216,7 +216,7 @@ class Developer:
                 words=f"denoised, strength {processor.denoise:g}",
                 nbytes=6 * pixels,
             )
-            numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
+            numbers = replace(numbers.on_corrected_scale(), noise=(0.0, 0.0))
         if processor.shading:
             add(
                 "processor.shade",
@@ -229,7 +229,7 @@ class Developer:
                 "shading",
                 words="lens shading divided out",
             )
-            numbers = numbers.corrected()
+            numbers = numbers.on_corrected_scale()
         return numbers
 
     def _demosaic(self, chain: Chain, numbers: "_Numbers", pixels: int) -> None:

@@ -67,7 +67,7 @@ class Imaging:
             *build.planes(),
             *rates,
             *build.exposure(mosaic_of_planes),
-            *build.collected("electrons"),
+            *build.collect_channels("electrons"),
             *build.shading(),
         ]
 
@@ -76,8 +76,8 @@ class Imaging:
 
         Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
         """
-        build = _Steps(_per_wavelength(plan, self.camera), self, "irradiance ")
-        return [*build.planes(), *build.collected("irradiance", exposure_time=1.0)]
+        build = _Steps(_plan_per_wavelength(plan, self.camera), self, "irradiance ")
+        return [*build.planes(), *build.collect_channels("irradiance", exposure_time=1.0)]
 
     def values(self, plan: Plan, content: Content | None = None) -> Values:
         """Return values of one scene, the plan's own, or of another content like its."""
@@ -94,14 +94,14 @@ class Imaging:
         if not plan.is_placed:
             return light
         view, grid = plan.scene.view, plan.distortion
-        nodes = place_samples(view, **_placing(plan), device=self.device)
+        nodes = place_samples(view, **_placing_constants(plan), device=self.device)
         by_area = grid is not None and grid.method == "area"
         return place_planes(
             light,
             nodes,
             None if by_area else plan.weights,
             view.zoom if by_area else 1.0,
-            seen=_seen(plan),
+            seen=_visible_shape(plan),
             border=_border(plan),
             by_area=by_area,
             device=self.device,
@@ -168,13 +168,13 @@ class _Steps:
                     "",
                     (),
                     channels if mixed else {},
-                    run=mix_lights if mixed else nothing,
+                    run=mix_lights if mixed else return_none,
                 ),
                 Step(
                     f"{prefix}places",
                     "",
                     ("view",),
-                    {**_placing(plan), "device": self.device},
+                    {**_placing_constants(plan), "device": self.device},
                     run=place_samples,
                 ),
                 Step(
@@ -189,7 +189,7 @@ class _Steps:
             )  # of the channels, itself and with what is around it
             chain.add(
                 "optics.distort",
-                {"seen": _seen(plan), "border": _border(plan), "by_area": by_area},
+                {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
                 f"{prefix}places",
                 f"{prefix}lights",
                 f"{prefix}zoom",
@@ -226,9 +226,9 @@ class _Steps:
             return self.channels_to("rates"), cfa
         chain = Chain("planes", "rates", Rate.SCENE, self.device)
         if plan.folded:
-            self._blur_alike(chain, cfa, plan.scene.margin)
+            self._add_uniform_blur(chain, cfa, plan.scene.margin)
         else:
-            self._blur(chain)  # the mosaic, for one second
+            self._add_blur(chain)  # the mosaic, for one second
             chain.add(
                 "sensor.collect",
                 {"cfa": cfa, "exposure_time": 1.0, "slope": 0.0},
@@ -251,7 +251,7 @@ class _Steps:
                     run=crop_margin,
                 )
         else:
-            self._blur(chain)
+            self._add_blur(chain)
             if plan.highlights is not None:
                 self._add_highlights(chain, None)
         if plan.taps is not None:
@@ -273,7 +273,7 @@ class _Steps:
             chain.add("", {}, run=pass_on)
         return chain.end()
 
-    def _blur(self, chain):
+    def _add_blur(self, chain):
         """Add the blur to channels at the scene's samples; spare ones around them if pixels are made of several."""
         plan = self.plan
         planes_ = chain.value
@@ -298,7 +298,7 @@ class _Steps:
             )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            self._blur_alike(chain, None, plan.scene.margin - plan.spare)
+            self._add_uniform_blur(chain, None, plan.scene.margin - plan.spare)
         if plan.varying is not None:
             tables = f"{self.prefix}field tables of {chain.value}"
             chain.steps.insert(
@@ -331,7 +331,7 @@ class _Steps:
                 host="if the blur varies, highlights are mixed on the host; on CPUs SciPy transforms the tiles",
             )
 
-    def _blur_alike(self, chain, cfa, margin):
+    def _add_uniform_blur(self, chain, cfa, margin):
         """Add a blur that is the same all over the frame: to the mosaic, or to channels if `cfa` is None."""
         plan, planes_ = self.plan, chain.value
         constants = {"mix": plan.mix, "border": _border(plan), "margin": margin}
@@ -414,23 +414,23 @@ class _Steps:
     def exposure(self, cfa: np.ndarray) -> list[Step]:
         """Return the steps from "rates" to mean electrons: "mean", and "per second" for automatic exposure."""
         dimming = Chain("rates", "dimmed", Rate.SCENE, self.device)
-        self._dim(dimming)
+        self._add_falloff(dimming)
         found = list(dimming.steps)
         for name, seconds in (("per second", 1.0), ("mean", None)):
             chain = Chain(dimming.value, name, Rate.EXPOSURE, self.device)
-            self._collect(chain, None if self.sensor.stacked else cfa, seconds)
+            self._add_collection(chain, None if self.sensor.stacked else cfa, seconds)
             found += chain.end()
         return found
 
-    def collected(self, name: str, exposure_time: float | None = None) -> list[Step]:
+    def collect_channels(self, name: str, exposure_time: float | None = None) -> list[Step]:
         """Return the steps from planes to every channel with its fall-off, times the exposure time."""
         channels = f"channels of {name}" if self.prefix else "channels"
         chain = Chain(channels, name, Rate.EXPOSURE, self.device)
-        self._dim(chain)
-        self._collect(chain, None, exposure_time)
+        self._add_falloff(chain)
+        self._add_collection(chain, None, exposure_time)
         return [*self.channels_to(channels), *chain.end()]
 
-    def _collect(self, chain, cfa, exposure_time):
+    def _add_collection(self, chain, cfa, exposure_time):
         """Add the collection of electrons: of every pixel's own channel, or of all channels.
 
         cfa: None for all channels. exposure_time: None for the exposure's.
@@ -454,7 +454,7 @@ class _Steps:
             work=float(self.pixels * layers),
         )
 
-    def _dim(self, chain):
+    def _add_falloff(self, chain):
         """Add the loss of light beyond the cos^4 law."""
         if self.plan.falloff is not None:
             chain.add(
@@ -470,7 +470,7 @@ class _Steps:
         """Return the step that makes the gains of the shading correction, for each pixel of the mosaic's period."""
         plan, sensor, imaging = self.plan, self.sensor, self.imaging
         if not imaging.camera.processor.shading:
-            return [Step("shading", "", run=nothing)]
+            return [Step("shading", "", run=return_none)]
         stride, out = binned(sensor.cfa_indices, sensor.binning)
         return [
             Step(
@@ -594,7 +594,7 @@ class _Steps:
         )
 
 
-def _per_wavelength(plan: Plan, camera: Camera) -> Plan:
+def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
     """Return the plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1]. Raises BadData."""
     if plan.varying is not None:
         raise BadData(
@@ -623,7 +623,7 @@ def _border(plan):
     return "edge" if plan.scene.border == "scene" else plan.scene.border
 
 
-def _seen(plan):
+def _visible_shape(plan):
     """Rows and columns that are seen: the frame's, and the margin's if there is blur to need it."""
     return plan.scene.samples if plan.mix is None else plan.content.shape
 
@@ -640,11 +640,11 @@ def _window(plan):
     return inside, inside
 
 
-def _placing(plan):
+def _placing_constants(plan):
     """Return the constants of `place_samples`."""
     return {
         "grid": plan.distortion,
-        "seen": _seen(plan),
+        "seen": _visible_shape(plan),
         "shape": plan.content.shape,
         "ratio": plan.scene.samples_per_pixel,
     }
@@ -874,7 +874,7 @@ def collect_layers(channels, *, slope, exposure_time, device) -> Any:
     )
 
 
-def nothing() -> None:
+def return_none() -> None:
     """Return None: a value that this camera does not use."""
 
 

@@ -11,7 +11,7 @@ from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.reading import Reading, bytes_looked_at
+from gpusim.pipeline.reading import Reading, bytes_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.after import probed
 from gpusim.planner.draft import TURNED
@@ -32,12 +32,12 @@ def checked_reach(reach: int | None) -> int | None:
     return reach
 
 
-def drafted_by(camera: Camera) -> tuple:
+def draft_key(camera: Camera) -> tuple:
     """What drafts depend on beside the scene: all of that but what is turned at a lens."""
     return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
-def planned(
+def make_plan(
     simulator,
     scene: Scene,
     facts: Facts | None = None,
@@ -68,7 +68,7 @@ def planned(
         exposure_time=exposure_time,
         single=device.kind != "numpy",
         on_gpu=device.is_gpu,
-        **_asked(simulator),
+        **_plan_options(simulator),
         least=least,
     )
     _require_met(simulator, made)
@@ -92,7 +92,7 @@ def require_memory(made: Plan, simulator) -> int:
     """
     scene, device = made.scene, simulator.device
     steps = steps_needed(simulator.steps(made), ["codes", "mean of pixels"])
-    needed = int(sum(step.nbytes for step in steps) + bytes_looked_at(made, device))
+    needed = int(sum(step.nbytes for step in steps) + bytes_read_on_device(made, device))
     largest = largest_array(made, steps)
     needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
     what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"
@@ -128,21 +128,21 @@ def check_given(made, camera: Camera, scene: Scene):
         for name in own:
             if not same(own[name], its[name]):
                 raise BadData(
-                    f"{named} is of a camera with another {name}: {_short(own[name])}, this one has "
-                    f"{_short(its[name])}"
+                    f"{named} is of a camera with another {name}: {_shorten(own[name])}, this one has "
+                    f"{_shorten(its[name])}"
                 )
     if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
         raise BadData(f"{named} does not serve {shown(scene.name)}: {why}")
 
 
 def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
-    """A plan that is given, checked, as of a scene: see `check_given` and `judged_by`. Raises DoesNotFit, too."""
+    """A plan that is given, checked, as of a scene: see `check_given` and `predict_errors`. Raises DoesNotFit, too."""
     check_given(made, simulator.camera, scene)
     require_memory(made, simulator)
-    return judged_by(simulator, made, scene, Facts.of(scene), exposure_time)
+    return predict_errors(simulator, made, scene, Facts.of(scene), exposure_time)
 
 
-def _short(value):
+def _shorten(value):
     """A value in a message; of what is long its kind."""
     return (
         shown(value)
@@ -151,7 +151,7 @@ def _short(value):
     )
 
 
-def judged_by(
+def predict_errors(
     simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
 ) -> Plan:
     """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
@@ -178,7 +178,7 @@ def judged_by(
         )
     elif not is_judged:
         question = Question.of(
-            scene, simulator.camera, facts, asked or made.tolerance, **_asked(simulator)
+            scene, simulator.camera, facts, asked or made.tolerance, **_plan_options(simulator)
         )
         made = judged(made, question, exposure_time, asked, single)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
@@ -186,12 +186,14 @@ def judged_by(
     return replace(made, scene=scene)
 
 
-def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
+def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
     """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
     return probed(
         made,
-        Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)),
+        Question.of(
+            scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
+        ),
         seconds,
     )
 
@@ -199,13 +201,13 @@ def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Acc
 def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
     """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
     question = Question.of(
-        scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator)
+        scene.viewed(view), simulator.camera, Facts.of(scene), None, **_plan_options(simulator)
     )
     question, picture = highlights.split(question)
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
 
 
-def _asked(simulator):
+def _plan_options(simulator):
     """How a simulator asks for plans, beside the tolerance."""
     return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
         "kept": simulator.cache.by_key

@@ -121,7 +121,7 @@ class Probing:
                 seen if highest is None else (max(drift, highest[0]), max(steepest, highest[1]))
             )
 
-    def unfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
+    def note_misfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
         """A plan did not do for a scene by its survey, which says how many more planes would.
 
         is_at_hand: whether another is made for that scene, whose probes tell it, not for the next.
@@ -131,7 +131,7 @@ class Probing:
         else:
             self._remember(scene, plan.count + more)
 
-    def told(self, plan: Plan, scene: Scene, drift: float | None) -> Plan:
+    def annotate(self, plan: Plan, scene: Scene, drift: float | None) -> Plan:
         """The plan as that of another scene, by the last probes and what the survey found since."""
         account, name = self._account, self._name
         if account is None or plan is not self._plan:

@@ -18,14 +18,14 @@ from gpusim.pipeline.metering import choose_exposure, metering_numbers
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import (
     check_given,
-    drafted_by,
-    judged_by,
+    draft_key,
     planned_by,
-    probed_by,
+    predict_errors,
+    probe_plan,
     require_memory,
 )
 from gpusim.pipeline.probing import Probing
-from gpusim.pipeline.reading import WHOLE, Reading, looked_at_there
+from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
 from gpusim.pipeline.shots import Shots, exposure_numbers, exposure_steps, picture_steps
 from gpusim.pipeline.step import Rate, Values
 from gpusim.planner.after import holds
@@ -37,7 +37,7 @@ SAME = object()  # of `Program.update`: as it was
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Look:
+class _Check:
     """What the device saw of a scene by a plan, on its way to the host.
 
     light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. pixels: how
@@ -52,14 +52,14 @@ class _Look:
     seconds: float
 
 
-class Before:
+class SharedOptics:
     """What programs have in common before their exposures: a plan, and what its steps gave."""
 
     def __init__(self, device):
         self.cache = Cache(device)
         self.plan: tuple | None = None  # a Plan, and a camera that it is for
         self.probing = Probing()
-        self.looked: tuple = ()  # what was last looked at
+        self.checked: tuple = ()  # what was last looked at
 
 
 class Program:
@@ -87,12 +87,12 @@ class Program:
         exposure_time: float | None = None,
         gain: float = 1.0,
         meters_late: bool = False,
-        before: Before | None = None,
+        before: SharedOptics | None = None,
         plan: Plan | None = None,
     ):
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
-        self.before = Before(simulator.device) if before is None else before
+        self.before = SharedOptics(simulator.device) if before is None else before
         self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
             {
@@ -103,15 +103,15 @@ class Program:
             }
         )
         self._steps: dict[str, tuple] = {}  # lists of steps by name, each with what it was made for
-        self._pending: _Look | None = None
-        self._metered: tuple[float, float] | None = None
-        self._operates: tuple[float, float] | None = (
+        self._pending: _Check | None = None
+        self._last_metered: tuple[float, float] | None = None
+        self._frame_exposure: tuple[float, float] | None = (
             None  # what was metered for this frame, from update to update
         )
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: tuple | None = None  # an exposure, and its plan, scene and settings
         self._drafts = False
-        self._given = plan
+        self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
             require_memory(plan, simulator)
@@ -133,10 +133,10 @@ class Program:
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
-        if self._given is not None:
-            check_given(self._given, simulator.camera, scene)
+        if self._fixed_plan is not None:
+            check_given(self._fixed_plan, simulator.camera, scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
-        self.scene, self._operates = scene, None
+        self.scene, self._frame_exposure = scene, None
         self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
         return self
 
@@ -151,11 +151,11 @@ class Program:
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         seconds, probing = self._exposure_time, before.probing
-        if self._given is not None:
+        if self._fixed_plan is not None:
             if simulator.strict:
-                self._judged()
-            before.plan = self._given, camera
-            return self._given
+                self._predict_given()
+            before.plan = self._fixed_plan, camera
+            return self._fixed_plan
         if (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
@@ -183,20 +183,20 @@ class Program:
             not self._drafts
             or plan is None
             or plan.scene is not self.scene
-            or not same(drafted_by(by), drafted_by(camera))
+            or not same(draft_key(by), draft_key(camera))
         ):
             return None
         if camera.optics.is_symmetric and same(by.optics, camera.optics):
             return None
         return self.before.cache("draft", drafted, plan, camera)
 
-    def _does(self):
+    def _plan_still_valid(self):
         """Whether the plan does, by what the last scene told and, now and then, by exact values of this one.
 
         It is dropped where it does not.
         """
         self.judge()
-        if self._given is not None:
+        if self._fixed_plan is not None:
             return True
         simulator, scene, probing = self.simulator, self.scene, self.before.probing
         if self.before.plan is None or not probing.is_due(plan := self.plan, scene):
@@ -206,9 +206,9 @@ class Program:
             if self._exposure_time is None
             else self._exposure_time
         )
-        if seconds is None and self.meters_late and self._metered:
-            seconds = self._metered[0]
-        account = self.before.cache("probes", probed_by, simulator, plan, scene, seconds)
+        if seconds is None and self.meters_late and self._last_metered:
+            seconds = self._last_metered[0]
+        account = self.before.cache("probes", probe_plan, simulator, plan, scene, seconds)
         does = holds(plan, account)
         probing.found(scene, account, does)
         if not does:
@@ -218,7 +218,7 @@ class Program:
     def _facts(self):
         """Facts of the scene. The host reads few numbers of what the device looks at."""
         device, scene = self.simulator.device, self.scene
-        if not looked_at_there(device, scene):
+        if not is_read_on_device(device, scene):
             return self.before.cache("facts", read_facts, scene, device)
         content = scene.content
         stored = self.before.cache("entries", store_content, content, window=WHOLE, device=device)
@@ -234,7 +234,7 @@ class Program:
         """Mean electrons of the scene, with all that frames of it need. Raises BadData, DoesNotFit, OutOfRange."""
         start = time.perf_counter()
         with self.simulator.device.timed() as ms:
-            exposure = self._exposed()
+            exposure = self._expose()
         wall = 1e3 * (time.perf_counter() - start)
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
 
@@ -245,14 +245,14 @@ class Program:
             self._steps[name] = make(*args), args
             self.values.use([step for steps, _ in self._steps.values() for step in steps])
 
-    def _exposed(self):
+    def _expose(self):
         """The exposure without its times."""
         settings = self.simulator, self._exposure_time, self._gain
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
         is_metered = (
-            not (self.meters_late and automatic) or self._operates is not None
+            not (self.meters_late and automatic) or self._frame_exposure is not None
         )  # for this frame
         if self._last is not None and self._pending is None and is_metered and self.before.plan:
             exposure, *made_for = self._last
@@ -260,25 +260,25 @@ class Program:
             if all(own is its for own, its in zip(made_for, now, strict=True)):
                 return exposure
         self._last = None  # its arrays are written to from here on
-        plan = self._expose_plan()
-        seconds, gain = self._operated()
-        exposure = self._operate(plan, seconds, gain)
+        plan = self._find_plan()
+        seconds, gain = self._choose_exposure()
+        exposure = self._expose_with(plan, seconds, gain)
         if plan.scene is not self.scene or self.meters_late:
-            self._look(plan, exposure.mean, seconds)
+            self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, self.scene, *settings
         return exposure
 
-    def _expose_plan(self):
+    def _find_plan(self):
         """Return a plan that fits as far as is known; the device computes the scene's rates by it."""
         while True:
             plan = self.plan
             self._use("exposure", exposure_steps, self.simulator, plan)
             self.values.give(content=self._content(plan), view=self.scene.view)
             self.values["rates"]
-            if self._does():  # not sooner: the device has work while the host waits
+            if self._plan_still_valid():  # not sooner: the device has work while the host waits
                 return plan
 
-    def _operate(self, plan, seconds, gain):
+    def _expose_with(self, plan, seconds, gain):
         """Return the exposure of a time [s] with a gain."""
         simulator, values = self.simulator, self.values
         camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
@@ -298,79 +298,79 @@ class Program:
             device=simulator.device,
         )
 
-    def _operated(self):
+    def _choose_exposure(self):
         """Exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
         simulator, seconds = self.simulator, self._exposure_time
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
         if seconds is not None:
             return float(seconds), float(self._gain)
-        if self._operates is not None:
+        if self._frame_exposure is not None:
             return (
-                self._operates
+                self._frame_exposure
             )  # however often the frame is asked for: its own light is for the next one
-        if self.meters_late and self._metered:
-            found = self._metered
+        if self.meters_late and self._last_metered:
+            found = self._last_metered
         else:
-            found = self._metered = self.values["metered"]
-        self._operates = found if self.meters_late else None
+            found = self._last_metered = self.values["metered"]
+        self._frame_exposure = found if self.meters_late else None
         return found
 
-    def _look(self, plan, mean, seconds):
+    def _start_check(self, plan, mean, seconds):
         """Have the device look once at a scene that the plan was not made for; it is judged before the next."""
         device, values, found = self.simulator.device, self.values, None
-        entries = self.before.cache.versioned(values["entries"])
-        looked = entries, self.before.cache.versioned(mean) if self.meters_late else None
-        if self.before.looked[:1] == (plan,) and same(self.before.looked[1], looked):
+        entries = self.before.cache.with_versions(values["entries"])
+        checked = entries, self.before.cache.with_versions(mean) if self.meters_late else None
+        if self.before.checked[:1] == (plan,) and same(self.before.checked[1], checked):
             return
-        self.before.looked = plan, looked
+        self.before.checked = plan, checked
         light = device.fetch(values["light"])
-        if plan.watch is not None and plan.scene is not self.scene and self._given is None:
+        if plan.watch is not None and plan.scene is not self.scene and self._fixed_plan is None:
             found = device.fetch(values["survey"])
-        self._pending = _Look(self.scene, plan, light, found, prod(mean.shape), seconds)
+        self._pending = _Check(self.scene, plan, light, found, prod(mean.shape), seconds)
 
     def judge(self) -> None:
         """Wait for what the device saw of the last scene; drop the plan where it does not fit.
 
         Every frame does it for the one before. Raises BadData for light that is not finite.
         """
-        look, self._pending = self._pending, None
-        if look is None:
+        check, self._pending = self._pending, None
+        if check is None:
             return
-        light = look.light()
+        light = check.light()
         if light[4]:
-            self.before.looked, self._last = (
+            self.before.checked, self._last = (
                 (),
                 None,
             )  # it is refused again where it is not taken away
             raise BadData(
-                f"{look.scene.name}: {light[4]:.0f} of {look.pixels} pixels have NaN or infinite light"
+                f"{check.scene.name}: {light[4]:.0f} of {check.pixels} pixels have NaN or infinite light"
             )
         if self.meters_late and light[0] > 0:
             sensor, readout = self.simulator.camera.sensor, self.simulator.readout
-            self._metered = choose_exposure(
-                light, look.pixels, look.seconds, **metering_numbers(sensor, readout)
+            self._last_metered = choose_exposure(
+                light, check.pixels, check.seconds, **metering_numbers(sensor, readout)
             )
-        if look.plan.scene is not look.scene and self._given is None:
-            self._seen(look, light)
+        if check.plan.scene is not check.scene and self._fixed_plan is None:
+            self._apply_survey(check, light)
 
-    def _seen(self, look, light):
+    def _apply_survey(self, check, light):
         """Drop the plan where it does not fit a scene by its light and its survey."""
-        plan, scene, probing, self._drift = look.plan, look.scene, self.before.probing, None
-        if look.survey is not None:
-            found = look.survey()
+        plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
+        if check.survey is not None:
+            found = check.survey()
             self._drift, steepest = plan.watch.errors(found)
             probing.surveyed(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):
-                probing.unfit(
+                probing.note_misfit(
                     plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene
                 )
 
     @property
     def shots(self) -> Shots:
         """Frames of the exposure."""
-        return Shots(self.simulator, self._exposed(), self.values)
+        return Shots(self.simulator, self._expose(), self.values)
 
     def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
         """One of OUTPUTS by its name, on the device; nothing beyond it and the exposure is computed.
@@ -402,37 +402,37 @@ class Program:
     def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
         """One picture with its report, by a plan that fits its scene."""
         exposure = self.exposure
-        if not self._does():
+        if not self._plan_still_valid():
             exposure = self.exposure
-        exposure = dataclasses.replace(exposure, plan=self._told(exposure.plan))
+        exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
         return Shots(self.simulator, exposure, self.values).frame(seed=seed, frame=frame)
 
     @property
     def account(self) -> Account:
         """Predicted errors of the scene's exposure, by what is known of it so far."""
-        exposure = self._exposed()
-        return self._told(exposure.plan).account.at(exposure.exposure_time)
+        exposure = self._expose()
+        return self._annotate(exposure.plan).account.at(exposure.exposure_time)
 
-    def _told(self, plan):
+    def _annotate(self, plan):
         """A plan with what it is predicted to err in the scene."""
-        if self._given is not None:
-            return self._judged()
+        if self._fixed_plan is not None:
+            return self._predict_given()
         return (
             plan
             if plan.scene is self.scene
-            else self.before.probing.told(plan, self.scene, self._drift)
+            else self.before.probing.annotate(plan, self.scene, self._drift)
         )
 
     @property
     def scene_plan(self) -> Plan:
         """The exposure's plan, with the errors that are predicted for its scene."""
-        return self._told(self._exposed().plan)
+        return self._annotate(self._expose().plan)
 
-    def _judged(self):
+    def _predict_given(self):
         """The plan that was given, with the errors that are predicted for the scene."""
         simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
         return self.before.cache(
-            "given", judged_by, simulator, self._given, scene, self._facts(), seconds
+            "given", predict_errors, simulator, self._fixed_plan, scene, self._facts(), seconds
         )
 
 
@@ -456,7 +456,7 @@ def facts_on_device(content, stored, device) -> Facts:
 
 def operated_camera(camera: Camera, readout, gain: float) -> Camera:
     """Return a camera as operated: its sensor binned, with its analog gain multiplied by `gain`."""
-    return dataclasses.replace(camera, sensor=readout.operated(gain))
+    return dataclasses.replace(camera, sensor=readout.sensor_at_gain(gain))
 
 
 def expose_mean(simulator, plan: Plan, mean, seconds: float, gain: float) -> Exposure:

@@ -24,7 +24,7 @@ WHOLE = (slice(None), slice(None))
 LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
 
 
-def looked_at_there(device: Device, scene: Scene) -> bool:
+def is_read_on_device(device: Device, scene: Scene) -> bool:
     """Whether a device looks at a scene for the planner: one that is there, or large; else the host does.
 
     Of memory that a device shares with the host NumPy reads float32 in order as fast, and anything else slowly.
@@ -43,12 +43,12 @@ def looked_at_there(device: Device, scene: Scene) -> bool:
     return LARGE <= content.nbytes <= device.largest_array
 
 
-def bytes_looked_at(plan: Plan, device: Device) -> int:
+def bytes_read_on_device(plan: Plan, device: Device) -> int:
     """Return the memory of what the planner reads of a scene on a device before the frame [byte].
 
     That is its brightness, windows and rows of it. Probes of later scenes look at other windows.
     """
-    if not looked_at_there(device, plan.scene):
+    if not is_read_on_device(device, plan.scene):
         return 0
     rows, cols = plan.content.shape
     windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
@@ -115,7 +115,7 @@ class Reading:
         if self._stored is None:
             return OnHost(self.content).rows(np.clip(chosen, 0, self.content.shape[0] - 1))
         return self._read(
-            lambda samples, dtype: self._taken(samples, dtype, chosen[None])[..., 0, :, :]
+            lambda samples, dtype: self._take(samples, dtype, chosen[None])[..., 0, :, :]
         )
 
     def windows(self, rows, cols) -> Content:
@@ -130,7 +130,7 @@ class Reading:
             return OnHost(self.content).windows(
                 np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
             )
-        return self._read(lambda samples, dtype: self._taken(samples, dtype, rows, cols))
+        return self._read(lambda samples, dtype: self._take(samples, dtype, rows, cols))
 
     def _read(self, taken):
         """Content of what a function takes of stored samples, as this type."""
@@ -142,7 +142,7 @@ class Reading:
             return Basis(content.wavelengths, light, content.entry_spectra)
         return content.with_planes(light)
 
-    def _taken(self, samples, dtype, rows, cols=None):
+    def _take(self, samples, dtype, rows, cols=None):
         """Windows of stored samples as a new array of the host."""
         return np.moveaxis(
             np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3

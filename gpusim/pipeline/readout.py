@@ -69,7 +69,7 @@ class Readout:
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._tables = Cache() if tables is None else tables
-        self._operated = {1.0: self.output}
+        self._sensors = {1.0: self.output}
 
     def __repr__(self):
         return shortened(f"Readout({self.sensor!r}, {self.device!r})")
@@ -235,14 +235,14 @@ class Readout:
         values.use(steps)
         return values
 
-    def operated(self, gain: float) -> Sensor:
+    def sensor_at_gain(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last ones are kept."""
-        sensor = self._operated.get(gain)
+        sensor = self._sensors.get(gain)
         if sensor is None:
             sensor = dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
-            if len(self._operated) >= GAINS:
-                self._operated = {}  # a new one: another thread may be reading the last
-            self._operated[gain] = sensor
+            if len(self._sensors) >= GAINS:
+                self._sensors = {}  # a new one: another thread may be reading the last
+            self._sensors[gain] = sensor
         return sensor
 
     def output_shape(self, shape) -> tuple[int, int]:
@@ -315,7 +315,7 @@ class Readout:
     def mean(self, mean) -> np.ndarray:
         """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
         if self.sensor.binning != (1, 1):
-            mean = self._binned(mean)
+            mean = self._bin(mean)
         mean = np.array(self.device.numpy(mean), np.float32)
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
@@ -363,10 +363,10 @@ class Readout:
         if not self._digital:
             return raw
         if frames is None:
-            return self._binned(raw, average=True)
+            return self._bin(raw, average=True)
         return self.device.stack(
             [
-                self._binned(self.device.part(raw, number), average=True)
+                self._bin(self.device.part(raw, number), average=True)
                 for number in range(raw.shape[0])
             ]
         )
@@ -417,7 +417,7 @@ class Readout:
 
     def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
         """Return the numbers of the noise that depend on exposure time [s] and analog gain."""
-        sensor = self.operated(gain)
+        sensor = self.sensor_at_gain(gain)
         return {
             "dark_electrons": self.dark_electrons(exposure_time),
             "read_noise": sensor.read_sigma,
@@ -453,7 +453,7 @@ class Readout:
         reads see one growing charge, photon by photon, and share the reset's noise; each has its own read noise.
         """
         times = self.checked_reads(times)
-        sensor, device, noise_ = self.operated(gain), self.device, self.sensor.noise
+        sensor, device, noise_ = self.sensor_at_gain(gain), self.device, self.sensor.noise
         shape = prod(mean.shape[:-1]), mean.shape[-1]
         shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
         steps = self.noise_steps(shape)
@@ -541,7 +541,7 @@ class Readout:
         noise_ = self.output.noise
         return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 
-    def _binned(self, pixels, average=False):
+    def _bin(self, pixels, average=False):
         return bin_pixels(
             pixels,
             binning=self.sensor.binning,

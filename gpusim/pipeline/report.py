@@ -57,7 +57,7 @@ class Error:
         )
 
 
-def merged(order: list[str], names) -> list[str]:
+def merge_names(order: list[str], names) -> list[str]:
     """Names in an order; each new one before the next of `names` that is known there, or else after the one before."""
     order, names = list(order), list(names)
     for number, name in enumerate(names):

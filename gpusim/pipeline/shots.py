@@ -17,10 +17,10 @@ from gpusim.kernels.sensor.noise import check_drawn
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame, Later
-from gpusim.pipeline.imaging import nothing
+from gpusim.pipeline.imaging import return_none
 from gpusim.pipeline.metering import metering_steps
 from gpusim.pipeline.readout import Readout, flag_pixels
-from gpusim.pipeline.report import Error, Report, StageReport, merged
+from gpusim.pipeline.report import Error, Report, StageReport, merge_names
 from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.plan import Plan
@@ -64,7 +64,7 @@ def exposure_steps(simulator, plan: Plan) -> list[Step]:
             rate=Rate.EXPOSURE,
             run=render_exposure,
         ),
-        Step("blur", "", run=nothing, rate=Rate.EXPOSURE),
+        Step("blur", "", run=return_none, rate=Rate.EXPOSURE),
         Step(
             "mean of pixels",
             "",
@@ -101,7 +101,7 @@ def exposure_steps(simulator, plan: Plan) -> list[Step]:
             )
         )
     else:
-        steps.append(Step("defects", "", run=nothing, rate=Rate.EXPOSURE))
+        steps.append(Step("defects", "", run=return_none, rate=Rate.EXPOSURE))
     return steps
 
 
@@ -177,7 +177,7 @@ class Shots:
         self.values.set_numbers(seed=seed, frame=frame)
         return self.values["raw"]
 
-    def _of(self, raw, name):
+    def _value_of(self, raw, name):
         self.values.give(raw=raw)
         return self.values[name]
 
@@ -196,22 +196,22 @@ class Shots:
 
     def planes(self, raw) -> Any:
         """Return camera values of every pixel, (C, rows, cols)."""
-        return self._of(raw, "camera")
+        return self._value_of(raw, "camera")
 
     def linear(self, raw) -> tuple:
         """Return linear display RGB (3, rows, cols), before clipping and tone curve, and its rendering."""
         is_estimated = self.exposure.camera.processor.estimates_white
         rendering = "picture rendering" if is_estimated else "rendering"
-        return self._of(raw, "linear"), self.values[rendering]
+        return self._value_of(raw, "linear"), self.values[rendering]
 
-    def developed(self, raw) -> tuple:
+    def develop(self, raw) -> tuple:
         """Return linear display RGB, display codes (rows, cols, 3), and the rendering."""
         shown, rendering = self.linear(raw)
         return shown, self.values["codes"], rendering
 
     def codes(self, raw) -> Any:
         """Return display codes (rows, cols, 3), in one pass if the camera allows it."""
-        return self._of(raw, "codes at once" if "codes at once" in self.values else "codes")
+        return self._value_of(raw, "codes at once" if "codes at once" in self.values else "codes")
 
     def frame(
         self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True
@@ -226,17 +226,17 @@ class Shots:
 
         def report():
             wanted.rendering, wanted.mean, wanted.raw, wanted.linear, wanted.rgb  # noqa: B018  for their times
-            return self._report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
+            return self._build_report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
 
         shading = None if exposure.shading is None else np.array(exposure.shading)
         wanted = Frame(
             exposure.camera,
             exposure.exposure_time,
             Later(lambda: shot.developed[2]),
-            Later(lambda: shot.timed(self.mean_of_pixels)),
-            Later(lambda: exposure.layered(shot.copied(shot.raw))),
-            Later(lambda: np.moveaxis(shot.copied(shot.developed[0], np.float32), 0, -1)),
-            Later(lambda: shot.copied(shot.developed[1])),
+            Later(lambda: shot.measure(self.mean_of_pixels)),
+            Later(lambda: exposure.layered(shot.copy_to_host(shot.raw))),
+            Later(lambda: np.moveaxis(shot.copy_to_host(shot.developed[0], np.float32), 0, -1)),
+            Later(lambda: shot.copy_to_host(shot.developed[1])),
             Later(report),
             exposure.blur,
             shading,
@@ -256,7 +256,7 @@ class Shots:
         )
         return self.simulator.cache("speed", iso_speed, own)
 
-    def _report(self, rendering, times, wall, seed, number, error):
+    def _build_report(self, rendering, times, wall, seed, number, error):
         exposure, simulator, camera = self.exposure, self.simulator, self.exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
         lines = {
@@ -274,8 +274,8 @@ class Shots:
                 if camera.sensor.exposure_time is not None
                 else f"automatic exposure, {camera.sensor.auto_exposure.method}"
             )
-        simulator.launched = merged(simulator.launched, times)
-        order = merged(simulator.launched, models)  # with stages that had nothing to do
+        simulator.launched = merge_names(simulator.launched, times)
+        order = merge_names(simulator.launched, models)  # with stages that had nothing to do
         stages = [
             StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
             for name in order
@@ -355,19 +355,19 @@ class _Shot:
 
     @cached_property
     def raw(self):
-        return self.timed(lambda: self._shots.raw(self._seed, self._frame))
+        return self.measure(lambda: self._shots.raw(self._seed, self._frame))
 
     @cached_property
     def developed(self):
-        """As `Shots.developed`."""
+        """As `Shots.develop`."""
         raw = self.raw
-        return self.timed(lambda: self._shots.developed(raw))
+        return self.measure(lambda: self._shots.develop(raw))
 
-    def copied(self, array, kind=None):
+    def copy_to_host(self, array, kind=None):
         """Its values, NumPy; kind: their type, None: as they are."""
-        return self.timed(lambda: np.array(self._shots.simulator.device.numpy(array), kind))
+        return self.measure(lambda: np.array(self._shots.simulator.device.numpy(array), kind))
 
-    def timed(self, make):
+    def measure(self, make):
         start = time.perf_counter()
         with self._shots.simulator.device.timed() as ms:
             value = make()

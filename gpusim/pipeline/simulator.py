@@ -22,7 +22,7 @@ from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.imaging import Imaging
-from gpusim.pipeline.planning import checked_reach, planned
+from gpusim.pipeline.planning import checked_reach, make_plan
 from gpusim.pipeline.program import Program
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.report import Error
@@ -265,7 +265,7 @@ class Simulator:
         facts: of it, where they are known. exposure_time: [s], in place of the camera's. least: planes of the blur.
         Raises BadData, DoesNotFit, NotMet where the simulator is strict.
         """
-        return planned(self, scene, facts, exposure_time, least)
+        return make_plan(self, scene, facts, exposure_time, least)
 
     def expose(
         self,
@@ -312,7 +312,7 @@ class Simulator:
 
         Raw values of a sensor without a converter are shown from 16 bits of them.
         """
-        return Shots(self, exposure).developed(raw)[:2]
+        return Shots(self, exposure).develop(raw)[:2]
 
     def codes(self, raw, exposure: Exposure) -> Any:
         """The display codes of `develop` alone, for previews and videos: in one pass where the camera allows it."""

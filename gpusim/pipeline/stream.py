@@ -40,7 +40,7 @@ class Stream(Iterator):
                 f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]"
             )
         self.plan, self._settings = plan, settings | {"plan": plan}
-        self._frames = self._made(simulator, scenes, output, seed, first)
+        self._frames = self._generate(simulator, scenes, output, seed, first)
 
     def __next__(self) -> Any:
         return next(self._frames)
@@ -49,10 +49,10 @@ class Stream(Iterator):
         """End it; what is on its way to the device arrives before."""
         self._frames.close()
 
-    def _made(self, simulator, scenes, output, seed, first):
-        arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
+    def _generate(self, simulator, scenes, output, seed, first):
+        uploaded, program = _upload_scenes(simulator.device, map(checked_scene, scenes)), None
         try:
-            for number, scene in enumerate(arriving, first):
+            for number, scene in enumerate(uploaded, first):
                 program = (
                     simulator.program(scene, **self._settings)
                     if program is None
@@ -64,10 +64,10 @@ class Stream(Iterator):
             if program is not None:
                 program.judge()
         finally:
-            arriving.close()
+            uploaded.close()
 
 
-def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
+def _upload_scenes(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
     """The scenes with their samples on the device, the next one on its way there.
 
     A scene's arrays may be written to again when the scene after the next is asked for.
@@ -82,7 +82,7 @@ def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None,
             if earlier is not None:
                 earlier.wait()
             coming = next(scenes, None)
-            following = None if coming is None else _Sent(device, coming, slots[number % SLOTS])
+            following = None if coming is None else _Upload(device, coming, slots[number % SLOTS])
             if sent is not None:
                 yield sent.scene()
             if following is None:
@@ -94,7 +94,7 @@ def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None,
                 one.wait()
 
 
-class _Sent:
+class _Upload:
     """A scene on its way to a device.
 
     slot: arrays there that it takes the place of, by name; they are read by nothing that is launched from now on.
