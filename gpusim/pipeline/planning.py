@@ -1,4 +1,4 @@
-"""The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
+"""Plans frames of a Simulator, within the limits of its transforms and its device's memory."""
 
 from dataclasses import replace
 from math import ceil, prod
@@ -22,18 +22,18 @@ from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
-MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
+MOST_REACH = LENGTHS[-1] // 4  # largest width of the surroundings [pixel]
 
 
 def checked_reach(reach: int | None) -> int | None:
-    """Return the pixels of surroundings that are asked for, or None, as they are. Raises OutOfRange."""
+    """Return the width of the surroundings [pixel], or None, checked. Raises OutOfRange."""
     if reach is not None and (int(reach) != reach or not 1 <= reach <= MOST_REACH):
         raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {MOST_REACH}")
     return reach
 
 
 def draft_key(camera: Camera) -> tuple:
-    """What drafts depend on beside the scene: all of that but what is turned at a lens."""
+    """Return the camera settings that invalidate a draft: all but the lens controls in TURNED."""
     return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
@@ -44,7 +44,7 @@ def make_plan(
     exposure_time: float | None = None,
     least: int = 0,
 ) -> Plan:
-    """What a frame of `scene` takes: see `Simulator.plan`."""
+    """Return the plan of a scene, see `Simulator.plan`."""
     checked_scene(scene)
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = (
@@ -83,12 +83,10 @@ def _require_met(simulator, made):
 
 
 def require_memory(made: Plan, simulator) -> int:
-    """Return the device memory of a frame by a plan [byte].
+    """Return the device memory of a frame made with a plan [byte].
 
-    It is that of a frame's steps. SciPy's transforms count if their memory is the device's. Constants of a few thousand
-    bytes are left out. For depth and for a blur that varies over the field it is an upper bound.
-
-    Raises DoesNotFit.
+    It is the sum over the steps. SciPy's transforms count if they use the device's memory. Constants of a few thousand
+    bytes are left out. For depth and for a blur that varies over the field it is an upper bound. Raises DoesNotFit.
     """
     scene, device = made.scene, simulator.device
     steps = steps_needed(simulator.steps(made), ["codes", "mean of pixels"])
@@ -115,20 +113,20 @@ def largest_array(plan: Plan, steps) -> int:
 
 
 def check_given(made, camera: Camera, scene: Scene):
-    """Raise BadData if a plan that is given is not for this camera and this scene."""
+    """Raise BadData if a given plan is not for this camera and this scene."""
     if not isinstance(made, Plan):
-        raise BadData(f"plan: {type(made).__name__}, wanted a Plan, such as of Simulator.plan")
+        raise BadData(f"plan: {type(made).__name__}, wanted a Plan, see Simulator.plan")
     named = f"plan {made.name} of {shown(made.scene.name)}"
     if made.is_draft:
         raise BadData(
-            f"{named}: a draft, for a lens that is being turned; wanted one of Simulator.plan"
+            f"{named}: a draft for a lens slider that moves; wanted a plan from Simulator.plan"
         )
     if camera is not made.camera:
         own, its = named_parts(made.camera), named_parts(camera)
         for name in own:
             if not same(own[name], its[name]):
                 raise BadData(
-                    f"{named} is of a camera with another {name}: {_shorten(own[name])}, this one has "
+                    f"{named} is for a camera with another {name}: {_shorten(own[name])}; this camera has "
                     f"{_shorten(its[name])}"
                 )
     if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
@@ -136,14 +134,17 @@ def check_given(made, camera: Camera, scene: Scene):
 
 
 def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
-    """A plan that is given, checked, as of a scene: see `check_given` and `predict_errors`. Raises DoesNotFit, too."""
+    """Return a given plan, checked, with its errors in a scene.
+
+    Raises BadData, see `check_given`, DoesNotFit, or NotMet, see `predict_errors`.
+    """
     check_given(made, simulator.camera, scene)
     require_memory(made, simulator)
     return predict_errors(simulator, made, scene, Facts.of(scene), exposure_time)
 
 
 def _shorten(value):
-    """A value in a message; of what is long its kind."""
+    """Return a value for a message; for long values its type."""
     return (
         shown(value)
         if isinstance(value, int | float | str | tuple | type(None))
@@ -154,7 +155,7 @@ def _shorten(value):
 def predict_errors(
     simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
 ) -> Plan:
-    """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
+    """Return a given plan with the errors predicted for a scene, and a verdict for this simulator's tolerance.
 
     Raises NotMet if the simulator is strict.
     """
@@ -170,7 +171,7 @@ def predict_errors(
     )
     if not is_judged and made.misfit(scene):  # another tolerance, device or noise
         unknown = {
-            "a plan of this scene alone, made for another tolerance, exposure or device": UNKNOWN
+            "a plan for this scene only, made for another tolerance, exposure or device": UNKNOWN
         }
         account = replace(made.account, bounds=made.account.bounds | unknown)
         made = replace(
@@ -187,7 +188,7 @@ def predict_errors(
 
 
 def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
-    """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
+    """Return a plan's errors in another scene, see `gpusim.planner.after.probed`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
     return probed(
         made,
@@ -199,7 +200,7 @@ def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Ac
 
 
 def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
-    """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
+    """Return the windows of a view of a scene in which errors are computed. seconds: exposure time [s]."""
     question = Question.of(
         scene.viewed(view), simulator.camera, Facts.of(scene), None, **_plan_options(simulator)
     )
@@ -208,7 +209,7 @@ def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
 
 
 def _plan_options(simulator):
-    """How a simulator asks for plans, beside the tolerance."""
+    """Return the options of a simulator's plans, without the tolerance."""
     return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
         "kept": simulator.cache.by_key
     }
