@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from gpusim.pipeline.planning import planned_by
 from gpusim.pipeline.program import Program, SharedOptics
 from gpusim.planner.plan import Plan
 
-if TYPE_CHECKING:
-    from gpusim.pipeline.simulator import Simulator
-
 MOST = 2**16  # items; each has a program
 
 
@@ -31,7 +28,7 @@ class Batch:
     call checks these measurements.
 
     Args:
-        simulator: The simulator.
+        simulator: The Simulator.
         count: Number of items.
         output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
@@ -48,7 +45,7 @@ class Batch:
 
     def __init__(
         self,
-        simulator: "Simulator",
+        simulator: Any,
         count: int,
         output: str = "codes",
         planned_for: Scene | None = None,

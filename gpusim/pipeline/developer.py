@@ -1,5 +1,6 @@
 """A camera's image processor on a device: the steps from digital numbers to a picture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -238,6 +239,8 @@ class Developer:
         sensor, processor = self.camera.sensor, self.camera.processor
         constants = {"black_level": numbers.black, "scale": numbers.scale}
         name, method = "", processor.demosaic
+        run: Callable
+        others: list[str]
         if sensor.stacked:
             stage, words = "processor.linear", "stacked: all channels"
             constants |= {"correct": linear, "layers": len(sensor.channels)}

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gpusim.backends import Device
 from gpusim.domain.account import Account
@@ -33,9 +33,6 @@ from gpusim.planner.after import holds
 from gpusim.planner.draft import drafted
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
-
-if TYPE_CHECKING:
-    from gpusim.pipeline.simulator import Simulator
 
 SAME: Any = object()  # an argument of `Program.update` that was not given
 
@@ -83,7 +80,7 @@ class Program:
     probed before their own frame, see `gpusim.pipeline.probing`.
 
     Args:
-        simulator: The simulator.
+        simulator: The Simulator.
         scene: The scene.
         exposure_time: Exposure time [s]; None uses the camera's, see `Simulator.expose`.
         gain: Analog gain, next to the sensor's [1].
@@ -102,7 +99,7 @@ class Program:
 
     def __init__(
         self,
-        simulator: "Simulator",
+        simulator: Any,
         scene: Scene,
         exposure_time: float | None = None,
         gain: float = 1.0,
@@ -319,7 +316,7 @@ class Program:
         return exposure
 
     def _find_plan(self):
-        """Return a plan that fits, as far as is known. The device begins to compute the scene's rates with it."""
+        """Return a plan that is not known to be unsuitable, and start the scene's rates on the device."""
         while True:
             plan = self.plan
             self._use("exposure", exposure_steps, self.simulator, plan)
@@ -546,7 +543,7 @@ def operated_camera(camera: Camera, readout, gain: float) -> Camera:
     return dataclasses.replace(camera, sensor=readout.sensor_at_gain(gain))
 
 
-def expose_mean(simulator: "Simulator", plan: Plan, mean, seconds: float, gain: float) -> Exposure:
+def expose_mean(simulator: Any, plan: Plan, mean, seconds: float, gain: float) -> Exposure:
     """Return the exposure for given mean electrons, without its computing times.
 
     Args:

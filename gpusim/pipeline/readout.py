@@ -291,7 +291,8 @@ class Readout:
                     f"at least {least[1]}x{least[0]} pixels: "
                     f"every pixel of the mosaic {'/'.join(sensor.cfa)} needs all colours near it",
                 )
-        return tuple(shape)
+        rows, cols = shape
+        return rows, cols
 
     def chip_mean(self, mean: Any, exposure_time: float, scale: float = 1.0) -> Any:
         """Return the electrons that this chip is expected to collect, without the common dark current.

@@ -284,7 +284,9 @@ class Simulator:
                 self(one, seed=seed, frame=number, verify=verify, plan=plan)
                 for number, one in enumerate(scene, frame)
             )
-        return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify, plan=plan))
+        return next(
+            self.frames(checked_scene(scene), 1, seed=seed, first=frame, verify=verify, plan=plan)
+        )
 
     def frames(
         self,

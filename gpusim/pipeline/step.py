@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
+from gpusim.backends import Device
 from gpusim.kernels.stage import public_function
 from gpusim.pipeline.cache import Cache
 
@@ -70,8 +71,9 @@ class Chain:
         device: Device of the steps.
     """
 
-    def __init__(self, first: str, last: str, rate: Rate, device):
-        self.value, self.steps = first, []
+    def __init__(self, first: str, last: str, rate: Rate, device: Device):
+        self.value = first
+        self.steps: list[Step] = []
         self._last, self._rate, self._device = last, rate, device
 
     def add(self, stage: str, constants: Mapping | None = None, *others: str, **fields) -> None:
@@ -136,7 +138,7 @@ class Values:
                 self.forget(name)
 
     def withdraw(self, name: str) -> None:
-        """Remove a given value, so that its step makes it again."""
+        """Remove a given value. Its step then makes it again."""
         if self._given.pop(name, None) is not None:
             self.forget(name)
 

@@ -1,7 +1,7 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
 from collections.abc import Generator, Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.planner.plan import Plan
 
-if TYPE_CHECKING:
-    from gpusim.pipeline.simulator import Simulator
-
 SLOTS = 2  # one is read while the other is written
 
 
@@ -22,7 +19,7 @@ class Stream(Iterator):
     """An iterator over one frame of each scene, see `Simulator.stream`.
 
     Args:
-        simulator: The simulator.
+        simulator: The Simulator.
         scenes: The scenes.
         output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
         seed: Seed of the noise.
@@ -41,7 +38,7 @@ class Stream(Iterator):
 
     def __init__(
         self,
-        simulator: "Simulator",
+        simulator: Any,
         scenes: Iterable[Scene],
         output: str = "codes",
         *,
