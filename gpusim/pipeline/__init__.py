@@ -1,1 +1,1 @@
-"""A plan bound to a device: what runs when, and what is kept from one frame to the next."""
+"""Runs plans on a device: the steps of a frame, their order, and the cache between frames."""

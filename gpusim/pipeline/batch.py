@@ -1,4 +1,4 @@
-"""Several frames at once in one array: of several scenes, or of one by several settings."""
+"""Several frames in one array, of several scenes or with several settings."""
 
 from collections.abc import Iterable
 from math import prod
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.camera import checked_camera
+from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
@@ -14,26 +14,38 @@ from gpusim.domain.short_repr import shortened
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import planned_by
-from gpusim.pipeline.program import Before, Program
+from gpusim.pipeline.program import Program, SharedOptics
 from gpusim.planner.plan import Plan
 
-MOST = 2**16  # items: each has a program of its own
+MOST = 2**16  # items; each has a program
 
 
 class Batch:
-    """`count` frames a call in one array of the device, by a Simulator.
+    """A simulator's frames, `count` in each call, in one device array.
 
-    output: a name of `gpusim.pipeline.outputs.OUTPUTS`. Every item is the frame that a `Program` gives: what was
-    computed for one call serves the next; what items have in common, such as a scene and its blur, is computed once.
-    Scenes that the plan was not made for are looked at on the device, and judged before the next call.
-    planned_for: a scene whose plan frames all of its kind that it fits, however they come together in calls; others
-    are planned by themselves. Without it plans are those of scenes that came before.
-    plan: makes all frames instead, see `Program`. plans: of the items of the last call.
+    Each item is the frame of a `Program`, so results are reused from call to call. Results that items share, for
+    example a scene's blur, are computed once. The device measures each scene that the plan was not made for; the next
+    call checks these measurements.
+
+    Args:
+        simulator: The Simulator.
+        count: Number of items.
+        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
+            scenes get their own plans. None reuses plans of earlier scenes.
+        plan: Plan for all frames, see `Program`.
+
+    Attributes:
+        plans: Plans of the items of the last call.
+
+    Raises:
+        UnknownName: There is no such output.
+        OutOfRange: The count is not allowed.
     """
 
     def __init__(
         self,
-        simulator,
+        simulator: Any,
         count: int,
         output: str = "codes",
         planned_for: Scene | None = None,
@@ -54,22 +66,33 @@ class Batch:
         self,
         scenes: Scene | Iterable[Scene],
         *,
-        camera=None,
-        exposure_time=None,
-        gain=1.0,
-        seed=0,
-        frame=0,
+        camera: Camera | Iterable[Camera] | None = None,
+        exposure_time: float | Iterable[float] | None = None,
+        gain: float | Iterable[float] = 1.0,
+        seed: int | Iterable[int] = 0,
+        frame: int | Iterable[int] = 0,
     ) -> Any:
-        """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.
+        """Return frames of the scenes. The next call overwrites the array.
 
-        scenes: one for all, or one for each item. camera: the simulator's if None. exposure_time, gain: as for
-        `Simulator.expose`. seed: of the noise. frame: number of the first item's, the others count on. Each of them may
-        be one for every item too. Automatic exposure meters every item's own light, and waits for it.
-        Raises as `Simulator.frames` does, and BadData for items of unlike shapes and for numbers of values that are not
-        those of the items.
+        Each argument is one value for all items, or one for each item. Automatic exposure meters each item, and waits
+        for the device.
+
+        Args:
+            scenes: The scenes.
+            camera: The cameras; None uses the simulator's.
+            exposure_time: Exposure times [s]; None uses the camera's, see `Simulator.expose`.
+            gain: Analog gains, next to the sensor's [1].
+            seed: Seeds of the noise.
+            frame: Numbers of the frames. One number is for the first item; the others count up from it.
+
+        Returns:
+            A device array (count, ...) of the type of one frame.
+
+        Raises:
+            BadData: Items have different shapes, or an argument has another number of values than there are items.
         """
         if is_array(scenes):
-            checked_scene(scenes)  # which refuses it
+            checked_scene(scenes)  # raises BadData
         given = {
             "scenes": scenes,
             "camera": self._simulator.camera if camera is None else camera,
@@ -91,9 +114,8 @@ class Batch:
         try:
             return self._frames(values)
         except BaseException:
-            self._items = [
-                None
-            ] * self.count  # what was left undone would be judged in the next call
+            # unfinished checks must not reach the next call
+            self._items = [None] * self.count
             raise
 
     def _frames(self, values):
@@ -114,9 +136,8 @@ class Batch:
                 zip(*values.values(), strict=True)
             ):
                 programs[item].judge()
-                if (
-                    programs[item].before.plan is None
-                ):  # a program of its own; the next call has another one
+                # the plan does not fit: make the frame with a new program, for this call only
+                if programs[item].before.plan is None:
                     self._items[item] = None
                     programs[item] = Program(
                         self._simulator.apart(by, Cache()), own, its_time, its_gain
@@ -133,45 +154,54 @@ class Batch:
         return self._cache("frames", stack_frames, *frames, device=self._simulator.device)
 
     def judge(self) -> None:
-        """Wait for what the device saw of the scenes: see `Program.judge`. Every call does it for the one before."""
+        """Wait for the device's measurements of the scenes, see `Program.judge`.
+
+        Each call does this for the call before. Raises BadData if a scene has light that is not finite.
+        """
         for program in self._items:
             if program is not None:
                 program.judge()
 
     def _program(self, item, scene, camera):
-        """The program of an item, which shares with the others what their plans have in common."""
+        """Return the program of an item. It shares the optical results of items with the same plan."""
         program = self._items[item]
         if program is not None and program.simulator.camera is camera:
             return program
         asked = self._simulator.tolerance
         by = planned_by(checked_camera(camera), asked)
 
-        def is_alike(other):
+        def has_same_plan(other):
             return same(planned_by(other.simulator.camera, asked), by)
 
         if program is not None:
-            if is_alike(program):
+            if has_same_plan(program):
                 return program.update(camera=camera)
             program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
-        alike = next(filter(is_alike, in_use), None)
-        tables = alike.simulator.tables if alike else Cache() if in_use else self._simulator.tables
+        other_program = next(filter(has_same_plan, in_use), None)
+        tables = (
+            other_program.simulator.tables
+            if other_program
+            else Cache()
+            if in_use
+            else self._simulator.tables
+        )
         simulator, shared = (
             self._simulator.apart(camera, tables),
-            alike is not None and self._planned_for is None,
+            other_program is not None and self._planned_for is None,
         )
         program = self._items[item] = Program(
             simulator,
             self._planned_for or scene,
-            before=alike.before if shared else Before(simulator.device),
+            before=other_program.before if shared else SharedOptics(simulator.device),
             plan=self._plan,
         )
         if self._planned_for is not None:
-            program.plan  # noqa: B018  it is made, for all scenes to come
+            program.plan  # noqa: B018  makes the plan for all later scenes
         return program
 
     def _require_memory(self, plan):
-        """Raise DoesNotFit where the items' arrays do not fit beside what one frame takes."""
+        """Raise DoesNotFit if the items' arrays and the memory of one frame do not fit together."""
         (rows, cols), device = plan.scene.shape, self._simulator.device
         needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
         if needed > device.memory:
@@ -189,7 +219,15 @@ def stack_frames(*frames, device) -> Any:
 
 
 def bytes_of_item(plan: Plan, output: str) -> int:
-    """Return the memory of an output of `gpusim.pipeline.outputs.OUTPUTS` in a batch, where it is copied [byte]."""
+    """Return the memory of one item of a batch, its copy included [byte].
+
+    Args:
+        plan: Plan of the item.
+        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+
+    Returns:
+        The memory [byte].
+    """
     pixels, channels = prod(plan.scene.shape), len(plan.weights)
     if output in ("irradiance", "electrons"):
         return 8 * pixels * (len(plan.scene.wavelengths) if output == "irradiance" else channels)
@@ -204,8 +242,20 @@ def bytes_of_item(plan: Plan, output: str) -> int:
     return pixels * (raw + developed.get(output, 0))
 
 
-def one_each(name: str, value, count: int) -> list:
-    """A value for every item: of one for all, or of one for each. Raises BadData for other numbers of them."""
+def one_each(name: str, value: Any, count: int) -> list:
+    """Return a list with one value for each item.
+
+    Args:
+        name: Name of the argument, for the message.
+        value: One value for all items, or several.
+        count: Number of items.
+
+    Returns:
+        The list.
+
+    Raises:
+        BadData: The number of values is not `count`.
+    """
     if (
         not isinstance(value, Iterable)
         or isinstance(value, str)

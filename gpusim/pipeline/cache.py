@@ -1,4 +1,4 @@
-"""A cache of computed values. A value is computed again only if something that it depends on has changed."""
+"""A cache of computed values. A value is computed again only if one of its inputs has changed."""
 
 import itertools
 from collections.abc import Callable, Mapping
@@ -16,17 +16,13 @@ from gpusim.domain.scene import Scene
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
-BY_IDENTITY = (
-    Scene,
-    Content,
-    Plan,
-    Facts,
-)  # unchanged only as the same object, whatever its arrays hold
+# equal only if they are the same object; their arrays are not compared
+BY_IDENTITY = (Scene, Content, Plan, Facts)
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
 NUMBERS = (int, float, str, bool)
 OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
-# of each array that a step writes to again: the step, and the version of its contents
+# for each array that a step rewrites: the step, and the version of the contents
 _OWNERS: WeakKeyDictionary = WeakKeyDictionary()
 _VERSIONS = itertools.count(1)
 NOBODY = (None, 0)
@@ -34,39 +30,39 @@ NOBODY = (None, 0)
 
 @dataclass(eq=False, slots=True)
 class One:
-    """A device array as part of a key: the same while it is one object of one version."""
+    """A device array in a key, with the version of its contents."""
 
     value: Any
     version: int = 0
 
 
 class Cache:
-    """Results of functions, each kept under a name until an argument changes.
+    """Results of functions, stored by name until an argument changes.
+
+    Use a cache with a device in one thread at a time. Threads may share a cache without a device.
 
     Args:
         device: Device on which repeated computations are recorded on tapes (see `gpusim.backends.tape`). A repeated
-            computation then writes to the arrays of the one before. None: every result is a new array.
-
-    One thread at a time uses a cache with a device. Threads may share a cache without one.
+            computation then overwrites the arrays of the last one. None: each result is a new array.
     """
 
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
         self._token = object()
-        # the last `gpusim.pipeline.step.Values` whose values are here
+        # token of the `gpusim.pipeline.step.Values` that used the cache last
         self.user: object | None = None
 
     @property
     def is_taped(self) -> bool:
-        """Whether repeated computations write to the arrays of the ones before."""
+        """True if repeated computations overwrite the arrays of the last ones."""
         return self._device is not None
 
     def __call__(self, name: str, function: Callable, *args, **kwargs) -> Any:
         """Return `function(*args, **kwargs)`, computed only if an argument has changed since the last call.
 
-        The arguments are the key. So the function must not depend on anything else: it is no method of an object and
-        has no closure.
+        The arguments are the key. The function must not depend on anything else, so it must be no bound method and have
+        no closure.
         """
         return self.run(name, function, args, kwargs, {})
 
@@ -86,22 +82,22 @@ class Cache:
         """Return `function(*args, **kwargs, **numbers)`, see `__call__`.
 
         Args:
-            name: Name of the result. One result is kept per name.
-            function: What computes it.
-            args: Values, also device arrays. If only the contents of arrays have changed, or other arrays of the same
-                shape and type are in their places, the recorded kernels run again without the function.
-            kwargs: Everything else that the function depends on.
+            name: Name of the result. One result is stored per name.
+            function: The function.
+            args: Values, also device arrays. If only the contents of arrays have changed, or arrays are replaced by
+                others of the same shape and type, the recorded kernels run again without the function.
+            kwargs: Further arguments that do not change from frame to frame.
             numbers: Numbers that change from frame to frame. If only they have changed, the recorded kernels run again
-                with the new ones.
+                with the new numbers.
 
         Returns:
             The result of the function.
         """
-        key = function, self.versioned(args), kwargs
-        found = self._entries.get(name)  # read once: another thread may put its own there
+        key = function, self.with_versions(args), kwargs
+        found = self._entries.get(name)  # read once: another thread may replace it
         change, has_numbers = OTHER, True
         if found is not None:
-            change = compared(found[0][:-1], key)
+            change = compare(found[0][:-1], key)
             has_numbers = found[0][-1] == numbers
             if change == SAME and has_numbers:
                 return found[1]
@@ -115,7 +111,7 @@ class Cache:
                 and tape is not None
                 and tape.is_replayable
                 and (has_numbers or tape.renumber(numbers))
-                and (change != REPLACED or self._replaced(tape, found, key))
+                and (change != REPLACED or self._replace_arrays(tape, found, key))
             ):
                 tape.replay()
                 value = found[1]
@@ -128,20 +124,20 @@ class Cache:
             raise
         self._entries[name] = (*key, numbers), value, tape
         if self._device is not None:
-            self._renew(name, None if found is None else found[1], value)
+            self._set_versions(name, None if found is None else found[1], value)
         return value
 
-    def versioned(self, value):
-        """Return a value as part of a key: device arrays with the version of their contents."""
+    def with_versions(self, value):
+        """Return a value for a key: device arrays get the version of their contents."""
         if type(value) is tuple or type(value) is list:
-            return tuple([self.versioned(part) for part in value])
+            return tuple([self.with_versions(part) for part in value])
         if self._device is not None and isinstance(value, self._device.array_type):
             return One(value, _OWNERS.get(value, NOBODY)[1])
         return value
 
     @staticmethod
-    def _replaced(tape, found, key) -> bool:
-        """Give the recorded kernels the arrays of a new key; False if that cannot be."""
+    def _replace_arrays(tape, found, key) -> bool:
+        """Replace the arrays of the recorded kernels by those in a new key; return False if it is impossible."""
         others = [
             (own.value, its.value)
             for own, its in zip(ones(found[0][1]), ones(key[1]), strict=True)
@@ -151,10 +147,10 @@ class Cache:
         return not any(part is old for part in parts for old, _ in others) and tape.replaced(others)
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-        """Return results whose last computation did more than start kernels.
+        """Return results whose last computation did not only start kernels.
 
         Returns:
-            For each its name, the stages in which the host read device values, and the stages that worked on the host.
+            For each its name, the stages in which the host read device values, and the stages computed on the host.
         """
         taped = [(name, tape) for name, (_, _, tape) in self._entries.items() if tape is not None]
         return [
@@ -163,8 +159,8 @@ class Cache:
             if not tape.is_replayable
         ]
 
-    def _renew(self, name, before, value):
-        """Give the arrays of a new result a new version."""
+    def _set_versions(self, name, before, value):
+        """Give the arrays that a step has rewritten a new version number."""
         own = self._token, name
         parts = value if isinstance(value, tuple) else (value,)
         if before is not value:
@@ -176,7 +172,7 @@ class Cache:
                 ):
                     del _OWNERS[part]
         for part in parts:
-            # an array that is handed on has its version already
+            # an array passed on from another step keeps its version
             if self._is_array(part) and _OWNERS.get(part, (own, 0))[0] == own:
                 _OWNERS[part] = own, next(_VERSIONS)
 
@@ -188,7 +184,7 @@ class Cache:
 
 
 def _require_pure(name, function):
-    """Refuse a function that depends on more than its arguments. Raises TypeError."""
+    """Raise TypeError if a function depends on more than its arguments."""
     if isinstance(function, MethodType) and not isinstance(function.__self__, type):
         raise TypeError(
             f"{name}: {function.__qualname__} is bound to an object; pass the object as an argument"
@@ -204,15 +200,18 @@ def _require_pure(name, function):
 
 
 def same(a, b) -> bool:
-    """Return whether two values are equal, dataclasses field by field. Other objects are equal to themselves only."""
-    return compared(a, b, ()) == SAME
+    """Return True if two values are equal. Dataclasses are compared field by field, other objects by identity."""
+    return compare(a, b, ()) == SAME
 
 
-def compared(a, b, by_identity: tuple = BY_IDENTITY) -> int:
-    """Return SAME for equal keys, REFILLED if only contents of device arrays differ, else OTHER.
+def compare(a, b, by_identity: tuple = BY_IDENTITY) -> int:
+    """Return how two keys relate.
 
-    REPLACED if other device arrays of the same shapes and types are in the places of some. by_identity: types whose
-    values are equal only as the same object.
+    by_identity: types that are compared by identity.
+
+    Returns:
+        SAME for equal keys, REFILLED if only contents of device arrays differ, REPLACED if device arrays are replaced
+        by others of the same shape and type, else OTHER.
     """
     if a is b:
         return SAME
@@ -221,26 +220,26 @@ def compared(a, b, by_identity: tuple = BY_IDENTITY) -> int:
     if isinstance(a, One):
         if a.value is b.value:
             return SAME if a.version == b.version else REFILLED
-        return REPLACED if _alike(a.value, b.value) else OTHER
+        return REPLACED if _is_replaceable(a.value, b.value) else OTHER
     if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
-        return _all(a, b, by_identity) if len(a) == len(b) else OTHER
+        return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER
     if isinstance(a, dict):
         if list(a) != list(b):
             return OTHER
-        return _all(list(a.values()), list(b.values()), by_identity)
+        return _compare_all(list(a.values()), list(b.values()), by_identity)
     if isinstance(a, np.ndarray):
         return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
     if is_dataclass(a) and not isinstance(a, by_identity):
         names = [part.name for part in fields(a)]
         own, its = ([getattr(one, name) for name in names] for one in (a, b))
-        return _all(own, its, by_identity)
+        return _compare_all(own, its, by_identity)
     return OTHER
 
 
-def _alike(a, b):
-    """Return whether kernels can take one device array in place of the other."""
+def _is_replaceable(a, b):
+    """Return True if kernels can use one device array instead of the other."""
     return (
         type(a) is type(b)
         and not isinstance(a, np.ndarray)
@@ -257,13 +256,13 @@ def ones(key) -> list[One]:
     return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
 
 
-def _all(a, b, by_identity):
-    """Return the least relation between pairs of parts."""
+def _compare_all(a, b, by_identity):
+    """Return the lowest relation between pairs of parts."""
     least = SAME
     for own, its in zip(a, b, strict=True):
         if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):
             continue
-        found = compared(own, its, by_identity)
+        found = compare(own, its, by_identity)
         if found == OTHER:
             return OTHER
         least = min(least, found)

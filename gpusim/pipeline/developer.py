@@ -1,5 +1,6 @@
-"""A camera's image processor on a device: from digital numbers to a picture."""
+"""A camera's image processor on a device: the steps from digital numbers to a picture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -34,12 +35,12 @@ from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
-CLIPPED = 0.95  # of saturation: values interpolated beside a clipped pixel lie just below it
+CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """What digital numbers mean: those of black and white [DN], and their noise (see `Developer.noise`)."""
+    """The scale of digital numbers: black and white [DN], and the noise (see `Developer.noise`)."""
 
     black: float
     white: float
@@ -49,8 +50,8 @@ class _Numbers:
     def scale(self):
         return 1 / (self.white - self.black)
 
-    def corrected(self):
-        """The same on the scale of corrected mosaics."""
+    def on_corrected_scale(self):
+        """Return the numbers on the scale of corrected mosaics."""
         span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
         return _Numbers(
             CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span)
@@ -58,11 +59,11 @@ class _Numbers:
 
 
 def edges_of(display: Display, tone) -> np.ndarray:
-    """Return the linear display values at which the next 8-bit code begins, after the tone curve, shape (255,)."""
+    """Return the linear display values at which the next 8-bit code begins, with the tone curve, shape (255,)."""
     return thresholds(decoding(display, tone))
 
 
-SCRATCH = {"adaptive": 2, "best": 28, "learned": 6}  # [byte] a pixel that a demosaicker keeps
+SCRATCH = {"adaptive": 2, "best": 28, "learned": 6}  # memory of a demosaicker [byte per pixel]
 
 
 class Developer:
@@ -83,9 +84,10 @@ class Developer:
 
     @property
     def noise(self) -> tuple[float, float]:
-        """(gain [DN/e-], noise without light [DN]) of raw values: their variance is gain (DN - dark level) + noise^2.
+        """Gain [DN/e-] and noise without light [DN] of raw values.
 
-        The noise without light is all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
+        The variance is gain (DN - dark level) + noise^2. The noise without light includes all terms of
+        `RawNoise.variance`, fixed offsets too. PRNU is left out.
         """
         noise, gain = (
             RawNoise.of(self.camera.sensor, self.averaged),
@@ -160,7 +162,7 @@ class Developer:
         )
 
     def _correct(self, chain: Chain, pixels: int) -> "_Numbers":
-        """Add the corrections of raw values that the camera wants. Returns what the corrected numbers mean."""
+        """Add the camera's corrections of raw values. Returns the scale of the corrected numbers."""
         sensor, processor = self.camera.sensor, self.camera.processor
         layers = len(sensor.channels) if sensor.stacked else 1
         mosaic = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
@@ -185,7 +187,7 @@ class Developer:
                 {"black_level": numbers.black, "scale": numbers.scale},
                 words=f"to {CORRECTED_WHITE + 1} numbers",
             )
-            numbers = numbers.corrected()
+            numbers = numbers.on_corrected_scale()
         if processor.defects != "none":
             add(
                 "processor.defects",
@@ -216,7 +218,7 @@ class Developer:
                 words=f"denoised, strength {processor.denoise:g}",
                 nbytes=6 * pixels,
             )
-            numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
+            numbers = replace(numbers.on_corrected_scale(), noise=(0.0, 0.0))
         if processor.shading:
             add(
                 "processor.shade",
@@ -229,14 +231,16 @@ class Developer:
                 "shading",
                 words="lens shading divided out",
             )
-            numbers = numbers.corrected()
+            numbers = numbers.on_corrected_scale()
         return numbers
 
     def _demosaic(self, chain: Chain, numbers: "_Numbers", pixels: int) -> None:
-        """Add the step to camera values of every pixel, (C, rows, cols); white level 1."""
+        """Add the step to camera values of each pixel, (C, rows, cols), white level 1."""
         sensor, processor = self.camera.sensor, self.camera.processor
         constants = {"black_level": numbers.black, "scale": numbers.scale}
         name, method = "", processor.demosaic
+        run: Callable
+        others: list[str]
         if sensor.stacked:
             stage, words = "processor.linear", "stacked: all channels"
             constants |= {"correct": linear, "layers": len(sensor.channels)}
@@ -250,10 +254,10 @@ class Developer:
             constants |= {
                 "demosaic": learned,
                 "phase": sensor.cfa,
-                # its roots know read noise beside shot noise
+                # its square roots include read noise as well as shot noise
                 "noise": numbers.noise if numbers.noise[0] else (0.0, 0.0),
                 "table": processor.table,
-                # a camera's own filters were learned from channels as they come, in its light
+                # a camera's filters were learned from unbalanced channels, in its light
                 "places": None if processor.table else self._places,
             }
         elif not sensor.bayer_phase:
@@ -287,14 +291,14 @@ class Developer:
 
     @property
     def _places(self):
-        """Places of red, green and blue among the channels; None if there are others only."""
+        """Indices of the red, green and blue channels; None if one is missing."""
         channels = self.camera.sensor.channels
         if not {*"RGB"} <= {*channels}:
             return None
         return tuple(channels.index(letter) for letter in "RGB")
 
     def _white_step(self) -> Step:
-        """Return the step that renders for the white that the picture suggests."""
+        """Return the step that renders for a white that is estimated from the picture."""
         camera, processor = self.camera, self.camera.processor
         wanted = processor.color != "none" or processor.white_balance == "red-blue"
         transforms = None
@@ -313,17 +317,17 @@ class Developer:
             },
             words=f"white by {processor.white_balance}",
             rate=Rate.FRAME,
-            host="a white that is estimated from the picture needs a thumbnail of 48 x 64 blocks",
+            host="the white is estimated from a thumbnail of 48 x 64 blocks",
             run=render_for_picture,
         )
 
     def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0) -> Any:
-        """Return camera values of every pixel, (C, rows, cols), or the output of learned filters; white level 1.
+        """Return camera values of each pixel, (C, rows, cols), or the output of learned filters; white level 1.
 
         Args:
             raw: Digital numbers (rows, cols), layers of stacked pixels below each other.
-            white: Camera values of white on any scale, shape (C,), by which colours are compared. None: as they are.
-                The result keeps its own scale, so clipped values can be recognised as before.
+            white: Camera values of white on any scale, shape (C,), for comparing channels. None compares them
+                unbalanced. The scale of the result does not change, so clipped values can still be recognised.
             known: Map of the chip's defective pixels, same shape, if the camera replaces known defects.
             shading: Gains of the shading correction at its nodes, (positions, ny, nx), positions of the mosaic's
                 period, if the camera corrects shading.
@@ -354,7 +358,7 @@ class Developer:
 
 
 def correct_layers(raw, *others, correct, layers, device, **constants) -> Any:
-    """Return raw values corrected by a stage, every layer of stacked pixels for itself.
+    """Return raw values corrected by a stage, each layer of stacked pixels separately.
 
     others: further inputs of the stage: a map of the shape of `raw`, or gains of the mosaic's positions.
     """
@@ -392,23 +396,23 @@ def separate_layers(raw, *, correct, layers, device, **constants) -> Any:
 
 
 def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **constants) -> Any:
-    """Return camera values by a demosaicker that compares channels, balanced so that white is equal in them."""
+    """Return camera values from a demosaicker that compares channels, balanced to make white equal in them."""
     if blur is not None:
         constants = constants | {"blur": blur}
     return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
 
 
 def balance_of(white, places) -> tuple[float, float]:
-    """Return the factors of red and blue that make white as strong in them as in green.
+    """Return the factors of red and blue that make white equal in red, green and blue.
 
-    white: camera values of white, shape (C,), or None. places: of red, green and blue among them, or None.
+    white: camera values of white, shape (C,), or None. places: indices of red, green and blue, or None.
     """
     if white is None or places is None:
         return 1.0, 1.0
     red, green, blue = (float(white[place]) for place in places)
     if not green > 0:
         return 1.0, 1.0
-    # a channel that hardly sees white, or the only one that does, is not amplified beyond that
+    # limits the gain of a channel that hardly responds to white
     most = MOST_BALANCE
     red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
     return green / red, green / blue
@@ -420,7 +424,7 @@ def neutral_of(rendering: Rendering) -> np.ndarray:
 
 
 def colors_of(rendering: Rendering) -> tuple:
-    """Return the part of a rendering that colours depend on: its matrix and ceiling."""
+    """Return a rendering's colour matrix and ceiling."""
     return rendering.display_from_camera, rendering.ceiling
 
 
@@ -437,6 +441,6 @@ def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:
 
 
 def render_for_picture(planes, once, *, camera, transforms, floor, device) -> Rendering:
-    """Return the rendering for the white that the picture suggests. once: for the target light."""
+    """Return the rendering for a white estimated from the picture. once: the rendering for the target light."""
     small = device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=device))
     return rebalanced(once, camera, transforms, small, floor)

@@ -1,7 +1,8 @@
-"""What a simulation gives: the noise-free capture of a scene, and one picture."""
+"""Results of a simulation: the noise-free exposure of a scene, and one picture."""
 
 import dataclasses
 from dataclasses import dataclass
+from os import PathLike
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -18,25 +19,32 @@ from gpusim.io.frame.frames import write_frame
 from gpusim.pipeline.report import Report
 from gpusim.planner.plan import Plan
 
-ON_DEVICE = ("mean", "chip_mean")  # of an exposure
+ON_DEVICE = ("mean", "chip_mean")  # device arrays of an exposure
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """The noise-free capture of a scene: computed once, drawn from many times.
+    """The noise-free exposure of a scene. It is computed once; noisy frames are drawn from it.
 
-    plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
-    mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
-        cols) [e-].
-    chip_mean: the same of this very chip, as the noise is drawn around it: see `Readout.chip_mean`.
-    exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
-        for the light that is known or assumed.
-    blur: of the lens as a Gaussian [pixel], shading: the correction's gains at its nodes, where the camera uses them.
-    ms: milliseconds per stage that it took; wall_ms: in all, planning included. device: where the electrons are.
-    is_rewritten: whether a program will write to these arrays again.
-    It is pickled with their values and the device's name, which is opened where it is loaded. `np.asarray` gives the
-    mean electrons.
+    A pickle holds the arrays' values and the device's name; the device is opened when it is loaded. `np.asarray`
+    returns the mean electrons.
+
+    Attributes:
+        plan: Plan of the scene.
+        camera: The camera as operated: its sensor is binned and has the chosen analog gain.
+        mean: Mean electrons of each pixel before binning, a device array (rows, cols) or, for stacked pixels, (C, rows,
+            cols) [e-].
+        chip_mean: The same with the chip's fixed pattern; noise is added to it, see `Readout.chip_mean` [e-].
+        exposure_time: Exposure time [s].
+        gain: Analog gain chosen by automatic exposure [1].
+        rendering: Conversion of camera values to colours, for the known or assumed light.
+        blur: Standard deviation of the lens blur as a Gaussian, if the camera uses it [pixel].
+        shading: Gains of the shading correction at its nodes, if the camera uses them.
+        ms: Milliseconds per stage.
+        wall_ms: Milliseconds in all, planning included.
+        device: Device of the arrays.
+        is_rewritten: True if a program will write to these arrays again.
     """
 
     plan: Plan
@@ -62,8 +70,15 @@ class Exposure:
             f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})"
         )
 
-    def layered(self, raw) -> Any:
-        """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
+    def layered(self, raw: Any) -> Any:
+        """Return raw values with the layers of stacked pixels on an axis.
+
+        Args:
+            raw: Raw values (..., rows, cols), layers below each other.
+
+        Returns:
+            Raw values (..., C, rows, cols); for other sensors unchanged.
+        """
         return raw.reshape(*raw.shape[:-2], *self.mean.shape[:-2], -1, raw.shape[-1])
 
     def __getstate__(self):
@@ -77,21 +92,21 @@ class Exposure:
 
 
 class Later:
-    """A value that is made when it is first asked for."""
+    """A value that is computed at its first use."""
 
     def __init__(self, make):
         self.make = make
 
 
 class _Made(Generic[T]):
-    """A field whose value may be given as a Later."""
+    """A field that also accepts a Later as its value."""
 
     def __set_name__(self, owner, name):
         self.name = name
 
     def __get__(self, frame, owner=None) -> T:
         if frame is None:
-            raise AttributeError(self.name)  # a dataclass asks so for its default: there is none
+            raise AttributeError(self.name)  # for `dataclass`: the field has no default
         value = vars(frame)[self.name]
         if isinstance(value, Later):
             value = vars(frame)[self.name] = value.make()
@@ -103,19 +118,24 @@ class _Made(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class Frame(Pictured):
-    """One simulated picture, whose parts are computed and copied to the host when they are first asked for.
+    """One simulated picture. Its parts are computed and copied to the host at their first use.
 
-    What they are made of stays on the device until all are: see `complete`.
+    Device arrays are held until all parts are computed, see `complete`. `np.asarray` returns the display codes.
 
-    camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated, the
-        white that of the picture where the camera estimates it.
-    mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
-    raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
-    blur, shading: as of the exposure. averaged: digital numbers whose mean a raw value is; None: it is of several
-        exposures, whose noise is no matter of one gain.
-    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32
-        (rows, cols, 3), in memory plane by plane. rgb: display codes, uint8 (rows, cols, 3), which
-        `np.asarray` gives.
+    Attributes:
+        camera: The camera as operated: its sensor is binned and has the chosen analog gain.
+        exposure_time: Exposure time [s].
+        rendering: Conversion to colours; its white is estimated from the picture if the camera does that.
+        mean: Mean electrons without noise, float32 (rows, cols) or, for stacked pixels, (C, rows, cols) [e-].
+        raw: Digital numbers of the same shape, uint16, or float32 without a converter [DN].
+        linear: Linear display RGB before clipping and tone curve, float32 (rows, cols, 3), stored plane by plane.
+            Display white is 1, see `Processor.scaling`.
+        rgb: Display codes, uint8 (rows, cols, 3).
+        report: Times, models and errors of the frame.
+        blur: Standard deviation of the lens blur as a Gaussian, if the camera uses it [pixel].
+        shading: Gains of the shading correction at its nodes, if the camera uses them.
+        averaged: Number of digital numbers that are averaged to one raw value; None for several merged exposures,
+            whose noise does not follow from one gain.
     """
 
     camera: Camera
@@ -146,7 +166,11 @@ class Frame(Pictured):
         )
 
     def complete(self) -> "Frame":
-        """The same, all of it made; nothing of it is on the device any more."""
+        """Compute all parts. The frame then holds no device arrays.
+
+        Returns:
+            This frame.
+        """
         for part in dataclasses.fields(self):
             getattr(self, part.name)
         return self
@@ -155,9 +179,16 @@ class Frame(Pictured):
         return dict(vars(self.complete()))
 
     def codes(self, bits: int = 8) -> np.ndarray:
-        """Display codes of 8 or 16 bits, behind the tone curve: uint8 (`rgb` itself) or uint16, (rows, cols, 3).
+        """Return display codes after the tone curve.
 
-        Raises OutOfRange.
+        Args:
+            bits: Bits of a code, 8 or 16.
+
+        Returns:
+            Codes (rows, cols, 3): `rgb` itself, uint8, or uint16.
+
+        Raises:
+            OutOfRange: Another number of bits.
         """
         if bits == 8:
             return self.rgb
@@ -165,17 +196,21 @@ class Frame(Pictured):
             raise OutOfRange("bits of display codes", bits, "8 or 16")
         most = 2**16 - 1
         decode = decoding(self.camera.display, self.camera.processor.tone)
-        edges = decode(
-            (np.arange(1, most + 1) - 0.5) / most
-        )  # the least values of codes 1, 2, ..., as with 8 bits
+        # least values of codes 1, 2, ..., as for 8 bits
+        edges = decode((np.arange(1, most + 1) - 0.5) / most)
         linear = np.nan_to_num(self.linear, nan=-np.inf)
         return np.searchsorted(edges, linear, side="right").astype(np.uint16)
 
     @property
     def color_profile(self) -> dict:
-        """Matrices of the camera's colours for raw converters: see `gpusim.color.camera_profile.color_profile`."""
+        """Colour matrices of the camera for raw converters, see `gpusim.color.camera_profile.color_profile`."""
         return color_profile(self.camera)
 
-    def save(self, path, *, bits: int | None = None) -> None:
-        """Write .png, .tif, .exr, .dng or .npz: see `gpusim.io.frame.frames.write_frame`."""
+    def save(self, path: str | PathLike, *, bits: int | None = None) -> None:
+        """Write the frame to a file, see `gpusim.io.frame.frames.write_frame`.
+
+        Args:
+            path: Path that ends in .png, .tif, .exr, .dng or .npz.
+            bits: Bits of a value; None uses the format's default.
+        """
         write_frame(path, self, bits)

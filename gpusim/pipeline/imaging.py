@@ -1,4 +1,4 @@
-"""The lens and the pixels of a camera: the steps from a scene's samples to mean electrons, as a plan says."""
+"""The lens and the pixels of a camera: the steps of a plan from a scene's samples to mean electrons."""
 
 from dataclasses import replace
 from math import prod
@@ -38,7 +38,7 @@ from gpusim.pipeline.step import Chain, Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.plan import Plan
 
-BY_SCIPY = "SciPy's transforms are faster there than the kernels'"
+BY_SCIPY = "on a CPU SciPy's transforms are faster than the kernels'"
 PLAIN_MOSAIC = np.zeros((1, 1), np.int32)
 
 
@@ -58,8 +58,9 @@ class Imaging:
     def steps(self, plan: Plan) -> list[Step]:
         """Return the steps of a plan from the values "content" and "view" to the mean electrons "mean".
 
-        Others make "per second" (the same of one second), "channels" (electrons per second in every channel, (C, rows,
-        cols), without fall-off), "electrons" (these with fall-off, of the exposure) and "shading".
+        Other steps make "per second" (mean electrons of one second), "channels" (electrons per second in each channel,
+        (C, rows, cols), without fall-off), "electrons" (electrons of the exposure in each channel, with fall-off) and
+        "shading".
         """
         build = _Steps(plan, self)
         rates, mosaic_of_planes = build.rates()
@@ -68,41 +69,41 @@ class Imaging:
             *build.planes(),
             *rates,
             *build.exposure(mosaic_of_planes),
-            *build.collected("electrons"),
+            *build.collect_channels("electrons"),
             *build.shading(),
         ]
 
     def irradiance_steps(self, plan: Plan) -> list[Step]:
-        """Return the steps that make "irradiance", of every wavelength by itself [photon s-1 m-2 nm-1].
+        """Return the steps that make "irradiance" at each wavelength [photon s-1 m-2 nm-1].
 
-        Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
+        Raises BadData for a blur that varies over the field: its kernels exist for the plan's planes only.
         """
-        build = _Steps(_per_wavelength(plan, self.camera), self, "irradiance ")
-        return [*build.planes(), *build.collected("irradiance", exposure_time=1.0)]
+        build = _Steps(_plan_per_wavelength(plan, self.camera), self, "irradiance ")
+        return [*build.planes(), *build.collect_channels("irradiance", exposure_time=1.0)]
 
     def values(self, plan: Plan, content: Content | None = None) -> Values:
-        """Return values of one scene, the plan's own, or of another content like its."""
+        """Return the values of the plan's scene, or of another content of the same form."""
         values = Values({rate: Cache() for rate in Rate})
         values.use(self.steps(plan))
         values.give(content=plan.content if content is None else content, view=plan.scene.view)
         return values
 
     def light(self, plan: Plan) -> Any:
-        """Return planes of the scene's own wavelengths where the lens puts them, before any blur, (L, rows, cols)."""
+        """Return planes of the scene's wavelengths after distortion, before any blur, (L, rows, cols)."""
         table = None if plan.content.is_spectral else plan.content.entry_spectra.T
         content = store(self.device, plan.content)
         light = planes(self.device, table, content)
         if not plan.is_placed:
             return light
         view, grid = plan.scene.view, plan.distortion
-        nodes = place_samples(view, **_placing(plan), device=self.device)
+        nodes = place_samples(view, **_placing_constants(plan), device=self.device)
         by_area = grid is not None and grid.method == "area"
         return place_planes(
             light,
             nodes,
             None if by_area else plan.weights,
             view.zoom if by_area else 1.0,
-            seen=_seen(plan),
+            seen=_visible_shape(plan),
             border=_border(plan),
             by_area=by_area,
             device=self.device,
@@ -110,7 +111,7 @@ class Imaging:
 
 
 class _Steps:
-    """Builds the steps of a plan. prefix: of the names of their outputs."""
+    """Builds the steps of a plan. prefix: begins the names of their outputs."""
 
     def __init__(self, plan: Plan, imaging: Imaging, prefix: str = ""):
         self.plan, self.imaging, self.prefix = plan, imaging, prefix
@@ -133,15 +134,14 @@ class _Steps:
                 ("content",),
                 {"window": _window(plan), "device": self.device},
                 words=self.words(stage),
-                nbytes=max(
-                    content.nbytes, plan.scene.content.nbytes
-                ),  # of a picture the codes, too
+                # a picture's codes too
+                nbytes=max(content.nbytes, plan.scene.content.nbytes),
                 run=store_content,
             )
         ]
 
     def planes(self) -> list[Step]:
-        """Return the steps from "entries" to the planes before the blur, as "planes", and its tables."""
+        """Return the steps from "entries" to "planes", the planes before the blur, and to the blur's tables."""
         plan, prefix = self.plan, self.prefix
         has_table = plan.table is not None
         stage = "spectral.integrate" if plan.content.labels is None else "spectral.materials"
@@ -169,13 +169,13 @@ class _Steps:
                     "",
                     (),
                     channels if mixed else {},
-                    run=mix_lights if mixed else nothing,
+                    run=mix_lights if mixed else return_none,
                 ),
                 Step(
                     f"{prefix}places",
                     "",
                     ("view",),
-                    {**_placing(plan), "device": self.device},
+                    {**_placing_constants(plan), "device": self.device},
                     run=place_samples,
                 ),
                 Step(
@@ -185,12 +185,11 @@ class _Steps:
                     run=zoom_of if by_area else no_zoom,
                 ),
             ]
-            light = (
-                1 if plan.mix is None else 2
-            )  # of the channels, itself and with what is around it
+            # the channels' light, without and with their surroundings
+            light = 1 if plan.mix is None else 2
             chain.add(
                 "optics.distort",
-                {"seen": _seen(plan), "border": _border(plan), "by_area": by_area},
+                {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
                 f"{prefix}places",
                 f"{prefix}lights",
                 f"{prefix}zoom",
@@ -202,7 +201,7 @@ class _Steps:
             )
         steps = [*steps, *chain.end()]
         if plan.mix is not None and plan.depth is None:
-            host = "tables for another plan begin with the wavelengths, a few numbers"
+            host = "tables of another plan need a few numbers per wavelength"
             steps.append(
                 Step(
                     f"{prefix}transfer",
@@ -219,7 +218,7 @@ class _Steps:
         return steps
 
     def rates(self) -> tuple[list[Step], np.ndarray]:
-        """Return the steps to electrons per second, "rates", (1 or C, rows, cols), and the mosaic over these planes."""
+        """Return the steps to "rates", electrons per second (1 or C, rows, cols), and the mosaic of these planes."""
         plan, cfa = self.plan, self.sensor.cfa_indices
         if plan.mix is None or (
             not plan.folded and (plan.highlights is None or plan.taps is not None)
@@ -227,9 +226,9 @@ class _Steps:
             return self.channels_to("rates"), cfa
         chain = Chain("planes", "rates", Rate.SCENE, self.device)
         if plan.folded:
-            self._blur_alike(chain, cfa, plan.scene.margin)
+            self._add_uniform_blur(chain, cfa, plan.scene.margin)
         else:
-            self._blur(chain)  # the mosaic, for one second
+            self._add_blur(chain)  # the mosaic, for one second
             chain.add(
                 "sensor.collect",
                 {"cfa": cfa, "exposure_time": 1.0, "slope": 0.0},
@@ -241,7 +240,7 @@ class _Steps:
         return chain.end(), PLAIN_MOSAIC
 
     def channels_to(self, name: str) -> list[Step]:
-        """Return the steps from planes to what every pixel would get in every channel, before any fall-off."""
+        """Return the steps from planes to the rates of each pixel in each channel, without fall-off."""
         plan = self.plan
         chain = Chain(f"{self.prefix}planes", name, Rate.SCENE, self.device)
         if plan.mix is None:
@@ -252,7 +251,7 @@ class _Steps:
                     run=crop_margin,
                 )
         else:
-            self._blur(chain)
+            self._add_blur(chain)
             if plan.highlights is not None:
                 self._add_highlights(chain, None)
         if plan.taps is not None:
@@ -274,8 +273,8 @@ class _Steps:
             chain.add("", {}, run=pass_on)
         return chain.end()
 
-    def _blur(self, chain):
-        """Add the blur to channels at the scene's samples; spare ones around them if pixels are made of several."""
+    def _add_blur(self, chain):
+        """Add the blur to channels at the scene's samples, with spare samples around them if pixels need several."""
         plan = self.plan
         planes_ = chain.value
         if plan.depth is not None:
@@ -294,12 +293,12 @@ class _Steps:
                 words=self.words("optics.composite"),
                 nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
                 work=float(per_layer * self.channels * self.samples),
-                host="tables of every layer begin with the wavelengths, a few numbers"
+                host="tables of each layer need a few numbers per wavelength"
                 + (f"; {BY_SCIPY}" if self.device.on_host else ""),
             )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            self._blur_alike(chain, None, plan.scene.margin - plan.spare)
+            self._add_uniform_blur(chain, None, plan.scene.margin - plan.spare)
         if plan.varying is not None:
             tables = f"{self.prefix}field tables of {chain.value}"
             chain.steps.insert(
@@ -332,7 +331,7 @@ class _Steps:
                 host="if the blur varies, highlights are mixed on the host; on CPUs SciPy transforms the tiles",
             )
 
-    def _blur_alike(self, chain, cfa, margin):
+    def _add_uniform_blur(self, chain, cfa, margin):
         """Add a blur that is the same all over the frame: to the mosaic, or to channels if `cfa` is None."""
         plan, planes_ = self.plan, chain.value
         constants = {"mix": plan.mix, "border": _border(plan), "margin": margin}
@@ -379,12 +378,12 @@ class _Steps:
             )
 
     def _add_highlights(self, chain, cfa):
-        """Add the plan's highlights to the mosaic, or to every channel of the samples if `cfa` is None."""
+        """Add the plan's highlights to the mosaic, or to each channel of the samples if `cfa` is None."""
         plan = self.plan
         lights = plan.highlights
         assert lights is not None
         across = np.minimum(2 * lights.reach, max(plan.content.shape))
-        # highlights are split off for square pixels only
+        # only plans for square pixels have highlights
         aperture, _ = self.imaging.tables.grid(plan.scene.samples_per_pixel)[1]
         chain.steps.append(
             Step(
@@ -415,24 +414,24 @@ class _Steps:
     def exposure(self, cfa: np.ndarray) -> list[Step]:
         """Return the steps from "rates" to mean electrons: "mean", and "per second" for automatic exposure."""
         dimming = Chain("rates", "dimmed", Rate.SCENE, self.device)
-        self._dim(dimming)
+        self._add_falloff(dimming)
         found = list(dimming.steps)
         for name, seconds in (("per second", 1.0), ("mean", None)):
             chain = Chain(dimming.value, name, Rate.EXPOSURE, self.device)
-            self._collect(chain, None if self.sensor.stacked else cfa, seconds)
+            self._add_collection(chain, None if self.sensor.stacked else cfa, seconds)
             found += chain.end()
         return found
 
-    def collected(self, name: str, exposure_time: float | None = None) -> list[Step]:
-        """Return the steps from planes to every channel with its fall-off, times the exposure time."""
+    def collect_channels(self, name: str, exposure_time: float | None = None) -> list[Step]:
+        """Return the steps from planes to electrons in each channel, with fall-off, for an exposure time."""
         channels = f"channels of {name}" if self.prefix else "channels"
         chain = Chain(channels, name, Rate.EXPOSURE, self.device)
-        self._dim(chain)
-        self._collect(chain, None, exposure_time)
+        self._add_falloff(chain)
+        self._add_collection(chain, None, exposure_time)
         return [*self.channels_to(channels), *chain.end()]
 
-    def _collect(self, chain, cfa, exposure_time):
-        """Add the collection of electrons: of every pixel's own channel, or of all channels.
+    def _add_collection(self, chain, cfa, exposure_time):
+        """Add the collection of electrons in each pixel's channel, or in all channels.
 
         cfa: None for all channels. exposure_time: None for the exposure's.
         """
@@ -455,8 +454,8 @@ class _Steps:
             work=float(self.pixels * layers),
         )
 
-    def _dim(self, chain):
-        """Add the loss of light beyond the cos^4 law."""
+    def _add_falloff(self, chain):
+        """Add the fall-off beyond the cos^4 law."""
         if self.plan.falloff is not None:
             chain.add(
                 "optics.falloff",
@@ -471,7 +470,7 @@ class _Steps:
         """Return the step that makes the gains of the shading correction, for each pixel of the mosaic's period."""
         plan, sensor, imaging = self.plan, self.sensor, self.imaging
         if not imaging.camera.processor.shading:
-            return [Step("shading", "", run=nothing)]
+            return [Step("shading", "", run=return_none)]
         stride, out = binned(sensor.cfa_indices, sensor.binning)
         return [
             Step(
@@ -495,7 +494,7 @@ class _Steps:
         ]
 
     def _bytes_of_table(self):
-        """Real quarters of a transfer table, or complex halves [byte]."""
+        """Return the memory of a transfer table: a quarter of real values, or half of complex values [byte]."""
         plan = self.plan
         lens = lens_of(self.plan.camera)
         is_real = lens.symmetry.is_round and not any(lens.displacement)
@@ -503,13 +502,13 @@ class _Steps:
         return 4 * (1 if is_real else 4) * (rows // 2 + 1) * (cols // 2 + 1)
 
     def _bytes_of_tables(self):
-        """Transfer tables of the wavelengths, and of the planes made of them [byte]."""
+        """Return the memory of the transfer tables of wavelengths and planes [byte]."""
         plan = self.plan
         combined = 0 if plan.transfers is None else prod(plan.transfers.shape[:2])
         return self._bytes_of_table() * (len(plan.q) + combined)
 
     def _bytes_of_blur(self):
-        """Spectra, their sums, and the result of a blur [byte]."""
+        """Return the memory of a blur: spectra, their sums and the result [byte]."""
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
         (rows, cols), (high, wide) = plan.content.shape, plan.period
         if plan.tiling is not None:
@@ -535,7 +534,10 @@ class _Steps:
         return forward + phases + (4 * high * wide if by_host else 0) + 4 * self.seen
 
     def _bytes_of_tiles(self):
-        """The result; a tile's frequencies; spectra of all tiles if SciPy transforms them [byte]."""
+        """Return the memory of a tiled blur [byte].
+
+        That is the result, a tile's frequencies, and the spectra of all tiles if SciPy transforms them.
+        """
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
         side = plan.tiling.side
         total = 4 * self.seen * (1 if plan.folded else channels)
@@ -553,17 +555,19 @@ class _Steps:
         return total
 
     def _bytes_of_far(self):
-        """Splines of the far field, tables without it, and rates with it [byte]."""
+        """Return the memory of the far field: splines, tables without it, and rates with it [byte]."""
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
         shape = plan.content.shape
         down, across = axes(shape, plan.far.sigmas, plan.far.border, plan.far.spacings)
         last, values = down.levels - 1, 0
-        for level in range(down.levels):  # what it has, and its light
+        for level in range(down.levels):  # splines of the planes and of the channels
             high, wide = (axis.splines(level) for axis in (down, across))
             values += (count + channels) * high * wide
-            if device.on_host:  # and what is between its axes
+            if device.on_host:  # results between the two axes
                 values += 2 * channels * high * wide * len(plan.far.sigmas[down.of_level(level)])
-            if device.on_host and level < last:  # halves of the ways to the next level and back
+            if (
+                device.on_host and level < last
+            ):  # intermediate results between two levels, both ways
                 values += (count + channels) * high * across.splines(level + 1)
         if device.on_host:
             values += count * down.splines(0) * shape[1]
@@ -573,7 +577,7 @@ class _Steps:
         return 4 * (values + tables * quarter + (1 if plan.folded else channels) * self.seen)
 
     def _work_of_blur(self, stage, cfa):
-        """Operations of the transforms and of the products of spectra."""
+        """Return the operations of the transforms and of the products of spectra."""
         plan, count, channels = self.plan, self.count, self.channels
         frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
         products = 4 * frequencies * count * channels
@@ -596,12 +600,12 @@ class _Steps:
         )
 
 
-def _per_wavelength(plan: Plan, camera: Camera) -> Plan:
-    """Return the plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1]. Raises BadData."""
+def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
+    """Return a plan with one channel per wavelength, its irradiance [photon s-1 m-2 nm-1]. Raises BadData."""
     if plan.varying is not None:
         raise BadData(
             f"irradiance of {plan.scene.name}: the blur of {camera.name} varies over the field; "
-            'wanted optics that are the same all over the frame, or the output "electrons"'
+            'use optics with the same blur in the whole frame, or the output "electrons"'
         )
     nodes, optics = plan.scene.wavelengths, camera.optics
     scale = (
@@ -625,13 +629,13 @@ def _border(plan):
     return "edge" if plan.scene.border == "scene" else plan.scene.border
 
 
-def _seen(plan):
-    """Rows and columns that are seen: the frame's, and the margin's if there is blur to need it."""
+def _visible_shape(plan):
+    """Return the rows and columns that contribute: the frame, with its margin if there is a blur."""
     return plan.scene.samples if plan.mix is None else plan.content.shape
 
 
 def _window(plan):
-    """Return the scene's samples that are of use along both axes: all, or the frame's only."""
+    """Return the slices of the scene's samples that are needed: all, or the frame's only."""
     margin = plan.scene.margin
     # without blur or distortion nothing outside the frame is needed
     inside = (
@@ -642,11 +646,11 @@ def _window(plan):
     return inside, inside
 
 
-def _placing(plan):
+def _placing_constants(plan):
     """Return the constants of `place_samples`."""
     return {
         "grid": plan.distortion,
-        "seen": _seen(plan),
+        "seen": _visible_shape(plan),
         "shape": plan.content.shape,
         "ratio": plan.scene.samples_per_pixel,
     }
@@ -663,7 +667,7 @@ def make_planes(stored, *, table, device) -> Any:
 
 
 def place_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
-    """Return where the lens and a view put the samples, for `place_planes`: an array of the device."""
+    """Return the positions of the samples after the lens and a view, a device array for `place_planes`."""
     if view.is_plain and grid is not None:
         nodes = grid.nodes
     else:
@@ -677,18 +681,18 @@ def zoom_of(view: View) -> float:
 
 
 def no_zoom(view: View) -> float:
-    """Return 1: the zoom is in the places already."""
+    """Return 1: the positions include the zoom."""
     return 1.0
 
 
 def mix_lights(*, weights, table, spectra) -> np.ndarray:
-    """Return every plane before the blur in the light of each channel, (C, planes)."""
+    """Return the weight of each plane before the blur in each channel, (C, planes)."""
     light = weights @ spectra.T
     return light if table is None else np.linalg.lstsq(table.T, light.T, rcond=None)[0].T
 
 
 def place_planes(planes_, places, lights, zoom, *, seen, border, by_area, device) -> Any:
-    """Return planes where the lens and the view put them. lights: see `mix_lights`, or None for channels."""
+    """Return planes distorted by the lens and the view. lights: see `mix_lights`, or None for channels."""
     if by_area:
         return distort(planes_, places, seen, border, "area", zoom**2, device=device)
     light = planes_
@@ -713,7 +717,7 @@ def blur_channels(planes_, tables, *, mix, border, period, margin, device) -> An
 
 
 def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:
-    """Return rates with the light from far away. model: see `gpusim.planner.knobs.farfield.FarField`."""
+    """Add the light from far away to rates. model: see `gpusim.planner.knobs.farfield.FarField`."""
     return far(
         rates,
         planes_,
@@ -738,7 +742,7 @@ def make_field_tables(*, varying, device) -> tuple:
 
 
 def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
-    """Return channels blurred as on the axis, with the difference of the blur elsewhere."""
+    """Add the difference from the on-axis blur to channels blurred as on the axis."""
     inputs, kernels = tables
     return field(
         planes_,
@@ -753,7 +757,7 @@ def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
 
 
 def crop_margin(planes_, *, margin, samples, device) -> Any:
-    """Return planes without `margin` samples on each side, if they have them: weights of 1 change no value."""
+    """Return planes without the margin on each side, if they have it. Weights of 1 change no value."""
     if tuple(planes_.shape[1:]) == tuple(samples):
         return planes_
     starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes_.shape[1:]]
@@ -762,7 +766,7 @@ def crop_margin(planes_, *, margin, samples, device) -> Any:
 
 
 def pass_on(planes_, *, device) -> Any:
-    """Return the planes: they are the channels of the pixels already."""
+    """Return the planes unchanged: they are the channels of the pixels."""
     return planes_
 
 
@@ -777,10 +781,10 @@ def sample_pixels(rates, *, row_start, row_weights, col_start, col_weights, devi
 
 
 def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device) -> Any:
-    """Return the channels, each point blurred as its distance demands, nearer layers over farther ones.
+    """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
-    A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the channel
-    sees of a wavelength's kernel. Things go on outside the frame even if no light comes from there.
+    A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
+    continue outside the frame even if no light comes from there.
     """
     depth, margin = plan.depth, plan.scene.margin - plan.spare
     assert depth is not None
@@ -819,7 +823,7 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
 
 
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
-    """Return the mosaic, or every channel of the samples, with highlights. weights: of the wavelengths, (C, L)."""
+    """Add highlights to the mosaic, or to each channel of the samples. weights: of the wavelengths, (C, L)."""
     weights = lights.spectra[:, None] * weights  # (kernels, channels, L)
     cores, profiles = (
         np.tensordot(weights, kernels.cores, 1),
@@ -856,12 +860,12 @@ def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> An
 
 
 def dim_planes(planes_, *, gains, device) -> Any:
-    """Return planes times a gain of every pixel (rows, cols)."""
+    """Return planes times a gain of each pixel (rows, cols)."""
     return falloff(planes_, device.array(gains[None]), device=device)
 
 
 def collect_layers(channels, *, slope, exposure_time, device) -> Any:
-    """Return the electrons of every channel (C, rows, cols), with its fall-off, of an exposure time [s]."""
+    """Return the electrons of each channel (C, rows, cols), with fall-off, for an exposure time [s]."""
     return device.stack(
         [
             collect(
@@ -876,8 +880,8 @@ def collect_layers(channels, *, slope, exposure_time, device) -> Any:
     )
 
 
-def nothing() -> None:
-    """Return None: a value that this camera does not use."""
+def return_none() -> None:
+    """Return None, for a value that this camera does not use."""
 
 
 def make_shading(

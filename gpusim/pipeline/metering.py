@@ -1,4 +1,4 @@
-"""Automatic exposure: the device looks at the light, the host chooses the exposure time and the gain."""
+"""Automatic exposure: the device computes statistics of the light, the host chooses exposure time and gain."""
 
 from math import prod
 from typing import Any
@@ -15,10 +15,10 @@ from gpusim.planner.plan import Plan
 
 
 def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
-    """Return the steps that look at the light.
+    """Return the steps that measure the light.
 
-    They make "metered" (exposure time [s] and gain, of the light "per second"), "light" (statistics of the light of the
-    mean electrons) and "survey" (what a plan's watch needs to know of another scene, see `Plan.watch`).
+    They make "metered" (exposure time [s] and gain for the electrons "per second"), "light" (statistics of the mean
+    electrons) and "survey" (the input of `Plan.watch` for another scene).
     """
     device = readout.device
     automatic, content = sensor.auto_exposure, plan.content
@@ -48,7 +48,7 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
                 "device": device,
             },
             rate=Rate.EXPOSURE,
-            host="a picture by itself waits for a few numbers of its own exposure; a stream's come a frame late",
+            host="a single picture waits for a few numbers of its exposure; in a stream they come a frame late",
             run=read_and_choose,
         ),
     ]
@@ -77,7 +77,7 @@ def metering_numbers(sensor: Sensor, readout: Readout) -> dict:
     """Return the keyword arguments of `choose_exposure` that come from the sensor."""
     return {
         "automatic": sensor.auto_exposure,
-        "dark": sensor.noise.dark_current * sensor.noise.warmth,  # fills the well as light does
+        "dark": sensor.noise.dark_current * sensor.noise.warmth,  # fills the well like light
         "saturation": readout.output.saturation / readout.pixels,
     }
 
@@ -103,12 +103,15 @@ def choose_exposure(
         light: Statistics from `meter_light`, read by the host.
         pixels: Number of pixels that were metered.
         seconds: Exposure time of the metered electrons [s].
-        automatic: How to expose.
+        automatic: Rules of automatic exposure.
         dark: Dark current [e- s-1].
         saturation: Electrons at saturation [e-].
 
+    Returns:
+        Exposure time [s] and analog gain [1].
+
     Raises:
-        BadData: A scene without light, or with light that is not finite.
+        BadData: The scene has no light, or light that is not finite.
     """
     rates = LightStatistics(np.array(light), pixels).over(seconds).plus(dark)
     return automatic.choose(rates, saturation)

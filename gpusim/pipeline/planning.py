@@ -1,4 +1,4 @@
-"""The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
+"""Plans frames of a Simulator, within the limits of its transforms and its device's memory."""
 
 from dataclasses import replace
 from math import ceil, prod
@@ -11,7 +11,7 @@ from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.reading import Reading, bytes_looked_at
+from gpusim.pipeline.reading import Reading, bytes_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.after import probed
 from gpusim.planner.draft import TURNED
@@ -22,29 +22,29 @@ from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
-MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
+MOST_REACH = LENGTHS[-1] // 4  # largest width of the surroundings [pixel]
 
 
 def checked_reach(reach: int | None) -> int | None:
-    """Return the pixels of surroundings that are asked for, or None, as they are. Raises OutOfRange."""
+    """Return the width of the surroundings [pixel], or None, checked. Raises OutOfRange."""
     if reach is not None and (int(reach) != reach or not 1 <= reach <= MOST_REACH):
         raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {MOST_REACH}")
     return reach
 
 
-def drafted_by(camera: Camera) -> tuple:
-    """What drafts depend on beside the scene: all of that but what is turned at a lens."""
+def draft_key(camera: Camera) -> tuple:
+    """Return the camera settings that invalidate a draft: all but the lens controls in TURNED."""
     return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
-def planned(
+def make_plan(
     simulator,
     scene: Scene,
     facts: Facts | None = None,
     exposure_time: float | None = None,
     least: int = 0,
 ) -> Plan:
-    """What a frame of `scene` takes: see `Simulator.plan`."""
+    """Return the plan of a scene, see `Simulator.plan`."""
     checked_scene(scene)
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = (
@@ -68,7 +68,7 @@ def planned(
         exposure_time=exposure_time,
         single=device.kind != "numpy",
         on_gpu=device.is_gpu,
-        **_asked(simulator),
+        **_plan_options(simulator),
         least=least,
     )
     _require_met(simulator, made)
@@ -83,16 +83,14 @@ def _require_met(simulator, made):
 
 
 def require_memory(made: Plan, simulator) -> int:
-    """Return the device memory of a frame by a plan [byte].
+    """Return the device memory of a frame made with a plan [byte].
 
-    It is that of a frame's steps. SciPy's transforms count if their memory is the device's. Constants of a few thousand
-    bytes are left out. For depth and for a blur that varies over the field it is an upper bound.
-
-    Raises DoesNotFit.
+    It is the sum over the steps. SciPy's transforms count if they use the device's memory. Constants of a few thousand
+    bytes are left out. For depth and for a blur that varies over the field it is an upper bound. Raises DoesNotFit.
     """
     scene, device = made.scene, simulator.device
     steps = steps_needed(simulator.steps(made), ["codes", "mean of pixels"])
-    needed = int(sum(step.nbytes for step in steps) + bytes_looked_at(made, device))
+    needed = int(sum(step.nbytes for step in steps) + bytes_read_on_device(made, device))
     largest = largest_array(made, steps)
     needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
     what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"
@@ -115,35 +113,38 @@ def largest_array(plan: Plan, steps) -> int:
 
 
 def check_given(made, camera: Camera, scene: Scene):
-    """Raise BadData if a plan that is given is not for this camera and this scene."""
+    """Raise BadData if a given plan is not for this camera and this scene."""
     if not isinstance(made, Plan):
-        raise BadData(f"plan: {type(made).__name__}, wanted a Plan, such as of Simulator.plan")
+        raise BadData(f"plan: {type(made).__name__}, wanted a Plan, see Simulator.plan")
     named = f"plan {made.name} of {shown(made.scene.name)}"
     if made.is_draft:
         raise BadData(
-            f"{named}: a draft, for a lens that is being turned; wanted one of Simulator.plan"
+            f"{named}: a draft for a lens slider that moves; wanted a plan from Simulator.plan"
         )
     if camera is not made.camera:
         own, its = named_parts(made.camera), named_parts(camera)
         for name in own:
             if not same(own[name], its[name]):
                 raise BadData(
-                    f"{named} is of a camera with another {name}: {_short(own[name])}, this one has "
-                    f"{_short(its[name])}"
+                    f"{named} is for a camera with another {name}: {_shorten(own[name])}; this camera has "
+                    f"{_shorten(its[name])}"
                 )
     if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
         raise BadData(f"{named} does not serve {shown(scene.name)}: {why}")
 
 
 def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
-    """A plan that is given, checked, as of a scene: see `check_given` and `judged_by`. Raises DoesNotFit, too."""
+    """Return a given plan, checked, with its errors in a scene.
+
+    Raises BadData, see `check_given`, DoesNotFit, or NotMet, see `predict_errors`.
+    """
     check_given(made, simulator.camera, scene)
     require_memory(made, simulator)
-    return judged_by(simulator, made, scene, Facts.of(scene), exposure_time)
+    return predict_errors(simulator, made, scene, Facts.of(scene), exposure_time)
 
 
-def _short(value):
-    """A value in a message; of what is long its kind."""
+def _shorten(value):
+    """Return a value for a message; for long values its type."""
     return (
         shown(value)
         if isinstance(value, int | float | str | tuple | type(None))
@@ -151,10 +152,10 @@ def _short(value):
     )
 
 
-def judged_by(
+def predict_errors(
     simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
 ) -> Plan:
-    """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
+    """Return a given plan with the errors predicted for a scene, and a verdict for this simulator's tolerance.
 
     Raises NotMet if the simulator is strict.
     """
@@ -170,7 +171,7 @@ def judged_by(
     )
     if not is_judged and made.misfit(scene):  # another tolerance, device or noise
         unknown = {
-            "a plan of this scene alone, made for another tolerance, exposure or device": UNKNOWN
+            "a plan for this scene only, made for another tolerance, exposure or device": UNKNOWN
         }
         account = replace(made.account, bounds=made.account.bounds | unknown)
         made = replace(
@@ -178,7 +179,7 @@ def judged_by(
         )
     elif not is_judged:
         question = Question.of(
-            scene, simulator.camera, facts, asked or made.tolerance, **_asked(simulator)
+            scene, simulator.camera, facts, asked or made.tolerance, **_plan_options(simulator)
         )
         made = judged(made, question, exposure_time, asked, single)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
@@ -186,27 +187,29 @@ def judged_by(
     return replace(made, scene=scene)
 
 
-def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
-    """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
+def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
+    """Return a plan's errors in another scene, see `gpusim.planner.after.probed`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
     return probed(
         made,
-        Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)),
+        Question.of(
+            scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
+        ),
         seconds,
     )
 
 
 def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
-    """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
+    """Return the windows of a view of a scene in which errors are computed. seconds: exposure time [s]."""
     question = Question.of(
-        scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator)
+        scene.viewed(view), simulator.camera, Facts.of(scene), None, **_plan_options(simulator)
     )
     question, picture = highlights.split(question)
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
 
 
-def _asked(simulator):
-    """How a simulator asks for plans, beside the tolerance."""
+def _plan_options(simulator):
+    """Return the options of a simulator's plans, without the tolerance."""
     return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
         "kept": simulator.cache.by_key
     }

@@ -1,11 +1,10 @@
-"""Estimates after the fact: when a plan that is kept is compared with exact values of a scene at hand, and what stays.
+"""When to probe a scene: compare a reused plan with exact values of the scene.
 
-The survey of every scene tells how the root mean square of a plan's error changes (`gpusim.optics.drift`), and that of
-a few rows, but not what it is at the worst pixels. Probes tell that, at the cost of a frame or two, and so they become
-rare while nothing changes: the first scene that a plan was not made for is probed, and then, each time that the plan
-holds, one after about three times as many as before. Where the survey rises beyond all that it has told before, a probe
-is due at once, and it counts from the start. So over n scenes there are about log3(n) probes, and as many more for each
-such rise, of which there are few.
+The survey of each scene gives the change of a plan's RMS error, in the frame and in a few rows (`gpusim.optics.drift`),
+but not the error of the worst pixels. Probes give it, at the cost of a frame or two, so they become rare while nothing
+changes. The first scene that a plan was not made for is probed. Each time that the plan holds, the interval to the next
+probe becomes about three times longer. If the survey rises above all its earlier values, a probe is due at once and the
+interval starts again. So n scenes need about log3(n) probes, and as many again for each rise. Rises are few.
 """
 
 from dataclasses import replace
@@ -16,22 +15,27 @@ from gpusim.domain.account import Account
 from gpusim.domain.scene import Scene
 from gpusim.planner.plan import Plan
 
-MOVED = 1.1  # times the largest that the survey has told: as far as a choice of planes has room
-TIMES = 3  # as many scenes until the next probe as until the one before
-KINDS = 16  # of scenes that are remembered
+MOVED = 1.1  # times the largest value of the survey: the margin with which planes are chosen
+TIMES = 3  # growth of the interval between probes
+KINDS = 16  # number of kinds of scenes that are remembered
 
 
 class Probing:
-    """Of programs that share their plan.
+    """The probes of programs that share a plan.
 
-    count: probes so far. What a miss teaches is how many planes scenes of its kind take at least, and stays until
-    another camera asks for other plans, or KINDS other kinds of scenes have missed since.
+    A miss sets the minimum number of planes for scenes of its kind. It is remembered until a camera needs other plans,
+    or until KINDS other kinds of scenes have missed.
+
+    Attributes:
+        count: Number of probes so far.
     """
 
     def __init__(self):
         self.count = 0
         self._least: dict[tuple, int] = {}
-        self._missed: tuple[int, str] | None = None  # planes of the plan that did, and words
+        self._missed: tuple[int, str] | None = (
+            None  # number of planes of the plan that missed, and words
+        )
         self._interval = 1
         self._begin(None)
 
@@ -39,31 +43,30 @@ class Probing:
         self._plan, self._scene, self._since = plan, None, 0
         self._account: Account | None = None
         self._drift: float | None = None  # of the scene that was probed
-        self._highest: tuple[float, float] | None = (
-            None  # drift, and that of the steepest rows, where probes held
-        )
-        self._awaited: Scene | None = None  # the same, until the survey has told its drift
+        # largest drift, and largest drift of the steepest rows, of scenes whose probes held
+        self._highest: tuple[float, float] | None = None
+        self._awaited: Scene | None = None  # the probed scene, until its survey arrives
         self._name = ""
 
     def least(self, scene: Scene) -> int:
-        """Planes that a plan for the scene has at least."""
+        """Return the minimum number of planes of a plan for the scene."""
         return self._least.get(kind_of(scene), 0)
 
     def forget(self):
-        """Planes are of another camera from now on."""
+        """Forget the numbers of planes: the camera has changed."""
         self._least.clear()
 
     @property
     def words(self) -> str:
-        """Why the plan is made anew, where a probe missed."""
+        """Why a new plan is made, if a probe missed; else ""."""
         return "" if self._missed is None else self._missed[1]
 
     def planned(self, plan: Plan):
-        """A plan was made; after a miss it is what scenes of this kind take."""
+        """Begin to use a new plan. After a miss its planes are the minimum for scenes of this kind."""
         if plan is self._plan:
             return
         if self._missed is None or plan.count > self._missed[0]:
-            self._interval = 1  # else nothing better can be had, and looking for it is to become rare all the same
+            self._interval = 1  # otherwise no better plan exists, and probes must still become rare
         if self._missed is not None:
             self._remember(plan.scene, plan.count)
         self._missed = None
@@ -76,7 +79,7 @@ class Probing:
             del self._least[next(iter(self._least))]
 
     def is_due(self, plan: Plan, scene: Scene) -> bool:
-        """Whether to probe a scene, which counts once."""
+        """Return True if a scene must be probed. Each scene counts once."""
         if plan.watch is None or plan.tolerance is None or scene in (plan.scene, self._scene):
             return False
         self._scene = scene
@@ -84,13 +87,11 @@ class Probing:
         return self._since >= self._interval
 
     def found(self, scene: Scene, account: Account, holds: bool):
-        """What probes of a scene told."""
+        """Take the errors that probes of a scene found."""
         plan, since = self._plan, self._since - 1
         self.count += 1
-        self._interval, self._since = (
-            TIMES * self._interval + 1,
-            0,
-        )  # no even steps, which scenes in turn might follow
+        # not a power of TIMES, so scenes that alternate cannot keep the same step
+        self._interval, self._since = TIMES * self._interval + 1, 0
         self._account, self._name, self._awaited, self._drift = account, scene.name, scene, None
         if not holds:
             words = f"{plan.count} planes" if plan.count else "leaving the blur out"
@@ -101,7 +102,7 @@ class Probing:
             )
 
     def surveyed(self, plan: Plan, scene: Scene, drift: float, steepest: float):
-        """What the survey told of a scene, later: its drift, and that of its steepest rows."""
+        """Take the survey of a scene, which arrives later: its drift, and the drift of its steepest rows."""
         if plan is not self._plan or self._account is None:
             return
         seen, highest = (drift, steepest), self._highest
@@ -111,28 +112,27 @@ class Probing:
         elif highest is not None and any(
             its > MOVED * most for its, most in zip(seen, highest, strict=True)
         ):
-            self._interval, self._scene = (
-                1,
-                None,
-            )  # this scene, if it is still at hand, else the next
+            # probe this scene if it is still the current one, else the next
+            self._interval, self._scene = 1, None
             is_probed = True
         if is_probed:
             self._highest = (
                 seen if highest is None else (max(drift, highest[0]), max(steepest, highest[1]))
             )
 
-    def unfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
-        """A plan did not do for a scene by its survey, which says how many more planes would.
+    def note_misfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
+        """Take a scene whose survey shows that its plan does not fit, and the number of missing planes.
 
-        is_at_hand: whether another is made for that scene, whose probes tell it, not for the next.
+        is_at_hand: the new plan is for this scene and its probes set the number of planes; otherwise the plan is for
+        the next scene.
         """
         if is_at_hand:
             self._missed = plan.count, ""
         else:
             self._remember(scene, plan.count + more)
 
-    def told(self, plan: Plan, scene: Scene, drift: float | None) -> Plan:
-        """The plan as that of another scene, by the last probes and what the survey found since."""
+    def annotate(self, plan: Plan, scene: Scene, drift: float | None) -> Plan:
+        """Return the plan with errors predicted for another scene, from the last probes and later surveys."""
         account, name = self._account, self._name
         if account is None or plan is not self._plan:
             return plan.of(scene, drift)
@@ -146,7 +146,7 @@ class Probing:
 
 
 def kind_of(scene: Scene) -> tuple:
-    """What scenes that one plan serves have in common: see `Plan.serves`."""
+    """Return the properties that scenes of one plan share, see `Plan.serves`."""
     content, light = scene.content, scene.illuminant
     shared = [
         np.asarray(getattr(content, name)).tobytes() for name in ("wavelengths", *content.shared)

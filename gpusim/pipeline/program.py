@@ -1,10 +1,11 @@
-"""A scene in front of a camera: what each step gives is kept until something before it changes."""
+"""A scene in front of a camera. The result of each step is kept until something before it changes."""
 
 import dataclasses
 import time
 from math import prod
 from typing import Any
 
+from gpusim.backends import Device
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, UnknownName
@@ -19,14 +20,14 @@ from gpusim.pipeline.metering import choose_exposure, metering_numbers
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import (
     check_given,
-    drafted_by,
-    judged_by,
+    draft_key,
     planned_by,
-    probed_by,
+    predict_errors,
+    probe_plan,
     require_memory,
 )
 from gpusim.pipeline.probing import Probing
-from gpusim.pipeline.reading import WHOLE, Reading, looked_at_there
+from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
 from gpusim.pipeline.shots import Shots, exposure_numbers, exposure_steps, picture_steps
 from gpusim.pipeline.step import Rate, Values
 from gpusim.planner.after import holds
@@ -34,15 +35,15 @@ from gpusim.planner.draft import drafted
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
-SAME = object()  # of `Program.update`: as it was
+SAME: Any = object()  # an argument of `Program.update` that was not given
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Look:
-    """What the device saw of a scene by a plan, on its way to the host.
+class _Check:
+    """Statistics of a scene, on their way from the device to the host.
 
-    light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. pixels: how
-    many were metered, in an exposure of so many seconds [s].
+    light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. pixels:
+    number of metered pixels. seconds: exposure time [s].
     """
 
     scene: Scene
@@ -53,47 +54,63 @@ class _Look:
     seconds: float
 
 
-class Before:
-    """What programs have in common before their exposures: a plan, and what its steps gave."""
+class SharedOptics:
+    """A plan and the optical results that several programs share.
 
-    def __init__(self, device):
+    Args:
+        device: Device of the programs.
+    """
+
+    def __init__(self, device: Device):
         self.cache = Cache(device)
-        self.plan: tuple | None = None  # a Plan, and a camera that it is for
+        self.plan: tuple | None = None  # a Plan and its camera
         self.probing = Probing()
-        self.looked: tuple = ()  # what was last looked at
+        self.checked: tuple = ()  # the last check: a plan, and the versions of the arrays
 
 
 class Program:
-    """Frames of one scene by a Simulator, for previews and loops in which one thing changes at a time.
+    """Frames of one scene by a Simulator, for previews and loops that change one thing at a time.
 
-    exposure_time, gain: as for `Simulator.expose`. A step runs where something before it has changed: another tone
-    curve encodes anew, another read noise is drawn and processed, another f-number blurs. What runs again writes to the
-    arrays of the run before. Arrays that the program gives are the device's: read them before the program goes on, do
-    not write them. Scenes count as unchanged while they are the same object: give a new Scene where its arrays have
-    been written to. A program is used by one thread at a time.
-    A scene that the plan was not made for is looked at on the device. What is found there is read before the next
-    frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData. Now and then it is
-    probed before its own frame: see `gpusim.pipeline.probing`.
-    meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
-    device. before: of other programs of one simulator's tolerance that are used in turn with this one, for outputs and
-    not for frames; their cameras are planned alike. kept: what its own steps gave.
-    plan: makes every frame, in place of one for the scene; it is never made anew, and what it errs in each scene is
-    predicted for that scene when it is asked for. Raises BadData for a plan of another kind of scene or camera.
+    A step runs again only if something before it has changed. Another tone curve encodes the frame again, another read
+    noise draws and develops it again, another f-number blurs it again. A repeated step writes to the arrays of its
+    last run. Results are device arrays: read them before the next call, and do not write to them. A scene is unchanged
+    while it is the same object, so pass a new Scene after writing to its arrays. Use a program in one thread at a time.
+
+    The device measures each scene that the plan was not made for, and the host reads these numbers before the next
+    frame. If the plan does not fit, a new one is made. NaN or infinite light raises BadData. Some scenes are also
+    probed before their own frame, see `gpusim.pipeline.probing`.
+
+    Args:
+        simulator: The Simulator.
+        scene: The scene.
+        exposure_time: Exposure time [s]; None uses the camera's, see `Simulator.expose`.
+        gain: Analog gain, next to the sensor's [1].
+        meters_late: Expose each frame as metered in the frame before, like a video camera. Then nothing waits for the
+            device.
+        before: Plan and optical results shared with other programs. Their simulators have the same tolerance, and
+            their cameras need the same plan. Sharing programs may make outputs, but no frames.
+        plan: Plan for every frame, instead of one for the scene. It is never replaced. Its errors are predicted for
+            each scene when they are needed.
+
+    Raises:
+        BadData: The plan is for another kind of scene or camera.
+        DoesNotFit: The plan needs more memory than the device has.
+        OutOfRange: An exposure time or gain is not allowed.
     """
 
     def __init__(
         self,
-        simulator,
+        simulator: Any,
         scene: Scene,
         exposure_time: float | None = None,
         gain: float = 1.0,
         meters_late: bool = False,
-        before: Before | None = None,
+        before: SharedOptics | None = None,
         plan: Plan | None = None,
     ):
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
-        self.before = Before(simulator.device) if before is None else before
+        self.before = SharedOptics(simulator.device) if before is None else before
         self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
             {
@@ -103,16 +120,15 @@ class Program:
                 Rate.FRAME: self.cache,
             }
         )
-        self._steps: dict[str, tuple] = {}  # lists of steps by name, each with what it was made for
-        self._pending: _Look | None = None
-        self._metered: tuple[float, float] | None = None
-        self._operates: tuple[float, float] | None = (
-            None  # what was metered for this frame, from update to update
-        )
-        self._drift: float | None = None  # of the plan, in the last scene that was judged
-        self._last: tuple | None = None  # an exposure, and its plan, scene and settings
+        self._steps: dict[str, tuple] = {}  # lists of steps by name, each with its arguments
+        self._pending: _Check | None = None
+        self._last_metered: tuple[float, float] | None = None
+        # exposure time [s] and gain of this frame if metered late; kept until the next update
+        self._frame_exposure: tuple[float, float] | None = None
+        self._drift: float | None = None  # of the plan, in the last scene that was checked
+        self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
-        self._given = plan
+        self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
             require_memory(plan, simulator)
@@ -123,40 +139,65 @@ class Program:
         )
 
     def update(
-        self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME, drafts: bool = False
+        self,
+        *,
+        camera: Camera = SAME,
+        scene: Scene = SAME,
+        exposure_time: float | None = SAME,
+        gain: float = SAME,
+        drafts: bool = False,
     ) -> "Program":
-        """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
+        """Change the camera, the scene or the exposure. Arguments that are left out stay as they are.
 
-        drafts: while a lens is turned, use the plan for where it stood, see `gpusim.planner.draft`; `plan.is_draft`
-        says so, and its errors are not predicted. An update without it plans again. Raises as Simulator does, and keeps
-        what it was then.
+        After an error nothing has changed.
+
+        Args:
+            camera: The new camera.
+            scene: The new scene.
+            exposure_time: Exposure time [s]; None uses the camera's.
+            gain: Analog gain, next to the sensor's [1].
+            drafts: While a lens slider moves, reuse the last plan with new transfer tables, see
+                `gpusim.planner.draft`. Then `plan.is_draft` is True and errors are not predicted. An update without
+                drafts plans again.
+
+        Returns:
+            This program.
+
+        Raises:
+            BadData: No camera or scene, or the given plan does not serve it.
+            OutOfRange: An exposure time or gain is not allowed.
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
-        if self._given is not None:
-            check_given(self._given, simulator.camera, scene)
+        if self._fixed_plan is not None:
+            check_given(self._fixed_plan, simulator.camera, scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
-        self.scene, self._operates = scene, None
+        self.scene, self._frame_exposure = scene, None
         self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
         return self
 
     @property
     def plan(self) -> Plan:
-        """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange.
+        """The plan: the models of the frame, with their predicted errors.
 
-        It is made anew for another kind of scene, and for a camera that asks for it. Other scenes of the same kind are
-        framed by the plan that is there: see `Plan.serves`.
+        Another kind of scene, or a camera that needs another plan, gets a new one. Other scenes of the same kind use
+        the existing plan, see `Plan.serves`.
+
+        Raises:
+            BadData: The scene and the camera do not go together.
+            DoesNotFit: A frame needs more memory than the device has.
+            OutOfRange: A number is outside its allowed range.
         """
         simulator, scene, before = self.simulator, self.scene, self.before
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         seconds, probing = self._exposure_time, before.probing
-        if self._given is not None:
+        if self._fixed_plan is not None:
             if simulator.strict:
-                self._judged()
-            before.plan = self._given, camera
-            return self._given
+                self._predict_given()
+            before.plan = self._fixed_plan, camera
+            return self._fixed_plan
         if (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
@@ -178,26 +219,26 @@ class Program:
         return self._draft() or plan
 
     def _draft(self):
-        """A draft by the plan that is there; None where none is wanted, none will do, or it would save nothing."""
+        """Return a draft made from the existing plan; None if it is unwanted, unsuitable or saves no work."""
         camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
         if (
             not self._drafts
             or plan is None
             or plan.scene is not self.scene
-            or not same(drafted_by(by), drafted_by(camera))
+            or not same(draft_key(by), draft_key(camera))
         ):
             return None
         if lens_of(camera).symmetry.is_round and same(by.optics, camera.optics):
             return None
         return self.before.cache("draft", drafted, plan, camera)
 
-    def _does(self):
-        """Whether the plan does, by what the last scene told and, now and then, by exact values of this one.
+    def _plan_still_valid(self):
+        """Return False and drop the plan if it does not fit.
 
-        It is dropped where it does not.
+        That is decided from the statistics of the last scene and, for some scenes, from exact values of this one.
         """
         self.judge()
-        if self._given is not None:
+        if self._fixed_plan is not None:
             return True
         simulator, scene, probing = self.simulator, self.scene, self.before.probing
         if self.before.plan is None or not probing.is_due(plan := self.plan, scene):
@@ -207,9 +248,9 @@ class Program:
             if self._exposure_time is None
             else self._exposure_time
         )
-        if seconds is None and self.meters_late and self._metered:
-            seconds = self._metered[0]
-        account = self.before.cache("probes", probed_by, simulator, plan, scene, seconds)
+        if seconds is None and self.meters_late and self._last_metered:
+            seconds = self._last_metered[0]
+        account = self.before.cache("probes", probe_plan, simulator, plan, scene, seconds)
         does = holds(plan, account)
         probing.found(scene, account, does)
         if not does:
@@ -217,70 +258,77 @@ class Program:
         return does
 
     def _facts(self):
-        """Facts of the scene. The host reads few numbers of what the device looks at."""
+        """Return facts of the scene. If the device computes them, the host reads only a few numbers."""
         device, scene = self.simulator.device, self.scene
-        if not looked_at_there(device, scene):
+        if not is_read_on_device(device, scene):
             return self.before.cache("facts", read_facts, scene, device)
         content = scene.content
         stored = self.before.cache("entries", store_content, content, window=WHOLE, device=device)
         return self.before.cache("facts", facts_on_device, content, stored, device)
 
     def _content(self, plan):
-        """What is in front of the camera, less what the plan has taken from it."""
+        """Return the scene's content without the highlights that the plan adds separately."""
         scene = self.scene
         return scene.content if plan.highlights is None and not scene.layers else plan.content
 
     @property
     def exposure(self) -> Exposure:
-        """Mean electrons of the scene, with all that frames of it need. Raises BadData, DoesNotFit, OutOfRange."""
+        """The exposure: mean electrons of the scene, and the values that its frames need.
+
+        Raises:
+            BadData: The scene and the camera do not go together.
+            DoesNotFit: A frame needs more memory than the device has.
+            OutOfRange: A number is outside its allowed range.
+        """
         start = time.perf_counter()
         with self.simulator.device.timed() as ms:
-            exposure = self._exposed()
+            exposure = self._expose()
         wall = 1e3 * (time.perf_counter() - start)
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
 
     def _use(self, name, make, *args):
-        """Use the steps that `make(*args)` gives, in place of those of this name, if an argument is another object."""
+        """Replace the list of steps of this name by `make(*args)` if an argument is another object."""
         found = self._steps.get(name)
         if found is None or any(own is not its for own, its in zip(found[1], args, strict=True)):
             self._steps[name] = make(*args), args
             self.values.use([step for steps, _ in self._steps.values() for step in steps])
 
-    def _exposed(self):
-        """The exposure without its times."""
+    def _expose(self):
+        """Return the exposure, without its times."""
         settings = self.simulator, self._exposure_time, self._gain
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
         is_metered = (
-            not (self.meters_late and automatic) or self._operates is not None
+            not (self.meters_late and automatic) or self._frame_exposure is not None
         )  # for this frame
         if self._last is not None and self._pending is None and is_metered and self.before.plan:
             exposure, *made_for = self._last
             now = self.before.plan[0], self.scene, *settings
             if all(own is its for own, its in zip(made_for, now, strict=True)):
                 return exposure
-        self._last = None  # its arrays are written to from here on
-        plan = self._expose_plan()
-        seconds, gain = self._operated()
-        exposure = self._operate(plan, seconds, gain)
+        self._last = None  # from here on its arrays are rewritten
+        plan = self._find_plan()
+        seconds, gain = self._choose_exposure()
+        exposure = self._expose_with(plan, seconds, gain)
         if plan.scene is not self.scene or self.meters_late:
-            self._look(plan, exposure.mean, seconds)
+            self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, self.scene, *settings
         return exposure
 
-    def _expose_plan(self):
-        """Return a plan that fits as far as is known; the device computes the scene's rates by it."""
+    def _find_plan(self):
+        """Return a plan that is not known to be unsuitable, and start the scene's rates on the device."""
         while True:
             plan = self.plan
             self._use("exposure", exposure_steps, self.simulator, plan)
             self.values.give(content=self._content(plan), view=self.scene.view)
             self.values["rates"]
-            if self._does():  # not sooner: the device has work while the host waits
+            # last, so the device has work while the host waits
+            if self._plan_still_valid():
                 return plan
 
-    def _operate(self, plan, seconds, gain):
-        """Return the exposure of a time [s] with a gain."""
+    def _expose_with(self, plan, seconds, gain):
+        """Return the exposure for an exposure time [s] and a gain."""
         simulator, values = self.simulator, self.values
         camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
         self._use("pictures", picture_steps, simulator, camera)
@@ -299,72 +347,75 @@ class Program:
             device=simulator.device,
         )
 
-    def _operated(self):
-        """Exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
+    def _choose_exposure(self):
+        """Return exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
         simulator, seconds = self.simulator, self._exposure_time
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
         if seconds is not None:
             return float(seconds), float(self._gain)
-        if self._operates is not None:
+        if self._frame_exposure is not None:
             return (
-                self._operates
-            )  # however often the frame is asked for: its own light is for the next one
-        if self.meters_late and self._metered:
-            found = self._metered
+                self._frame_exposure
+            )  # also for a repeated frame: its own light sets the next one
+        if self.meters_late and self._last_metered:
+            found = self._last_metered
         else:
-            found = self._metered = self.values["metered"]
-        self._operates = found if self.meters_late else None
+            found = self._last_metered = self.values["metered"]
+        self._frame_exposure = found if self.meters_late else None
         return found
 
-    def _look(self, plan, mean, seconds):
-        """Have the device look once at a scene that the plan was not made for; it is judged before the next."""
+    def _start_check(self, plan, mean, seconds):
+        """Start the statistics of a scene that the plan was not made for; they are read before the next frame."""
         device, values, found = self.simulator.device, self.values, None
-        entries = self.before.cache.versioned(values["entries"])
-        looked = entries, self.before.cache.versioned(mean) if self.meters_late else None
-        if self.before.looked[:1] == (plan,) and same(self.before.looked[1], looked):
+        entries = self.before.cache.with_versions(values["entries"])
+        checked = entries, self.before.cache.with_versions(mean) if self.meters_late else None
+        if self.before.checked[:1] == (plan,) and same(self.before.checked[1], checked):
             return
-        self.before.looked = plan, looked
+        self.before.checked = plan, checked
         light = device.fetch(values["light"])
-        if plan.watch is not None and plan.scene is not self.scene and self._given is None:
+        if plan.watch is not None and plan.scene is not self.scene and self._fixed_plan is None:
             found = device.fetch(values["survey"])
-        self._pending = _Look(self.scene, plan, light, found, prod(mean.shape), seconds)
+        self._pending = _Check(self.scene, plan, light, found, prod(mean.shape), seconds)
 
     def judge(self) -> None:
-        """Wait for what the device saw of the last scene; drop the plan where it does not fit.
+        """Wait for the statistics of the last scene, and drop the plan if it does not fit.
 
-        Every frame does it for the one before. Raises BadData for light that is not finite.
+        Every frame does this for the one before.
+
+        Raises:
+            BadData: The scene has light that is not finite.
         """
-        look, self._pending = self._pending, None
-        if look is None:
+        check, self._pending = self._pending, None
+        if check is None:
             return
-        light = look.light()
+        light = check.light()
         if light[4]:
-            self.before.looked, self._last = (
+            self.before.checked, self._last = (
                 (),
                 None,
-            )  # it is refused again where it is not taken away
+            )  # so the next frame of this scene raises again
             raise BadData(
-                f"{look.scene.name}: {light[4]:.0f} of {look.pixels} pixels have NaN or infinite light"
+                f"{check.scene.name}: {light[4]:.0f} of {check.pixels} pixels have NaN or infinite light"
             )
         if self.meters_late and light[0] > 0:
             sensor, readout = self.simulator.camera.sensor, self.simulator.readout
-            self._metered = choose_exposure(
-                light, look.pixels, look.seconds, **metering_numbers(sensor, readout)
+            self._last_metered = choose_exposure(
+                light, check.pixels, check.seconds, **metering_numbers(sensor, readout)
             )
-        if look.plan.scene is not look.scene and self._given is None:
-            self._seen(look, light)
+        if check.plan.scene is not check.scene and self._fixed_plan is None:
+            self._apply_survey(check, light)
 
-    def _seen(self, look, light):
-        """Drop the plan where it does not fit a scene by its light and its survey."""
-        plan, scene, probing, self._drift = look.plan, look.scene, self.before.probing, None
-        if look.survey is not None:
-            found = look.survey()
+    def _apply_survey(self, check, light):
+        """Drop the plan if the scene's light statistics or its survey show that it does not fit."""
+        plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
+        if check.survey is not None:
+            found = check.survey()
             self._drift, steepest = plan.watch.errors(found)
             probing.surveyed(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):
-                probing.unfit(
+                probing.note_misfit(
                     plan,
                     scene,
                     plan.watch.count_missing_planes(found, plan.limit),
@@ -374,13 +425,22 @@ class Program:
     @property
     def shots(self) -> Shots:
         """Frames of the exposure."""
-        return Shots(self.simulator, self._exposed(), self.values)
+        return Shots(self.simulator, self._expose(), self.values)
 
     def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
-        """One of OUTPUTS by its name, on the device; nothing beyond it and the exposure is computed.
+        """Return one of OUTPUTS by its name. Only this output and the exposure are computed.
 
-        seed, frame: of the noise, from "raw" on. Raises UnknownName, and BadData for the irradiance of a blur that
-        varies over the field.
+        Args:
+            name: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+            seed: Seed of the noise, for "raw" and later outputs.
+            frame: Number of the frame, for "raw" and later outputs.
+
+        Returns:
+            A device array, shape and unit as in OUTPUTS.
+
+        Raises:
+            UnknownName: There is no such output.
+            BadData: Irradiance of a blur that varies over the field.
         """
         if name not in [*OUTPUTS]:
             raise UnknownName("output", str(name), OUTPUTS)
@@ -395,76 +455,100 @@ class Program:
         return shots.codes(raw) if name == "codes" else values[name]
 
     def raw(self, *, seed: int = 0, frame: int = 0) -> Any:
-        """Digital numbers (rows, cols) of one frame, on the device."""
+        """Return the raw values of one frame.
+
+        Args:
+            seed: Seed of the noise.
+            frame: Number of the frame.
+
+        Returns:
+            A device array (rows, cols) [DN].
+        """
         return self.shots.raw(seed, frame)
 
     def codes(self, *, seed: int = 0, frame: int = 0) -> Any:
-        """Display codes (rows, cols, 3) of one frame, on the device."""
+        """Return the display codes of one frame.
+
+        Args:
+            seed: Seed of the noise.
+            frame: Number of the frame.
+
+        Returns:
+            A device array (rows, cols, 3), uint8.
+        """
         shots = self.shots
         return shots.codes(shots.raw(seed, frame))
 
     def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
-        """One picture with its report, by a plan that fits its scene."""
+        """Return one picture with its report, made with a plan that fits the scene.
+
+        Args:
+            seed: Seed of the noise.
+            frame: Number of the frame.
+
+        Returns:
+            The picture.
+        """
         exposure = self.exposure
-        if not self._does():
+        if not self._plan_still_valid():
             exposure = self.exposure
-        exposure = dataclasses.replace(exposure, plan=self._told(exposure.plan))
+        exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
         return Shots(self.simulator, exposure, self.values).frame(seed=seed, frame=frame)
 
     @property
     def account(self) -> Account:
-        """Predicted errors of the scene's exposure, by what is known of it so far."""
-        exposure = self._exposed()
-        return self._told(exposure.plan).account.at(exposure.exposure_time)
+        """Predicted errors of the scene's exposure, from the measurements made so far."""
+        exposure = self._expose()
+        return self._annotate(exposure.plan).account.at(exposure.exposure_time)
 
-    def _told(self, plan):
-        """A plan with what it is predicted to err in the scene."""
-        if self._given is not None:
-            return self._judged()
+    def _annotate(self, plan):
+        """Return a plan with the errors predicted for the scene."""
+        if self._fixed_plan is not None:
+            return self._predict_given()
         return (
             plan
             if plan.scene is self.scene
-            else self.before.probing.told(plan, self.scene, self._drift)
+            else self.before.probing.annotate(plan, self.scene, self._drift)
         )
 
     @property
     def scene_plan(self) -> Plan:
-        """The exposure's plan, with the errors that are predicted for its scene."""
-        return self._told(self._exposed().plan)
+        """The exposure's plan, with the errors predicted for its scene."""
+        return self._annotate(self._expose().plan)
 
-    def _judged(self):
-        """The plan that was given, with the errors that are predicted for the scene."""
+    def _predict_given(self):
+        """Return the given plan, with the errors predicted for the scene."""
         simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
         return self.before.cache(
-            "given", judged_by, simulator, self._given, scene, self._facts(), seconds
+            "given", predict_errors, simulator, self._fixed_plan, scene, self._facts(), seconds
         )
 
 
 def _plan(simulator, scene, facts, seconds, least, words) -> Plan:
-    """Return the plan of a scene. words: why it is made again."""
+    """Return the plan of a scene. words: why it replaces another one."""
     return dataclasses.replace(simulator.plan(scene, facts, seconds, least), probed=words)
 
 
 def read_facts(scene: Scene, device) -> Facts:
-    """Return facts of a scene that the host looks at."""
+    """Return facts of a scene, computed on the host."""
     whole = Reading(device, scene.content).whole()
     if not scene.content.is_seen:
-        return Facts.of(dataclasses.replace(scene, content=whole))  # which looks at the values
+        return Facts.of(dataclasses.replace(scene, content=whole))  # this checks the values
     return Facts.of(scene.stored(**{name: getattr(whole, name) for name in whole.samples}))
 
 
 def facts_on_device(content, stored, device) -> Facts:
-    """Return facts of a content that the device looks at."""
+    """Return facts of a content, computed on the device."""
     return Facts(content, None, Reading(device, content, stored))
 
 
 def operated_camera(camera: Camera, readout, gain: float) -> Camera:
     """Return a camera as operated: its sensor binned, with its analog gain multiplied by `gain`."""
-    return dataclasses.replace(camera, sensor=readout.operated(gain))
+    return dataclasses.replace(camera, sensor=readout.sensor_at_gain(gain))
 
 
-def expose_mean(simulator, plan: Plan, mean, seconds: float, gain: float) -> Exposure:
-    """Return the exposure of mean electrons, without the time that it took.
+def expose_mean(simulator: Any, plan: Plan, mean, seconds: float, gain: float) -> Exposure:
+    """Return the exposure for given mean electrons, without its computing times.
 
     Args:
         simulator: The simulator.
@@ -472,6 +556,9 @@ def expose_mean(simulator, plan: Plan, mean, seconds: float, gain: float) -> Exp
         mean: Mean electrons, an array of the device [e-].
         seconds: Exposure time [s].
         gain: Analog gain, next to the sensor's [1].
+
+    Returns:
+        The exposure.
     """
     camera = operated_camera(simulator.camera, simulator.readout, gain)
     values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: simulator.tables})

@@ -1,4 +1,4 @@
-"""A content's samples on a device: how they come there, planes of them, and what of them the host reads."""
+"""A content's samples on a device: how they are stored, made into planes, and read by the host."""
 
 from dataclasses import replace
 from math import prod
@@ -21,13 +21,13 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.probes import COUNT, SIDE
 
 WHOLE = (slice(None), slice(None))
-LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
+LARGE = 2**26  # size from which a device reads a scene faster than the host [byte]
 
 
-def looked_at_there(device: Device, scene: Scene) -> bool:
-    """Whether a device looks at a scene for the planner: one that is there, or large; else the host does.
+def is_read_on_device(device: Device, scene: Scene) -> bool:
+    """Return True if a device computes a scene's facts: the scene is there already, or large. Otherwise the host does.
 
-    Of memory that a device shares with the host NumPy reads float32 in order as fast, and anything else slowly.
+    In memory that device and host share, NumPy reads contiguous float32 equally fast, and other types slowly.
     """
     content = scene.content
     if scene.depth is not None or device.kind == "numpy":
@@ -43,12 +43,12 @@ def looked_at_there(device: Device, scene: Scene) -> bool:
     return LARGE <= content.nbytes <= device.largest_array
 
 
-def bytes_looked_at(plan: Plan, device: Device) -> int:
-    """Return the memory of what the planner reads of a scene on a device before the frame [byte].
+def bytes_read_on_device(plan: Plan, device: Device) -> int:
+    """Return the device memory that the planner uses to read a scene before the frame [byte].
 
-    That is its brightness, windows and rows of it. Probes of later scenes look at other windows.
+    It reads the scene's brightness, windows and rows. Probes of later scenes read other windows.
     """
-    if not looked_at_there(device, plan.scene):
+    if not is_read_on_device(device, plan.scene):
         return 0
     rows, cols = plan.content.shape
     windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
@@ -60,9 +60,12 @@ def bytes_looked_at(plan: Plan, device: Device) -> int:
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):
-    """A content's samples on a device, in a window if they come from the host: entries, and which each has, or None.
+    """Return a content's samples on a device, those from the host cut to a window.
 
-    curve: the device's array of a picture's curve, where there is one.
+    curve: a picture's curve as a device array, if it is there already.
+
+    Returns:
+        Entries, and the label of each sample or None.
     """
 
     def cut(name):
@@ -85,7 +88,7 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
 
 
 def planes(device: Device, table, stored):
-    """Planes of stored samples by a table (planes, entries); the entries themselves, float32, if None."""
+    """Return planes of stored samples by a table (planes, entries); the entries, float32, if it is None."""
     entries, ids = stored
     if ids is not None:
         return materials(ids, entries, device.array(table), device=device)
@@ -96,10 +99,13 @@ def planes(device: Device, table, stored):
 
 
 class Reading:
-    """What the host reads of a content. Of one on a device these are windows and sums alone, which are made there.
+    """Reads a content for the host. From a device it reads only windows and sums, which are computed there.
 
-    content: its arrays of samples may be the device's or another library's. stored: what `store` gave of the whole of
-    it, which is then read; by default that is done here, unless all samples are in host memory: NumPy reads those.
+    Args:
+        device: The device.
+        content: The content. Its arrays may belong to the device or to another library.
+        stored: Result of `store` for the whole content. None stores it, unless all samples are in host memory, where
+            NumPy reads them.
     """
 
     def __init__(self, device: Device, content: Content, stored=None):
@@ -111,29 +117,31 @@ class Reading:
         self._stored = stored
 
     def rows(self, chosen) -> Content:
-        """Whole rows of the samples, int (n,), clipped to the frame, in host memory: see `windows`."""
+        """Return whole rows of the samples in host memory. chosen: int (n,), clipped to the frame. See `windows`."""
         if self._stored is None:
             return OnHost(self.content).rows(np.clip(chosen, 0, self.content.shape[0] - 1))
         return self._read(
-            lambda samples, dtype: self._taken(samples, dtype, chosen[None])[..., 0, :, :]
+            lambda samples, dtype: self._take(samples, dtype, chosen[None])[..., 0, :, :]
         )
 
     def windows(self, rows, cols) -> Content:
-        """Windows of the samples in host memory: content whose arrays have the shape (..., n, h, w).
+        """Return windows of the samples in host memory: content with arrays of the shape (..., n, h, w).
 
-        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture, and in light
-        that varies, it is a Basis of what it was decoded to, or of the products; samples of float16 that come from a
-        device are float32 of the same values.
+        A picture, or a scene in light that varies, becomes a Basis. Samples of float16 from a device become float32.
+
+        Args:
+            rows: Rows of each window, int (n, h), clipped to the frame.
+            cols: Columns of each window, int (n, w), clipped to the frame.
         """
         if self._stored is None:
             height, width = self.content.shape
             return OnHost(self.content).windows(
                 np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
             )
-        return self._read(lambda samples, dtype: self._taken(samples, dtype, rows, cols))
+        return self._read(lambda samples, dtype: self._take(samples, dtype, rows, cols))
 
     def _read(self, taken):
-        """Content of what a function takes of stored samples, as this type."""
+        """Return a content of this type from the samples that a function takes."""
         content, (entries, ids) = self.content, self._stored
         light = taken(entries, np.float32)
         if isinstance(content, Materials):
@@ -142,25 +150,24 @@ class Reading:
             return Basis(content.wavelengths, light, content.entry_spectra)
         return content.with_planes(light)
 
-    def _taken(self, samples, dtype, rows, cols=None):
-        """Windows of stored samples as a new array of the host."""
+    def _take(self, samples, dtype, rows, cols=None):
+        """Return windows of stored samples as a new NumPy array."""
         return np.moveaxis(
             np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3
         )
 
     def whole(self) -> Content:
-        """All samples, in host memory; of a picture its codes. Raises BadData."""
+        """Return the content in host memory; a picture keeps its codes. Raises BadData."""
 
         def read(array):
             values = np.asarray(self.device.numpy(array))
-            return (
-                values.astype(np.float32) if values.dtype == np.float16 else values
-            )  # NumPy is slow with halves
+            # NumPy is slow with float16
+            return values.astype(np.float32) if values.dtype == np.float16 else values
 
         return self.content.with_samples(read)
 
     def brightness(self, total) -> np.ndarray:
-        """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols), a new array."""
+        """Return sums over wavelength with weights `total` (L,), a new float32 array (rows, cols)."""
         if self._stored is None:
             return self.content.brightness(total)
         table = np.asarray(total @ self.content.entry_spectra.T)[None]

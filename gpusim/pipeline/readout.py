@@ -1,6 +1,7 @@
 """A sensor's electronics on a device: from mean electrons to digital numbers."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import replace
 from math import prod
 from typing import Any
@@ -24,9 +25,9 @@ from gpusim.kernels.sensor.pattern import pattern
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
-RESET = 2**30  # number of the read whose random numbers the reset has
-GAINS = 16  # operated sensors that are kept
-BATCH = 2**26  # [pixel] of frames that are drawn at once
+RESET = 2**30  # number of the read whose random numbers the reset uses
+GAINS = 16  # number of sensors with other gains that are kept
+BATCH = 2**26  # pixels of frames that are drawn at once
 
 
 class Readout:
@@ -38,7 +39,7 @@ class Readout:
         tables: Cache of the chip's fixed patterns; by default its own.
 
     Attributes:
-        output: The sensor as its raw values look: binned.
+        output: The binned sensor, whose pixels are the raw values.
         pixels: Number of pixels whose charge is added to one output pixel.
         averaged: Number of pixels whose digital numbers are averaged to one output pixel.
 
@@ -49,7 +50,7 @@ class Readout:
 
     def __init__(self, sensor: Sensor, device: Device | str = "auto", tables: Cache | None = None):
         if not isinstance(sensor, Sensor):
-            raise BadData(f"readout: {type(sensor).__name__}, wanted a Sensor, such as a camera's")
+            raise BadData(f"readout: {type(sensor).__name__}, wanted a Sensor, e.g. camera.sensor")
         self.sensor, self.device = (
             sensor,
             open_device(device) if isinstance(device, str) else device,
@@ -69,7 +70,7 @@ class Readout:
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._tables = Cache() if tables is None else tables
-        self._operated = {1.0: self.output}
+        self._sensors = {1.0: self.output}
 
     def __repr__(self):
         return shortened(f"Readout({self.sensor!r}, {self.device!r})")
@@ -93,7 +94,14 @@ class Readout:
         return [replace(step, words="") if step in patterns[1:] else step for step in steps]
 
     def chip_steps(self, plane: tuple[int, int]) -> list[Step]:
-        """Return the steps from "mean" to "chip_mean" for pixels of shape (rows, cols), layers below each other."""
+        """Return the steps from "mean" to "chip_mean".
+
+        Args:
+            plane: Shape of the pixels (rows, cols), layers of stacked pixels below each other.
+
+        Returns:
+            The steps in the order in which they run.
+        """
         patterns = self._patterns(plane, "response", "dark")
         response, dark = (name if name in patterns else "" for name in ("response", "dark"))
         pixels = prod(plane) if patterns else 0
@@ -114,7 +122,14 @@ class Readout:
         return [*patterns.values(), *chain.end()]
 
     def noise_steps(self, plane: tuple[int, int]) -> list[Step]:
-        """Return the steps from "chip_mean" of shape (rows, cols) to "raw"."""
+        """Return the steps from "chip_mean" to "raw".
+
+        Args:
+            plane: Shape of "chip_mean" (rows, cols).
+
+        Returns:
+            The steps in the order in which they run.
+        """
         noise_, sensor = self.sensor.noise, self.output
         patterns = self._patterns(plane, "offset", "amplitude")
         offset, amplitude = (name if name in patterns else "" for name in ("offset", "amplitude"))
@@ -230,23 +245,40 @@ class Readout:
         return f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
 
     def _values(self, steps) -> Values:
-        """Return values that are kept for this call only; the chip's patterns stay."""
+        """Return values for this call only; the chip's patterns are kept."""
         values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: self._tables})
         values.use(steps)
         return values
 
-    def operated(self, gain: float) -> Sensor:
-        """The output sensor with its analog gain multiplied by `gain`; the last ones are kept."""
-        sensor = self._operated.get(gain)
+    def sensor_at_gain(self, gain: float) -> Sensor:
+        """Return the output sensor with another analog gain. The last sensors are kept.
+
+        Args:
+            gain: Factor of the sensor's analog gain [1].
+
+        Returns:
+            The sensor.
+        """
+        sensor = self._sensors.get(gain)
         if sensor is None:
             sensor = dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
-            if len(self._operated) >= GAINS:
-                self._operated = {}  # a new one: another thread may be reading the last
-            self._operated[gain] = sensor
+            if len(self._sensors) >= GAINS:
+                self._sensors = {}  # a new dictionary: another thread may be reading the old one
+            self._sensors[gain] = sensor
         return sensor
 
-    def output_shape(self, shape) -> tuple[int, int]:
-        """Rows and columns of the raw values of a frame of `shape` pixels. Raises OutOfRange where they are too few."""
+    def output_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the shape of the raw values of a frame.
+
+        Args:
+            shape: Pixels of the frame (rows, cols).
+
+        Returns:
+            The shape (rows, cols).
+
+        Raises:
+            OutOfRange: The frame is too small for the mosaic.
+        """
         sensor = self.output
         if self.sensor.binning != (1, 1):
             shape = binned_shape(shape, self.sensor.binning, self.stride)
@@ -256,10 +288,11 @@ class Readout:
                 raise OutOfRange(
                     "frame size",
                     f"{shape[1]}x{shape[0]}",
-                    f"at least {least[1]}x{least[0]} pixels, so "
-                    f"that all colours of the mosaic {'/'.join(sensor.cfa)} are near every pixel",
+                    f"at least {least[1]}x{least[0]} pixels: "
+                    f"every pixel of the mosaic {'/'.join(sensor.cfa)} needs all colours near it",
                 )
-        return tuple(shape)
+        rows, cols = shape
+        return rows, cols
 
     def chip_mean(self, mean: Any, exposure_time: float, scale: float = 1.0) -> Any:
         """Return the electrons that this chip is expected to collect, without the common dark current.
@@ -281,12 +314,21 @@ class Readout:
         values.set_numbers(dark_time=self.dark_time(exposure_time))
         return values["chip_mean"]
 
-    def defects(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> np.ndarray | None:
-        """Where this chip's pixels are dead or hot: 1 there, else 0, NumPy uint8 like the raw values; None: nowhere.
+    def defects(
+        self, shape: tuple[int, ...], exposure_time: float = 0.0, least: float = 0.0
+    ) -> np.ndarray | None:
+        """Return the map of this chip's dead and hot pixels, as a calibration finds them for `processor.defects`.
 
-        What a calibration of the chip would find, for `processor.defects`. shape: of the mean electrons, see
-        `chip_mean`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
-        common dark current; at time 0, all that collect any. A binned pixel is defective if one of its pixels is.
+        A binned pixel is defective if one of its pixels is.
+
+        Args:
+            shape: Shape of the mean electrons, see `chip_mean`.
+            exposure_time: Exposure time [s].
+            least: A pixel is hot if it collects more than this beyond the common dark current in the exposure time
+                [e-]. At time 0 it is hot if it collects any.
+
+        Returns:
+            1 at defective pixels, else 0: uint8, shape of the raw values. None if there are none.
         """
         flags = self.flags(shape, exposure_time, least)
         found = (
@@ -296,8 +338,17 @@ class Readout:
         )
         return found if found.any() else None
 
-    def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> Any:
-        """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
+    def flags(self, shape: tuple[int, ...], exposure_time: float = 0.0, least: float = 0.0) -> Any:
+        """Return the map of `defects` on the device.
+
+        Args:
+            shape: Shape of the mean electrons, see `chip_mean`.
+            exposure_time: Exposure time [s].
+            least: Least charge of a hot pixel, see `defects` [e-].
+
+        Returns:
+            A device array, not 0 at defects. None if the sensor has neither dead nor hot pixels.
+        """
         values = self._values(self.chip_steps((prod(shape[:-1]), shape[-1])))
         dead = "response" in values and self.sensor.noise.dead_pixels
         response = values["response"] if dead else None
@@ -312,10 +363,17 @@ class Readout:
             device=self.device,
         )
 
-    def mean(self, mean) -> np.ndarray:
-        """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
+    def mean(self, mean: Any) -> np.ndarray:
+        """Bin mean electrons: added for charge binning, averaged for digital binning.
+
+        Args:
+            mean: Mean electrons of the pixels, a device array (rows, cols) [e-].
+
+        Returns:
+            Mean electrons of the output pixels, float32 [e-].
+        """
         if self.sensor.binning != (1, 1):
-            mean = self._binned(mean)
+            mean = self._bin(mean)
         mean = np.array(self.device.numpy(mean), np.float32)
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
@@ -332,7 +390,7 @@ class Readout:
         """Return raw values around the electrons that the chip is expected to collect.
 
         Args:
-            chip_mean: See the method of this name, an array of the device, (rows, cols) [e-].
+            chip_mean: Result of the method of this name, a device array (rows, cols) [e-].
             exposure_time: Exposure time [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Names the noise.
@@ -345,7 +403,7 @@ class Readout:
 
         Raises:
             DoesNotFit: The frames need more memory than the device has.
-            OutOfRange: A seed or number that names no noise.
+            OutOfRange: The seed or a number is not allowed.
         """
         if frames is not None:
             needed = (
@@ -363,23 +421,36 @@ class Readout:
         if not self._digital:
             return raw
         if frames is None:
-            return self._binned(raw, average=True)
+            return self._bin(raw, average=True)
         return self.device.stack(
             [
-                self._binned(self.device.part(raw, number), average=True)
+                self._bin(self.device.part(raw, number), average=True)
                 for number in range(raw.shape[0])
             ]
         )
 
     @property
     def draws_at_once(self) -> bool:
-        """Whether the stage `sensor.noise` is all that `draw` takes for one frame."""
+        """True if `draw` runs only the stage `sensor.noise` for one frame."""
         return not self._digital and self.device.kind != "numpy"
 
-    def draw_again(self, tape, shape, last, *, seed=0, frame=0) -> Any:
-        """Return another frame (rows, cols) by the kernels that `draw` recorded on a tape.
+    def draw_again(
+        self, tape: Tape, shape: tuple[int, int], last: Any, *, seed: int = 0, frame: int = 0
+    ) -> Any:
+        """Draw another frame with the kernels that `draw` recorded on a tape, see `draws_at_once`.
 
-        last: the array that they wrote to before, (1, rows, cols). See `draws_at_once`.
+        Args:
+            tape: The tape.
+            shape: Shape of the frame (rows, cols).
+            last: Device array that the kernels wrote before (1, rows, cols).
+            seed: Seed of the noise.
+            frame: Number of the frame.
+
+        Returns:
+            A new device array (1, rows, cols).
+
+        Raises:
+            RuntimeError: The tape cannot write to another array.
         """
         raw = self.device.empty((1, *shape), last.dtype)
         if not (tape.renumber({"seed": seed, "frame": frame}) and tape.replaced([(last, raw)])):
@@ -389,7 +460,7 @@ class Readout:
 
     def draw_electrons(
         self,
-        mean,
+        mean: np.ndarray,
         exposure_time: float,
         *,
         gain: float = 1.0,
@@ -397,10 +468,21 @@ class Readout:
         frame: int = 0,
         frames: int | None = None,
     ) -> np.ndarray:
-        """Raw values around your own mean electrons of `exposure_time` [s], NumPy; else as `draw`.
+        """Add noise to given mean electrons.
 
-        mean: of every pixel, not binned, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-]. Raises
-        OutOfRange for electrons that are not finite or negative, BadData.
+        It raises BadData for wrong shapes, and OutOfRange for electrons that are negative or not finite.
+
+        Args:
+            mean: Mean electrons before binning, (rows, cols) or, for stacked pixels, (C, rows, cols) [e-].
+            exposure_time: Exposure time [s].
+            gain: Analog gain, next to the sensor's [1].
+            seed: Seed of the noise.
+            frame: Number of the first frame.
+            frames: Number of frames; None draws one without the first axis.
+
+        Returns:
+            Raw values, uint16, or float32 without a converter: (rows, cols), with axes for frames and layers before
+            these if there are any [DN].
         """
         checked_time(exposure_time)
         mean = checked_electrons(mean, len(self.sensor.channels) if self.sensor.stacked else None)
@@ -416,8 +498,16 @@ class Readout:
         return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 
     def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
-        """Return the numbers of the noise that depend on exposure time [s] and analog gain."""
-        sensor = self.operated(gain)
+        """Return the arguments of `sensor.noise` that depend on the exposure.
+
+        Args:
+            exposure_time: Exposure time [s].
+            gain: Analog gain, next to the sensor's [1].
+
+        Returns:
+            The arguments by name.
+        """
+        sensor = self.sensor_at_gain(gain)
         return {
             "dark_electrons": self.dark_electrons(exposure_time),
             "read_noise": sensor.read_sigma,
@@ -426,9 +516,28 @@ class Readout:
         }
 
     def average(
-        self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0
+        self,
+        chip_mean: Any,
+        exposure_time: float,
+        count: int,
+        *,
+        gain: float = 1.0,
+        seed: int = 0,
+        first: int = 0,
     ) -> Any:
-        """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
+        """Return the mean raw values of several frames. Digital numbers are added as integers, without rounding.
+
+        Args:
+            chip_mean: Result of the method of this name, a device array (rows, cols) [e-].
+            exposure_time: Exposure time [s].
+            count: Number of frames.
+            gain: Analog gain, next to the sensor's [1].
+            seed: Seed of the noise.
+            first: Number of the first frame.
+
+        Returns:
+            Mean raw values, NumPy float64 (rows, cols) [DN].
+        """
         count = checked_count("count of averaged frames", count)
         total, kind = 0, np.float64 if self.sensor.bits == FLOAT_BITS else np.uint64
         batch = max(1, min(BATCH // prod(chip_mean.shape), 2**15, count))
@@ -445,22 +554,40 @@ class Readout:
         return total / count
 
     def nondestructive(
-        self, mean, exposure_time: float, times, *, gain: float = 1.0, seed=0, frame=0
+        self,
+        mean: Any,
+        exposure_time: float,
+        times: Sequence[float] | np.ndarray,
+        *,
+        gain: float = 1.0,
+        seed: int = 0,
+        frame: int = 0,
     ) -> np.ndarray:
-        """Raw values of reads that leave the charge in the pixels, NumPy (reads, rows, cols).
+        """Return raw values of non-destructive reads, which leave the charge in the pixels.
 
-        mean: electrons of `exposure_time` [s], see `chip_mean`. times: of the reads since the reset [s], rising. The
-        reads see one growing charge, photon by photon, and share the reset's noise; each has its own read noise.
+        All reads see the same growing charge, photon by photon, and share the noise of the reset. Each has its read
+        noise.
+
+        Args:
+            mean: Mean electrons of the exposure time, a device array, see `chip_mean` [e-].
+            exposure_time: Exposure time [s].
+            times: Times of the reads since the reset, rising [s].
+            gain: Analog gain, next to the sensor's [1].
+            seed: Seed of the noise.
+            frame: Number of the frame.
+
+        Returns:
+            Raw values (reads, rows, cols) [DN].
         """
         times = self.checked_reads(times)
-        sensor, device, noise_ = self.operated(gain), self.device, self.sensor.noise
+        sensor, device, noise_ = self.sensor_at_gain(gain), self.device, self.sensor.noise
         shape = prod(mean.shape[:-1]), mean.shape[-1]
         shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
         steps = self.noise_steps(shape)
         values, read = self._values(steps), steps[-1]
         offset, amplitude = (values[name] if name else None for name in read.inputs[1:])
         numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": frame}
-        # the kernel takes no negative electrons: a reset below 0 is part of the offset
+        # the kernel takes no negative electrons, so the reset noise is part of the offset
         numbers["read_noise"] = float(
             np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
         )
@@ -510,38 +637,63 @@ class Readout:
             previous = time
         return np.stack(reads)
 
-    def checked_reads(self, times) -> np.ndarray:
-        """Times of reads that leave the charge [s]. Raises BadData, OutOfRange."""
+    def checked_reads(self, times: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the times of non-destructive reads, checked.
+
+        Args:
+            times: Times since the reset [s].
+
+        Returns:
+            The times, float64 (reads,) [s].
+
+        Raises:
+            BadData: No numbers, or the sensor bins digital numbers.
+            OutOfRange: Times that are not finite, positive and rising.
+        """
         try:
-            times = np.asarray(times, np.float64)
+            found = np.asarray(times, np.float64)
         except (TypeError, ValueError):
             raise BadData(f"times of the reads = {times!r}: wanted numbers [s]") from None
         if (
-            times.ndim != 1
-            or not times.size
-            or not (np.isfinite(times) & (np.diff(times, prepend=0.0) > 0)).all()
+            found.ndim != 1
+            or not found.size
+            or not (np.isfinite(found) & (np.diff(found, prepend=0.0) > 0)).all()
         ):
             raise OutOfRange(
                 "times of the reads",
-                times.tolist(),
+                found.tolist(),
                 "one or more finite times, rising from above 0 s",
             )
         if self._digital:
             raise BadData(
                 'non-destructive reads: the sensor bins digital numbers; wanted binning_mode = "charge"'
             )
-        return times
+        return found
 
     def dark_time(self, exposure_time: float) -> float:
-        """The time [s] in which dark current at the table's temperature would collect what it does in an exposure."""
+        """Return the time in which the dark current, at its reference temperature, collects an exposure's dark charge.
+
+        Args:
+            exposure_time: Exposure time [s].
+
+        Returns:
+            The time [s].
+        """
         return min(exposure_time * self.sensor.noise.warmth, MOST)
 
     def dark_electrons(self, exposure_time: float) -> float:
-        """Mean dark charge that all of the output's pixels have in common [e-]."""
+        """Return the mean dark charge that all output pixels share.
+
+        Args:
+            exposure_time: Exposure time [s].
+
+        Returns:
+            The charge [e-].
+        """
         noise_ = self.output.noise
         return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 
-    def _binned(self, pixels, average=False):
+    def _bin(self, pixels, average=False):
         return bin_pixels(
             pixels,
             binning=self.sensor.binning,
@@ -552,12 +704,15 @@ class Readout:
 
 
 def make_pattern(*, device: Device, **numbers) -> Any:
-    """Return a plane of fixed values as an array of the device: see `sensor.pattern`."""
+    """Return a plane of a chip's fixed values as a device array, see `sensor.pattern`."""
     return device.array(pattern(**numbers, device=device))
 
 
 def expose_chip(mean, response=None, dark=None, *, device, dark_time=0.0, scale=1.0) -> Any:
-    """Return what a chip is expected to collect, shape (rows, cols), layers below each other: see `sensor.chip`."""
+    """Return the electrons that a chip is expected to collect, (rows, cols), layers below each other.
+
+    See `sensor.chip`.
+    """
     mean = device.reshape(mean, (prod(mean.shape[:-1]), mean.shape[-1]))
     if response is None and dark is None and scale == 1:
         return mean
@@ -575,21 +730,26 @@ def flag_pixels(response, dark, *, least, dark_time, binning, stride, device) ->
     return flag(response, dark, least=least, binning=binning, stride=stride, device=device)
 
 
-def checked_electrons(mean, layers: int | None) -> np.ndarray:
-    """Mean electrons that can be drawn around, float32; layers: of stacked pixels, None of a mosaic.
+def checked_electrons(mean: Any, layers: int | None) -> np.ndarray:
+    """Return mean electrons, checked.
 
-    Raises BadData, OutOfRange for what is not finite or negative.
+    Args:
+        mean: Mean electrons [e-].
+        layers: Number of layers of stacked pixels; None for a mosaic.
+
+    Returns:
+        Mean electrons, float32 [e-].
+
+    Raises:
+        BadData: No numbers, or another shape.
+        OutOfRange: Electrons that are negative or not finite.
     """
     try:
         mean = np.asarray(mean, np.float32)
     except (TypeError, ValueError):
         raise BadData("mean electrons: wanted an array of numbers") from None
     if mean.shape[:-2] != (() if layers is None else (layers,)) or mean.ndim < 2 or not mean.size:
-        wanted = (
-            "(rows, cols)"
-            if layers is None
-            else f"({layers}, rows, cols), the sensor's pixels being stacked"
-        )
+        wanted = "(rows, cols)" if layers is None else f"({layers}, rows, cols) for stacked pixels"
         raise BadData(f"mean electrons: shape {mean.shape}, wanted {wanted}")
     wrong = ~(np.isfinite(mean) & (mean >= 0))
     if wrong.any():

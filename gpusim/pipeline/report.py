@@ -1,4 +1,4 @@
-"""What a frame cost, what was modelled, and the error it carries."""
+"""The report of a frame: its cost, its models and its errors."""
 
 from dataclasses import asdict, dataclass, field
 
@@ -14,9 +14,12 @@ from gpusim.domain.tolerance import Tolerance
 class Error:
     """True error of the mean electrons against the float64 reference.
 
-    rms: root mean square over that of the reference [1]. max_local: largest |error| / max(reference, 1 e-).
-    p999_sigma, max_sigma: 99.9 % quantile and maximum of |error| over the pixel's own noise sigma [1]. places: which
-    pixels it is of, in words; "" of all.
+    Attributes:
+        rms: RMS error over the RMS of the reference [1].
+        max_local: Largest |error| / max(reference, 1 e-) [1].
+        p999_sigma: 99.9 % quantile of |error| over the pixel's noise sigma [1].
+        max_sigma: Maximum of |error| over the pixel's noise sigma [1].
+        places: The compared pixels in words; "" means all.
     """
 
     rms: float
@@ -26,8 +29,17 @@ class Error:
     places: str = ""
 
     @classmethod
-    def between(cls, mean, reference, read_noise: float) -> "Error":
-        """Compare two images of mean electrons [e-]; sigma^2 = mean + read_noise^2, at least 1 e-^2."""
+    def between(cls, mean: np.ndarray, reference: np.ndarray, read_noise: float) -> "Error":
+        """Compare two images of mean electrons. sigma^2 is reference + read_noise^2, at least 1 e-^2.
+
+        Args:
+            mean: Mean electrons [e-].
+            reference: True mean electrons, same shape [e-].
+            read_noise: Standard deviation of the read noise [e-].
+
+        Returns:
+            The error.
+        """
         reference = np.asarray(reference, np.float64)
         difference = np.abs(mean - reference)
         sigma = difference / np.sqrt(np.maximum(reference + read_noise**2, 1.0))
@@ -40,11 +52,25 @@ class Error:
         )
 
     def meets(self, tolerance: Tolerance) -> bool:
-        """Whether every bound of `tolerance` that is set holds."""
+        """Return True if the error is within all bounds of a tolerance.
+
+        Args:
+            tolerance: The tolerance.
+
+        Returns:
+            True or False.
+        """
         return self.nearest(tolerance)[0] <= 1
 
     def nearest(self, tolerance: Tolerance) -> tuple[float, str]:
-        """Error over bound, and both in words, of the bound that is nearest to being broken or farthest beyond."""
+        """Return the bound with the largest ratio of error to bound.
+
+        Args:
+            tolerance: The tolerance.
+
+        Returns:
+            The ratio, and error and bound in words.
+        """
         bounds = (
             (self.rms, tolerance.rms, "rms"),
             (self.p999_sigma, tolerance.p999_sigma, "sigma at 99.9 %"),
@@ -57,8 +83,11 @@ class Error:
         )
 
 
-def merged(order: list[str], names) -> list[str]:
-    """Names in an order; each new one before the next of `names` that is known there, or else after the one before."""
+def merge_names(order: list[str], names) -> list[str]:
+    """Return an order of names with new names merged into it.
+
+    A new name goes before the next known name of `names`, or else after the one before.
+    """
     order, names = list(order), list(names)
     for number, name in enumerate(names):
         if name not in order:
@@ -72,7 +101,13 @@ def merged(order: list[str], names) -> list[str]:
 
 @dataclass(frozen=True)
 class StageReport:
-    """One stage of one frame: its name, what was modelled, and milliseconds (0: kept from the frame before)."""
+    """One stage of one frame.
+
+    Attributes:
+        stage: Name of the stage.
+        model: Its model in words.
+        ms: Milliseconds; 0 if the result of an earlier frame was reused.
+    """
 
     stage: str
     model: str
@@ -81,13 +116,24 @@ class StageReport:
 
 @dataclass(frozen=True)
 class Report(Tabled):
-    """Everything that is known about one frame besides its pixels.
+    """The report of one frame: its settings, times, models and errors.
 
-    scene, camera, device: what was simulated where. stages: in the order the light goes. account: predicted errors of
-    the scene as sampled. beside: those that are no part of it, such as what the samples leave out. left_out: what was
-    not modelled. error: the true error where it was asked for. verdict: whether the tolerance is met by what is
-    predicted.
-    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included. plan: its name.
+    Attributes:
+        scene: Properties of the scene.
+        camera: Settings of the camera.
+        device: Name and kind of the device.
+        frame: Number of the frame.
+        seed: Seed of the noise.
+        stages: The stages, in the order of the light.
+        account: Predicted errors of the scene as sampled.
+        beside: Predicted errors that are not in the account, for example of the scene's sampling.
+        left_out: Effects that were not modelled.
+        error: True error, if it was requested.
+        tolerance: The tolerance, if there is one.
+        notes: Further notes.
+        verdict: Whether the predicted errors meet the tolerance.
+        wall_ms: Milliseconds from the scene to the picture, with planning, waiting and copying.
+        plan: Name of the plan.
     """
 
     scene: dict
@@ -113,7 +159,7 @@ class Report(Tabled):
 
     @property
     def meets_tolerance(self) -> bool | None:
-        """Whether the true error is within the tolerance; None unless both are known."""
+        """True if the true error is within the tolerance; None unless both are known."""
         return (
             None
             if self.error is None or self.tolerance is None
@@ -127,7 +173,11 @@ class Report(Tabled):
         return predicted / self.error.rms if predicted and self.error and self.error.rms else None
 
     def as_dict(self) -> dict:
-        """Plain data, for JSON."""
+        """Return the report as plain data for JSON.
+
+        Returns:
+            A dictionary.
+        """
         return asdict(self) | {
             "account": self.account.as_dict(),
             "ms": self.ms,
@@ -139,7 +189,7 @@ class Report(Tabled):
 
     @property
     def errors(self) -> list[tuple[str, Bound]]:
-        """Name and bound of every predicted error, and of all that are known together."""
+        """Name and bound of each predicted error, and the total of the known ones."""
         bounds = self.account.bounds
         last = (
             "all together"
@@ -150,7 +200,7 @@ class Report(Tabled):
 
     @property
     def _border(self):
-        """Error of the border, if no tolerance limits it."""
+        """Words for the error of the border if no tolerance limits it; else ""."""
         border = self.account.bounds.get("border")
         if self.tolerance is not None or border is None:
             return ""

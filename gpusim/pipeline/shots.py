@@ -1,4 +1,4 @@
-"""Frames of an exposure: they are drawn, processed and reported."""
+"""Frames of an exposure: noise, development and report."""
 
 import time
 from dataclasses import replace
@@ -17,21 +17,21 @@ from gpusim.kernels.sensor.noise import check_drawn
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame, Later
-from gpusim.pipeline.imaging import nothing
+from gpusim.pipeline.imaging import return_none
 from gpusim.pipeline.metering import metering_steps
 from gpusim.pipeline.readout import Readout, flag_pixels
-from gpusim.pipeline.report import Error, Report, StageReport, merged
+from gpusim.pipeline.report import Error, Report, StageReport, merge_names
 from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.plan import Plan
 
-HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
+HOT = 3.0  # a hot pixel's charge beyond the common dark current, in standard deviations of the read noise
 
 
 def exposure_steps(simulator, plan: Plan) -> list[Step]:
     """Return the steps of a plan's exposures, from the scene to digital numbers.
 
-    Besides the values "content" and "view" they use "sensor", the sensor as operated, and the numbers of
+    They use the values "content", "view" and "sensor" (the sensor as operated), and the numbers of
     `exposure_numbers`.
     """
     camera, readout, imaging = simulator.camera, simulator.readout, simulator.imaging
@@ -64,7 +64,7 @@ def exposure_steps(simulator, plan: Plan) -> list[Step]:
             rate=Rate.EXPOSURE,
             run=render_exposure,
         ),
-        Step("blur", "", run=nothing, rate=Rate.EXPOSURE),
+        Step("blur", "", run=return_none, rate=Rate.EXPOSURE),
         Step(
             "mean of pixels",
             "",
@@ -101,7 +101,7 @@ def exposure_steps(simulator, plan: Plan) -> list[Step]:
             )
         )
     else:
-        steps.append(Step("defects", "", run=nothing, rate=Rate.EXPOSURE))
+        steps.append(Step("defects", "", run=return_none, rate=Rate.EXPOSURE))
     return steps
 
 
@@ -117,14 +117,14 @@ def picture_steps(simulator, camera) -> list[Step]:
 
 
 def exposure_numbers(simulator, seconds: float, gain: float) -> dict[str, float]:
-    """Return the numbers of an exposure by name. seconds: exposure time [s]. gain: analog, chosen by the exposure."""
+    """Return the numbers of an exposure by name. seconds: exposure time [s]. gain: the exposure's analog gain."""
     readout = simulator.readout
     times = {"exposure_time": seconds, "dark_time": readout.dark_time(seconds)}
     return times | readout.numbers(seconds, gain)
 
 
 def flag_defects(response, dark, sensor: Sensor, *, binning, stride, device, dark_time) -> Any:
-    """Return the map of the chip's dead pixels and of those whose own current shows in this exposure."""
+    """Return the map of the chip's dead pixels and of the pixels that are hot in this exposure."""
     return flag_pixels(
         response,
         dark,
@@ -137,7 +137,7 @@ def flag_defects(response, dark, sensor: Sensor, *, binning, stride, device, dar
 
 
 def read_mean(mean, *, readout: Readout) -> np.ndarray:
-    """Return the mean electrons of the pixels as they are read, NumPy float32 (..., rows, cols) [e-]."""
+    """Return the mean electrons of the output pixels, NumPy float32 (..., rows, cols) [e-]."""
     shape = tuple(mean.shape)
     found = readout.mean(readout.device.reshape(mean, (prod(shape[:-1]), shape[-1])))
     return found.reshape(*shape[:-2], -1, found.shape[-1])
@@ -149,9 +149,9 @@ def convert_to_xyz(linear, *, matrix, device) -> Any:
 
 
 class Shots:
-    """Frames of one exposure by a Simulator. Arrays are the device's, layers of stacked pixels one below the other.
+    """Frames of one exposure. Arrays are device arrays, with layers of stacked pixels below each other.
 
-    values: by the exposure's steps; by default new ones.
+    values: values that use the exposure's steps; by default new ones.
     """
 
     def __init__(self, simulator, exposure: Exposure, values: Values | None = None):
@@ -177,7 +177,7 @@ class Shots:
         self.values.set_numbers(seed=seed, frame=frame)
         return self.values["raw"]
 
-    def _of(self, raw, name):
+    def _value_of(self, raw, name):
         self.values.give(raw=raw)
         return self.values[name]
 
@@ -191,52 +191,58 @@ class Shots:
 
     @property
     def defects(self) -> Any:
-        """Map of the chip's defects on the device; None if the camera does not ask for it, or there are none."""
+        """Map of the chip's defects on the device; None if the camera does not use it, or there are none."""
         return self.values["defects"]
 
     def planes(self, raw) -> Any:
-        """Return camera values of every pixel, (C, rows, cols)."""
-        return self._of(raw, "camera")
+        """Return camera values of each pixel, (C, rows, cols)."""
+        return self._value_of(raw, "camera")
 
     def linear(self, raw) -> tuple:
         """Return linear display RGB (3, rows, cols), before clipping and tone curve, and its rendering."""
         is_estimated = self.exposure.camera.processor.estimates_white
         rendering = "picture rendering" if is_estimated else "rendering"
-        return self._of(raw, "linear"), self.values[rendering]
+        return self._value_of(raw, "linear"), self.values[rendering]
 
-    def developed(self, raw) -> tuple:
+    def develop(self, raw) -> tuple:
         """Return linear display RGB, display codes (rows, cols, 3), and the rendering."""
         shown, rendering = self.linear(raw)
         return shown, self.values["codes"], rendering
 
     def codes(self, raw) -> Any:
         """Return display codes (rows, cols, 3), in one pass if the camera allows it."""
-        return self._of(raw, "codes at once" if "codes at once" in self.values else "codes")
+        return self._value_of(raw, "codes at once" if "codes at once" in self.values else "codes")
 
     def frame(
         self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True
     ) -> Frame:
-        """One picture with its report. error: of the mean electrons, where known. first: of this exposure.
+        """Return one picture with its report. Its parts are computed lazily unless a program rewrites the arrays.
 
-        It is made as far as it is asked for, unless a program will write to the exposure's arrays before. Raises
-        OutOfRange, for what is wrong with the rest when that is asked for.
+        Args:
+            seed: Seed of the noise.
+            frame: Number of the frame.
+            error: True error of the mean electrons, if known.
+            first: Count the exposure's times in this picture.
+
+        Raises:
+            OutOfRange: The seed or the number is not allowed. Other errors are raised when a part is computed.
         """
-        check_drawn(seed, frame, None, 0)  # now, not when it is asked for
+        check_drawn(seed, frame, None, 0)  # now, not when raw values are computed
         exposure, shot = self.exposure, _Shot(self, seed, frame, first)
 
         def report():
             wanted.rendering, wanted.mean, wanted.raw, wanted.linear, wanted.rgb  # noqa: B018  for their times
-            return self._report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
+            return self._build_report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
 
         shading = None if exposure.shading is None else np.array(exposure.shading)
         wanted = Frame(
             exposure.camera,
             exposure.exposure_time,
             Later(lambda: shot.developed[2]),
-            Later(lambda: shot.timed(self.mean_of_pixels)),
-            Later(lambda: exposure.layered(shot.copied(shot.raw))),
-            Later(lambda: np.moveaxis(shot.copied(shot.developed[0], np.float32), 0, -1)),
-            Later(lambda: shot.copied(shot.developed[1])),
+            Later(lambda: shot.measure(self.mean_of_pixels)),
+            Later(lambda: exposure.layered(shot.copy_to_host(shot.raw))),
+            Later(lambda: np.moveaxis(shot.copy_to_host(shot.developed[0], np.float32), 0, -1)),
+            Later(lambda: shot.copy_to_host(shot.developed[1])),
             Later(report),
             exposure.blur,
             shading,
@@ -245,18 +251,18 @@ class Shots:
         return wanted.complete() if exposure.is_rewritten else wanted
 
     def mean_of_pixels(self) -> np.ndarray:
-        """Return the mean electrons of the pixels as they are read, NumPy, float32 [e-]."""
+        """Return the mean electrons of the output pixels, NumPy float32 [e-]."""
         return np.array(self.values["mean of pixels"])
 
     @property
     def _speed(self):
-        # of the sensor as it is, not as binned
+        # for the sensor before binning
         own = replace(
             self.simulator.camera.sensor, analog_gain=self.exposure.camera.sensor.analog_gain
         )
         return self.simulator.cache("speed", iso_speed, own)
 
-    def _report(self, rendering, times, wall, seed, number, error):
+    def _build_report(self, rendering, times, wall, seed, number, error):
         exposure, simulator, camera = self.exposure, self.simulator, self.exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
         lines = {
@@ -274,8 +280,8 @@ class Shots:
                 if camera.sensor.exposure_time is not None
                 else f"automatic exposure, {camera.sensor.auto_exposure.method}"
             )
-        simulator.launched = merged(simulator.launched, times)
-        order = merged(simulator.launched, models)  # with stages that had nothing to do
+        simulator.launched = merge_names(simulator.launched, times)
+        order = merge_names(simulator.launched, models)  # also stages that did no work
         stages = [
             StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
             for name in order
@@ -344,9 +350,9 @@ class Shots:
 
 
 class _Shot:
-    """One picture in the making. ms: milliseconds per stage, wall_ms: in all, so far.
+    """One picture while it is computed. ms: milliseconds per stage so far. wall_ms: in all.
 
-    shots: of its exposure, whose times belong to its `first` picture.
+    first: count the exposure's times in this picture.
     """
 
     def __init__(self, shots: Shots, seed: int, frame: int, first: bool):
@@ -355,19 +361,20 @@ class _Shot:
 
     @cached_property
     def raw(self):
-        return self.timed(lambda: self._shots.raw(self._seed, self._frame))
+        return self.measure(lambda: self._shots.raw(self._seed, self._frame))
 
     @cached_property
     def developed(self):
-        """As `Shots.developed`."""
+        """Result of `Shots.develop`."""
         raw = self.raw
-        return self.timed(lambda: self._shots.developed(raw))
+        return self.measure(lambda: self._shots.develop(raw))
 
-    def copied(self, array, kind=None):
-        """Its values, NumPy; kind: their type, None: as they are."""
-        return self.timed(lambda: np.array(self._shots.simulator.device.numpy(array), kind))
+    def copy_to_host(self, array, kind=None):
+        """Return a device array as NumPy. kind: its new type, or None."""
+        return self.measure(lambda: np.array(self._shots.simulator.device.numpy(array), kind))
 
-    def timed(self, make):
+    def measure(self, make):
+        """Return `make()`, and add its times."""
         start = time.perf_counter()
         with self._shots.simulator.device.timed() as ms:
             value = make()

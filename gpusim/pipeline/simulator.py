@@ -1,4 +1,4 @@
-"""A camera on a device: the way from a scene to frames. Brackets, bursts and the like are in `gpusim.captures`."""
+"""A camera on a device, which makes frames of scenes. Brackets, bursts and other captures are in `gpusim.captures`."""
 
 from collections.abc import Iterable, Iterator
 from copy import copy
@@ -22,7 +22,7 @@ from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Exposure, Frame
 from gpusim.pipeline.imaging import Imaging
-from gpusim.pipeline.planning import checked_reach, planned
+from gpusim.pipeline.planning import checked_reach, make_plan
 from gpusim.pipeline.program import Program
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.report import Error
@@ -37,16 +37,23 @@ from gpusim.planner.plan import Plan
 class Simulator:
     """A camera on a device.
 
-    camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
-    relative RMS error or a Tolerance: of what is predicted to meet it the cheapest is done, and nothing that costs more
-    than the exact frame in a world without end; the report says whether it is met. Without one every wavelength is
-    exact. guaranteed: predict for the worst spectrum there can be, a monochromatic point, and not for the scene's own.
-    reach: pixels of surroundings on each side that take part in the blur; by default BORDER_REACH, or what the
-    tolerance needs, with a world without end beyond where the lens allows it.
-    period: of the transforms [sample], for the reference: see `gpusim.planner.plan.plan`. strict: raise NotMet for a
-    scene of which the tolerance is predicted not to be met; else the report says so.
-    Raises BadData for what is no camera, DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can
-    hold).
+    Args:
+        camera: The camera that takes the pictures.
+        device: A Device, or a name for `open_device`.
+        tolerance: A preset's name, a relative RMS error or a Tolerance. The planner uses the cheapest method that is
+            predicted to meet it, never one that costs more than the exact frame of an infinite scene. The report says
+            whether it is met. None computes each wavelength exactly.
+        guaranteed: Predict errors for the worst possible spectrum, a monochromatic point, instead of the scene's.
+        reach: Width of the surroundings that contribute to the blur, on each side [pixel]. None chooses it from the
+            tolerance and, if the lens allows it, adds the light from beyond; without a tolerance it is BORDER_REACH.
+        period: Lengths of the transforms (rows, cols) [sample], for reference frames, see `gpusim.planner.plan.plan`.
+        strict: Raise NotMet if the tolerance is predicted not to be met; otherwise the report says so.
+
+    Raises:
+        BadData: No camera.
+        DeviceError: There is no such device.
+        UnknownName: There is no such tolerance preset.
+        OutOfRange: The tolerance is below the precision of float32, or the reach is not allowed.
     """
 
     def __init__(
@@ -75,7 +82,7 @@ class Simulator:
                 self.tolerance.rms,
                 "rms >= 1e-6 in float32; below it use device numpy",
             )
-        self.launched: list[str] = []  # names of stages in their order
+        self.launched: list[str] = []  # names of stages, in their order
         self._drawing = OwnTape()
         self._connect(camera, Cache(), Cache())
 
@@ -84,7 +91,10 @@ class Simulator:
         return shortened(f"Simulator({self.camera!r}, {self.device!r}, {asked})")
 
     def _connect(self, camera, cache, tables):
-        """Use a camera. cache: of a camera's values. tables: of lens tables and patterns, for frames of one kind."""
+        """Set the camera and its caches.
+
+        cache: of a camera's values. tables: of lens tables and chip patterns, for frames of one kind.
+        """
         self.camera, self.cache, self.tables = checked_camera(camera), cache, tables
         sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
         self.readout = cache("readout", Readout, sensor, self.device, tables)
@@ -92,18 +102,36 @@ class Simulator:
         return self
 
     def update(self, camera: Camera) -> "Simulator":
-        """The same with another camera, for which what does not change is kept. Raises as the class does."""
+        """Return the simulator with another camera. Results that do not depend on the change are kept.
+
+        Args:
+            camera: The new camera.
+
+        Returns:
+            A simulator that shares the caches of this one.
+        """
         return copy(self)._connect(camera, self.cache, self.tables)
 
     def apart(self, camera: Camera, tables: Cache) -> "Simulator":
-        """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
+        """Return a simulator with another camera that is used in turn with this one. Each has a cache.
+
+        Args:
+            camera: The camera of the new simulator.
+            tables: Cache of its lens tables and chip patterns; it may be shared.
+
+        Returns:
+            The new simulator.
+        """
         return copy(self)._connect(camera, Cache(), tables)
 
     def steps(self, plan: Plan) -> list[Step]:
-        """Return the steps of a frame by a plan, from the scene to display codes.
+        """Return the steps of a frame made with a plan, from the scene to display codes.
 
         Args:
             plan: Plan for this simulator's camera.
+
+        Returns:
+            The steps, in the order in which they run.
         """
         readout, shape = self.readout, plan.scene.shape
         layers = len(self.camera.sensor.channels) if self.camera.sensor.stacked else 1
@@ -121,7 +149,17 @@ class Simulator:
         planned_for: Scene | None = None,
         plan: Plan | None = None,
     ) -> Batch:
-        """Frames of several scenes, or of several settings, in one array: see `gpusim.pipeline.batch.Batch`."""
+        """Return a Batch: frames of several scenes, or with several settings, in one array.
+
+        Args:
+            count: Number of frames in a call.
+            output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+            planned_for: Scene whose plan is used for all scenes of its kind that it fits.
+            plan: Plan for all frames.
+
+        Returns:
+            A callable, see `gpusim.pipeline.batch.Batch`.
+        """
         return Batch(self, count, output, planned_for, plan)
 
     def program(
@@ -132,7 +170,18 @@ class Simulator:
         meters_late: bool = False,
         plan: Plan | None = None,
     ) -> Program:
-        """Frames of a scene, in which what a change does not touch is kept: see `Program`."""
+        """Return a Program: frames of a scene that reuse results that a change does not affect.
+
+        Args:
+            scene: The scene.
+            exposure_time: Exposure time [s]; None uses the camera's.
+            gain: Analog gain, next to the sensor's [1].
+            meters_late: Expose each frame as metered in the frame before.
+            plan: Plan for every frame, instead of one for the scene.
+
+        Returns:
+            The program, see `gpusim.pipeline.program.Program`.
+        """
         return Program(self, scene, exposure_time, gain, meters_late, plan=plan)
 
     def stream(
@@ -147,16 +196,24 @@ class Simulator:
         meters_late: bool = True,
         plan: Plan | None = None,
     ) -> Stream:
-        """One frame of every scene, an array of the device, which is written anew for the next one.
+        """Return an iterator over one frame of each scene. The next frame overwrites the array.
 
-        output: a name of `gpusim.pipeline.outputs.OUTPUTS`, such as "codes" or "raw". seed: of the noise;
-        frames are numbered from `first`. exposure_time, gain: as for `expose`. meters_late: where the exposure is
-        automatic, expose by what was metered in the frame before, as a video camera does, the first frame by its own;
-        else every frame by its own, which waits for the device. The next scene goes to the device while this one is
-        computed: arrays of a scene may be written to again when the scene after the next is asked for. A plan is kept
-        while scenes are of one kind and it fits them, which the device looks at in each, and probes now and then: see
-        `Program`; `plan` makes all frames instead. The stream's `plan` is that of its last frame. Raises as `frames`
-        does.
+        The next scene is uploaded while this one is computed. A scene's arrays may be rewritten when the iterator
+        requests the scene after the next. One plan is used as long as it fits the scenes, see `Program`.
+
+        Args:
+            scenes: The scenes.
+            output: A key of `gpusim.pipeline.outputs.OUTPUTS`, for example "codes" or "raw".
+            seed: Seed of the noise.
+            first: Number of the first frame.
+            exposure_time: Exposure time [s]; None uses the camera's, see `expose`.
+            gain: Analog gain, next to the sensor's [1].
+            meters_late: If exposure is automatic, expose each frame but the first as metered in the frame before, like
+                a video camera. False meters each frame itself, which waits for the device.
+            plan: Plan for all frames.
+
+        Returns:
+            The iterator; it yields device arrays, and its `plan` made the last frame.
         """
         return Stream(
             self,
@@ -192,12 +249,29 @@ class Simulator:
         plan: Plan | None = None,
     ) -> Iterator[Frame]: ...
 
-    def __call__(self, scene, *, seed=0, frame=0, verify=False, plan=None):
-        """One frame of `scene`, of number `frame`; see `frames`.
+    def __call__(
+        self,
+        scene: Scene | Iterable[Scene],
+        *,
+        seed: int = 0,
+        frame: int = 0,
+        verify: bool = False,
+        plan: Plan | None = None,
+    ) -> Frame | Iterator[Frame]:
+        """Return one frame of a scene, or an iterator over one frame of each of several scenes.
 
-        Of several scenes, a list or what gives them one by one, an iterator of one frame of each, numbered from `frame`
-        on: each is made when it is asked for, and is what its scene and number give by themselves. `stream` is faster
-        where their arrays are enough. Raises as `frames` does: at the call for what is no scene, also in a list.
+        Frames of several scenes are computed lazily. Each depends only on its scene, seed and number. `stream` is
+        faster if device arrays are enough.
+
+        Args:
+            scene: A scene, or several.
+            seed: Seed of the noise.
+            frame: Number of the frame, or of the first one.
+            verify: Also compute the float64 reference and report the true error.
+            plan: Plan for all frames.
+
+        Returns:
+            The frame, or the iterator.
         """
         if (
             isinstance(scene, Iterable)
@@ -210,7 +284,9 @@ class Simulator:
                 self(one, seed=seed, frame=number, verify=verify, plan=plan)
                 for number, one in enumerate(scene, frame)
             )
-        return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify, plan=plan))
+        return next(
+            self.frames(checked_scene(scene), 1, seed=seed, first=frame, verify=verify, plan=plan)
+        )
 
     def frames(
         self,
@@ -222,11 +298,20 @@ class Simulator:
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Iterator[Frame]:
-        """`count` noisy frames of one scene, numbered from `first`; the mean electrons are computed once.
+        """Return an iterator over noisy frames of one scene. The mean electrons are computed once.
 
-        seed: names the noise; frame n of a seed is the same whatever else is drawn. verify: also run the float64
-        reference and report the true error.
-        Raises BadData, DoesNotFit (memory, before anything is allocated), OutOfRange.
+        The iterator raises BadData, DoesNotFit (before it allocates memory) or OutOfRange at its first frame.
+
+        Args:
+            scene: The scene.
+            count: Number of frames.
+            seed: Seed of the noise. Frame n of a seed is always the same.
+            first: Number of the first frame.
+            verify: Also compute the float64 reference and report the true error.
+            plan: Plan for the frames.
+
+        Returns:
+            The iterator.
         """
         checked_count("count of frames", count)
         return self._frames(checked_scene(scene), count, seed, first, verify, plan)
@@ -247,7 +332,18 @@ class Simulator:
         first: int = 0,
         error: Error | None = None,
     ) -> Iterator[Frame]:
-        """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
+        """Yield noisy frames of an exposure.
+
+        Args:
+            exposure: The exposure.
+            count: Number of frames.
+            seed: Seed of the noise.
+            first: Number of the first frame.
+            error: True error of the mean electrons for the report, if known.
+
+        Yields:
+            The frames, in order.
+        """
         checked_count("count of frames", count)
         shots = Shots(self, exposure)
         for number in range(first, first + count):
@@ -260,12 +356,20 @@ class Simulator:
         exposure_time: float | None = None,
         least: int = 0,
     ) -> Plan:
-        """What a frame of `scene` takes.
+        """Return the plan of a scene.
 
-        facts: of it, where they are known. exposure_time: [s], in place of the camera's. least: planes of the blur.
-        Raises BadData, DoesNotFit, NotMet where the simulator is strict.
+        It raises BadData, DoesNotFit, or NotMet if the simulator is strict.
+
+        Args:
+            scene: The scene.
+            facts: Facts of the scene, if known.
+            exposure_time: Exposure time [s]; None uses the camera's.
+            least: Minimum number of planes of the blur.
+
+        Returns:
+            The plan.
         """
-        return planned(self, scene, facts, exposure_time, least)
+        return make_plan(self, scene, facts, exposure_time, least)
 
     def expose(
         self,
@@ -274,11 +378,20 @@ class Simulator:
         gain: float = 1.0,
         plan: Plan | None = None,
     ) -> Exposure:
-        """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.
+        """Return the exposure of a scene: its mean electrons, without noise.
 
-        Automatic exposure is as the sensor's `auto_exposure` says, and chooses the analog gain too. gain: beside the
-        sensor's, with a time that is given or the camera's: `expose(scene, last.exposure_time, last.gain)` keeps what
-        was metered before. Raises BadData, DoesNotFit, OutOfRange.
+        If neither the call nor the camera gives an exposure time, the sensor's `auto_exposure` chooses time and gain.
+        `expose(scene, last.exposure_time, last.gain)` repeats an exposure that was metered before. It raises BadData,
+        DoesNotFit or OutOfRange.
+
+        Args:
+            scene: The scene.
+            exposure_time: Exposure time [s]; None uses the camera's.
+            gain: Analog gain, next to the sensor's [1]. Automatic exposure ignores it.
+            plan: Plan for the exposure.
+
+        Returns:
+            The exposure.
         """
         program = self.program(scene, exposure_time, gain, plan=plan)
         exposure = program.exposure
@@ -287,10 +400,17 @@ class Simulator:
     def draw(
         self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None
     ) -> Any:
-        """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.
+        """Add noise to `exposure.chip_mean`. For equal means the result is identical on all devices.
 
-        frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
-        stacked pixels one below the other.
+        Args:
+            exposure: The exposure.
+            seed: Seed of the noise.
+            frame: Number of the first frame.
+            frames: Number of frames; None draws one without the first axis.
+
+        Returns:
+            Raw values, a device array (frames, rows, cols) or (rows, cols) [DN]. Layers of stacked pixels are below
+            each other.
         """
         drawing, of = (
             self._drawing,
@@ -307,13 +427,26 @@ class Simulator:
             drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
         return raw
 
-    def develop(self, raw, exposure: Exposure) -> tuple[Any, Any]:
-        """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3), on the device.
+    def develop(self, raw: Any, exposure: Exposure) -> tuple[Any, Any]:
+        """Develop raw values. Those of a sensor without a converter are first rounded to 16 bits.
 
-        Raw values of a sensor without a converter are shown from 16 bits of them.
+        Args:
+            raw: Raw values, a device array (rows, cols) [DN].
+            exposure: The exposure from which they were drawn.
+
+        Returns:
+            Linear display RGB (3, rows, cols) before the tone curve, and display codes (rows, cols, 3), device arrays.
         """
-        return Shots(self, exposure).developed(raw)[:2]
+        return Shots(self, exposure).develop(raw)[:2]
 
-    def codes(self, raw, exposure: Exposure) -> Any:
-        """The display codes of `develop` alone, for previews and videos: in one pass where the camera allows it."""
+    def codes(self, raw: Any, exposure: Exposure) -> Any:
+        """Develop raw values to display codes only, in one pass if the camera allows it.
+
+        Args:
+            raw: Raw values, a device array (rows, cols) [DN].
+            exposure: The exposure from which they were drawn.
+
+        Returns:
+            Display codes, a device array (rows, cols, 3), uint8.
+        """
         return Shots(self, exposure).codes(raw)

@@ -1,7 +1,7 @@
 """A frame is a list of steps. Everything else about a frame is a sum or a walk over this list.
 
-A new stage in a frame is the four files of its kernels and one `Step`. The report's lines and their order, the memory,
-the predicted time, what an update runs again and where the host may read follow from the step.
+A new stage needs the four files of its kernels and one `Step`. The step determines the report's lines and their order,
+the memory, the predicted time, the work of an update, and whether the host may read.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
+from gpusim.backends import Device
 from gpusim.kernels.stage import public_function
 from gpusim.pipeline.cache import Cache
 
@@ -26,20 +27,20 @@ class Rate(IntEnum):
 class Step:
     """One computation of a frame: `run(*inputs, **constants, **numbers)`.
 
-    The run has no other arguments, no closure and no object behind it. So inputs, constants and numbers are all that
-    the result depends on, and nobody writes a cache key.
+    The function has no other arguments, no closure and no bound object. So the result depends on inputs, constants and
+    numbers only, and they are the cache key.
 
     Attributes:
         output: Name of the value that it makes.
-        stage: Stage that the report names, such as "sensor.noise". Several steps may be of one stage.
+        stage: Stage in the report, for example "sensor.noise". Several steps may belong to one stage.
         inputs: Names of values. "" stands for None.
         constants: Arguments by name that do not change from frame to frame, the device among them.
-        numbers: Names of numbers that change from frame to frame, such as "seed".
+        numbers: Names of numbers that change from frame to frame, for example "seed".
         words: The report's line; "" if another step of the stage has it.
         nbytes: Device memory that stays allocated [byte].
-        work: Amount of work in the stage's unit, see `gpusim.judge.speeds`; 0 if it is part of another stage's.
+        work: Amount of work in the stage's unit, see `gpusim.judge.speeds`; 0 if another step counts it.
         rate: How often it runs at most.
-        host: Why the host may read values of the device or compute in this step; "" if it may not.
+        host: Why the host may read device values or compute in this step; "" if it may not.
         run: The function; by default the stage's public function.
     """
 
@@ -70,8 +71,9 @@ class Chain:
         device: Device of the steps.
     """
 
-    def __init__(self, first: str, last: str, rate: Rate, device):
-        self.value, self.steps = first, []
+    def __init__(self, first: str, last: str, rate: Rate, device: Device):
+        self.value = first
+        self.steps: list[Step] = []
         self._last, self._rate, self._device = last, rate, device
 
     def add(self, stage: str, constants: Mapping | None = None, *others: str, **fields) -> None:
@@ -95,15 +97,15 @@ class Chain:
         self.value = step.output
 
     def end(self) -> list[Step]:
-        """Return the steps; the last one makes the last value."""
+        """Return the steps. The last step makes the last value."""
         return [*self.steps[:-1], replace(self.steps[-1], output=self._last)]
 
 
 class Values:
-    """Values of a frame by name. Each is computed if it is needed and something before it has changed.
+    """Values of a frame by name. Each is computed when it is needed and something before it has changed.
 
     Args:
-        caches: Where the values of each rate are kept.
+        caches: The cache of each rate's values.
     """
 
     def __init__(self, caches: Mapping[Rate, Cache]):
@@ -111,11 +113,11 @@ class Values:
         self._steps: dict[str, Step] = {}
         self._given: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
-        self._known: dict[str, Any] = {}  # values that nothing has changed since they were computed
-        self._users: dict[str, set[str]] = {}  # of a value, a number: outputs that are made of it
+        self._known: dict[str, Any] = {}  # values that are up to date
+        self._users: dict[str, set[str]] = {}  # outputs that depend directly on a value or number
 
     def use(self, steps: Iterable[Step]) -> None:
-        """Take steps in place of all that were used before."""
+        """Replace all steps by these."""
         new = {step.output: step for step in steps}
         before, self._steps = self._steps, new
         for name in before.keys() - new.keys():
@@ -129,26 +131,26 @@ class Values:
                 self.forget(name)
 
     def give(self, **values) -> None:
-        """Set values that no step makes, or in place of a step's."""
+        """Set values. They take precedence over the results of steps."""
         for name, value in values.items():
             if name not in self._given or self._given[name] is not value:
                 self._given[name] = value
                 self.forget(name)
 
     def withdraw(self, name: str) -> None:
-        """Have a step make a value again that was given."""
+        """Remove a given value. Its step then makes it again."""
         if self._given.pop(name, None) is not None:
             self.forget(name)
 
     def set_numbers(self, **numbers) -> None:
-        """Set numbers that steps take by name."""
+        """Set the numbers of steps by name."""
         for name, value in numbers.items():
             if name not in self._numbers or self._numbers[name] != value:
                 self._numbers[name] = value
                 self.forget(name)
 
     def forget(self, name: str) -> None:
-        """Have a value, and all that are made of it, looked at again when they are next needed."""
+        """Mark a value and all that depend on it as out of date."""
         self._known.pop(name, None)
         for user in self._users.get(name, ()):
             if user in self._known:
@@ -156,15 +158,14 @@ class Values:
 
     def __getitem__(self, name: str) -> Any:
         for cache in self._caches.values():
-            if (
-                cache.is_taped and cache.user is not self._token
-            ):  # another may have rewritten its arrays
+            # other values may have rewritten the cache's arrays
+            if cache.is_taped and cache.user is not self._token:
                 self._known.clear()
                 cache.user = self._token
         return self._value(name)
 
     def unexpected_host_accesses(self) -> list[tuple[str, str]]:
-        """Return (value, stage) of steps that read device values or worked on the host without `Step.host`."""
+        """Return (value, stage) of steps that read device values or computed on the host without `Step.host`."""
         found = []
         for cache in {id(cache): cache for cache in self._caches.values()}.values():
             for name, reads, work in cache.host_accesses():
@@ -194,7 +195,7 @@ class Values:
 
 
 def steps_needed(steps: Iterable[Step], names: Iterable[str]) -> list[Step]:
-    """Return the steps that make values of these names, and all that they are made of, in the order of the list."""
+    """Return the steps that these values depend on, in the order of the list."""
     by_output = {step.output: step for step in steps}
     wanted, found = [*names], set()
     while wanted:

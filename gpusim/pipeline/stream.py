@@ -1,4 +1,4 @@
-"""Frames of one scene after the other: the next scene goes to the device while this one is computed."""
+"""Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
 from collections.abc import Generator, Iterable, Iterator
 from typing import Any
@@ -12,47 +12,62 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.planner.plan import Plan
 
-SLOTS = 2  # one is computed from while the other is written
+SLOTS = 2  # one is read while the other is written
 
 
 class Stream(Iterator):
-    """One frame of every scene: see `Simulator.stream`. settings: of its `Program`.
+    """An iterator over one frame of each scene, see `Simulator.stream`.
 
-    plan: by which the last frame was made; before the first, the one that was given, or None.
+    Args:
+        simulator: The Simulator.
+        scenes: The scenes.
+        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        seed: Seed of the noise.
+        first: Number of the first frame.
+        plan: Plan for all frames.
+        settings: Further arguments of `Program`.
+
+    Attributes:
+        plan: Plan of the last frame; before the first frame the given one, or None.
+
+    Raises:
+        BadData: No scenes.
+        OutOfRange: The number of the first frame is not allowed.
+        UnknownName: There is no such output.
     """
 
     def __init__(
         self,
-        simulator,
+        simulator: Any,
         scenes: Iterable[Scene],
         output: str = "codes",
         *,
         seed: int = 0,
         first: int = 0,
         plan: Plan | None = None,
-        **settings,
+        **settings: Any,
     ):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         checked_count("first", first, 0)
         if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
             raise BadData(
-                f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]"
+                f"scenes of a stream: {type(scenes).__name__}, wanted several, e.g. [scene]"
             )
         self.plan, self._settings = plan, settings | {"plan": plan}
-        self._frames = self._made(simulator, scenes, output, seed, first)
+        self._frames = self._generate(simulator, scenes, output, seed, first)
 
     def __next__(self) -> Any:
         return next(self._frames)
 
     def close(self) -> None:
-        """End it; what is on its way to the device arrives before."""
+        """End the stream. Waits for uploads."""
         self._frames.close()
 
-    def _made(self, simulator, scenes, output, seed, first):
-        arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
+    def _generate(self, simulator, scenes, output, seed, first):
+        uploaded, program = _upload_scenes(simulator.device, map(checked_scene, scenes)), None
         try:
-            for number, scene in enumerate(arriving, first):
+            for number, scene in enumerate(uploaded, first):
                 program = (
                     simulator.program(scene, **self._settings)
                     if program is None
@@ -64,13 +79,13 @@ class Stream(Iterator):
             if program is not None:
                 program.judge()
         finally:
-            arriving.close()
+            uploaded.close()
 
 
-def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
-    """The scenes with their samples on the device, the next one on its way there.
+def _upload_scenes(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
+    """Yield the scenes with their samples on the device, while the next scene is uploaded.
 
-    A scene's arrays may be written to again when the scene after the next is asked for.
+    A scene's arrays may be rewritten when the scene after the next is requested.
     """
     if device.on_host or device.kind == "numpy":
         yield from scenes
@@ -82,7 +97,7 @@ def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None,
             if earlier is not None:
                 earlier.wait()
             coming = next(scenes, None)
-            following = None if coming is None else _Sent(device, coming, slots[number % SLOTS])
+            following = None if coming is None else _Upload(device, coming, slots[number % SLOTS])
             if sent is not None:
                 yield sent.scene()
             if following is None:
@@ -94,10 +109,10 @@ def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None,
                 one.wait()
 
 
-class _Sent:
+class _Upload:
     """A scene on its way to a device.
 
-    slot: arrays there that it takes the place of, by name; they are read by nothing that is launched from now on.
+    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them.
     """
 
     def __init__(self, device, scene: Scene, slot: dict):
@@ -107,7 +122,7 @@ class _Sent:
             values, kind = getattr(content, name), content.stored_type(name)
             if not isinstance(values, np.ndarray):
                 if dlpack_kind(values) != CPU[0]:
-                    continue  # it is there
+                    continue  # already there
                 values = to_host(values, content.form)
             values = np.ascontiguousarray(values, kind)
             target = slot.get((name, kind))
@@ -117,11 +132,11 @@ class _Sent:
             slot[name, kind] = self._transfers[name].array
 
     def scene(self) -> Scene:
-        """The scene, whose samples what is launched from now on waits for."""
+        """Return the scene. Later launches wait for its upload."""
         arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
         return self._scene.stored(**arrays) if arrays else self._scene
 
     def wait(self):
-        """Wait until all of it has arrived."""
+        """Wait for the upload."""
         for transfer in self._transfers.values():
             transfer.wait()

@@ -1,6 +1,6 @@
-"""How the pipeline gets at the truth, which is in a package above it: `gpusim` hands it in."""
+"""Gives the pipeline access to `gpusim.judge.truth`, a package above it. `gpusim` sets `load`."""
 
 from collections.abc import Callable
 from types import ModuleType
 
-load: Callable[[], ModuleType]  # gives `gpusim.judge.truth`
+load: Callable[[], ModuleType]  # returns `gpusim.judge.truth`

@@ -138,7 +138,7 @@ def test_actors_that_cannot_be(changes, error, words):
 
 def test_animations_that_cannot_be():
     actor = gs.Actor(*spot())
-    with pytest.raises(BadData, match="with depth"):
+    with pytest.raises(BadData, match="without depth"):
         gs.Animation(replace(BACK, depth=np.ones((60, 80))), [actor])
     with pytest.raises(BadData, match="the same wavelengths and basis"):
         gs.Animation(gs.chart("flat"), [actor])

@@ -119,7 +119,7 @@ def test_hard_08_monochromatic_sweep_of_a_point():
     own = Spectra.of(Cube(fine, line))
     for rank in (3, 4):
         assert errors(prior.w_in[:, :rank].T, prior.transfers(rank)).max() > 1e-3
-        assert prior.predicted(rank, own) > 5 * prior.tail[rank]  # says that it is outside
+        assert prior.predict_error(rank, own) > 5 * prior.tail[rank]  # says that it is outside
 
 
 @pytest.mark.slow

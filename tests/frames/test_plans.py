@@ -64,7 +64,7 @@ def check_lines(scene, device):
             planes, kernels, np.ones((3, rank)), cfa, "edge", plan.period, device=device
         )
         error = relative(result, truth)
-        predicted = operator.predicted(rank, own)
+        predicted = operator.predict_error(rank, own)
         print(f"{device} {cols}x{rows} rank {rank}: {error:.2e}, predicted {predicted:.2e}")
         assert error <= line
         assert 1 / 2.5 <= predicted / error <= 2.5

@@ -221,7 +221,7 @@ def test_defects_refuses_wrong_input():
     ):
         with pytest.raises(BadData, match=words):
             defects(bad, **good)
-    with pytest.raises(BadData, match=r"known defects.*wanted that of raw"):
+    with pytest.raises(BadData, match=r"known defects.*wanted the shape of raw"):
         defects(raw, np.ones((8, 9), np.uint8), **good)
     with pytest.raises(BadData, match="cfa"):
         defects(raw, **{**good, "cfa": np.ones((2, 2), np.int32)})

@@ -258,7 +258,7 @@ def test_refuses():
         next(simulator.stream(cubes(1), "film"))
     with pytest.raises(OutOfRange, match="first"):
         next(simulator.stream(cubes(1), first=-1))
-    with pytest.raises(BadData, match=r"wanted several, such as \[scene\]"):
+    with pytest.raises(BadData, match=r"wanted several, e.g. \[scene\]"):
         next(simulator.stream(cubes(1)[0]))
     for asked in (
         lambda: next(simulator.stream([3])),

@@ -98,7 +98,9 @@ def test_what_is_refused_cannot_be_undone():
         assert (end < 400) == folds  # pixels from the middle to the corner
         lens = gs.Calibration.of(matrix, [k1, 0, 0, 0], (640, 480)).framed((480, 640), PITCH)
         if folds:
-            with refused(f"the image is at {end / 300:.4f}"[:-1], "corner, 1.33", error=OutOfRange):
+            with refused(
+                f"with the image at {end / 300:.4f}"[:-1], "corner, 1.33", error=OutOfRange
+            ):
                 distortion_grid(lens, (480, 640), PITCH)
         else:
             distortion_grid(lens, (480, 640), PITCH)
