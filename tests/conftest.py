@@ -33,3 +33,31 @@ def shared_data():
 
 pytest_runtest_setup = pytest.hookimpl(wrapper=True)(budgeted)
 pytest_runtest_call = pytest.hookimpl(wrapper=True)(budgeted)
+
+# Whole frames run on one CPU device by default. On the others they are slow tests, but for the files that compare
+# devices: stages, updates and outputs are the same on all of them, and so are frames (tests/golden.py).
+ON_ALL_DEVICES = (
+    "test_batches",
+    "test_outputs",
+    "test_random_order",
+    "test_simulate",
+    "test_updates",
+)
+OTHERS = ("warp:cpu", "numpy")
+
+
+def pytest_collection_modifyitems(items):
+    """Mark whole frames on a second CPU device as slow, if the first one is tested too."""
+    named = {}
+    for item in items:
+        params = getattr(item, "callspec", None)
+        if params is not None and "frames" in item.path.parts:
+            rest = tuple(part for part in params.id.split("-") if part not in (*OTHERS, "opencl:0"))
+            named.setdefault((item.path, item.originalname, rest), []).append(item)
+    for (path, *_), same in named.items():
+        devices = {item: [str(one) for one in item.callspec.params.values()] for item in same}
+        if path.stem in ON_ALL_DEVICES or not any("opencl:0" in one for one in devices.values()):
+            continue
+        for item, parts in devices.items():
+            if any(other in parts for other in OTHERS):
+                item.add_marker("slow")

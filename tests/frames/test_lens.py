@@ -76,7 +76,10 @@ def natural(shape, seed=2):
     return np.maximum(1 + 0.3 * noise / noise.std(), 0.02)
 
 
-@pytest.mark.parametrize("name", ["ideal", "field", "polygon", "low-pass"])
+@pytest.mark.parametrize(
+    "name",
+    ["ideal", "field", pytest.param("polygon", marks=pytest.mark.slow), "low-pass"],
+)
 def test_kernels_of_a_pupil_are_those_of_its_exact_transfer_function(name):
     """The pupil's grid against the tables of `optics.pupil`, made from Hopkins's integral by quadrature.
 

@@ -71,9 +71,19 @@ def scene_of(form):
     return replace(picture, content=gs.Cube(picture.wavelengths, bands.astype(form)))
 
 
-@pytest.mark.parametrize("form", ["materials", np.float32, "picture", "illuminated"])
+FORMS = ["materials", np.float32, "picture", "illuminated"]
+# every camera in front of one form, and every form in front of one camera; the other pairs are slow
+PAIRS = [
+    pytest.param(
+        camera, form, marks=[pytest.mark.slow] * (camera != "phone" and form != "materials")
+    )
+    for camera in CAMERAS
+    for form in FORMS
+]
+
+
 @pytest.mark.parametrize("tolerance", [None, 4e-4])
-@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize(("camera", "form"), PAIRS)
 def test_a_programs_memory_is_predicted(camera, tolerance, form):
     """Three frames of two scenes, on a device whose driver is asked for all of it; a tenth, and 100 kB of constants."""
     device, scene = apart(), scene_of(form)

@@ -172,6 +172,7 @@ def run(folder, device, environment, commands):
         ),
     ],
 )
+@pytest.mark.slow
 def test_every_command_works_on_the_second_device(names, environment, tmp_path):
     random, photographs = np.random.default_rng(3), tmp_path / "photographs"
     photographs.mkdir()

@@ -23,7 +23,7 @@ def seen(monkeypatch, scene, lens, reach, device="numpy"):
     exposure = simulator.expose(scene, 1.0)
     assert (
         exposure.plan.far is not None
-        and f"beyond {reach} pixels" in exposure.plan.models["optics.far"]
+        and f"more than {reach} pixels" in exposure.plan.models["optics.far"]
     )
     return simulator.device.numpy(exposure.mean), exposure.plan
 
