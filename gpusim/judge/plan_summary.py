@@ -92,7 +92,7 @@ class Forecast:
         lines.append(f"  plan: {plan.name}")
         lines += [f"  not modelled: {what}" for what in plan.left_out]
         lines += self._errors()
-        lines += [f"  beside: {name} {value:.2g}" for name, value in plan.beside.items()]
+        lines += [f"  not in the total: {name} {value:.2g}" for name, value in plan.beside.items()]
         if plan.verdict is not None:
             lines.append(f"  tolerance: {plan.verdict}")
         for ms, option in self.front:

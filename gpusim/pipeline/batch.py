@@ -167,11 +167,11 @@ class Batch:
         program = self._items[item]
         if program is not None and program.simulator.camera is camera:
             return program
-        asked = self._simulator.tolerance
-        by = planned_by(checked_camera(camera), asked)
+        tolerance = self._simulator.tolerance
+        by = planned_by(checked_camera(camera), tolerance)
 
         def has_same_plan(other):
-            return same(planned_by(other.simulator.camera, asked), by)
+            return same(planned_by(other.simulator.camera, tolerance), by)
 
         if program is not None:
             if has_same_plan(program):

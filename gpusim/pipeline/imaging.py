@@ -21,10 +21,8 @@ from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
-from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
-from gpusim.kernels.optics.tiles import tiles
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
@@ -259,12 +257,11 @@ class _Steps:
             chain.add(
                 "optics.sample",
                 {
-                    "row_start": rows.start,
-                    "row_weights": rows.weights,
-                    "col_start": cols.start,
-                    "col_weights": cols.weights,
+                    "start_y": rows.start,
+                    "weights_y": rows.weights,
+                    "start_x": cols.start,
+                    "weights_x": cols.weights,
                 },
-                run=sample_pixels,
                 words=self.words("optics.sample"),
                 nbytes=4 * self.channels * self.pixels,
                 work=float(self.samples * self.channels),
@@ -336,19 +333,18 @@ class _Steps:
         plan, planes_ = self.plan, chain.value
         constants = {"mix": plan.mix, "border": _border(plan), "margin": margin}
         if plan.tiling is not None:
-            stage, run = "optics.tiles", blur_tiles
+            stage = "optics.tiles"
             constants |= {"cfa": cfa, "side": plan.tiling.side, "overlap": plan.tiling.overlap}
         elif cfa is not None:
-            stage, run = "optics.mosaic", blur_mosaic
+            stage = "optics.mosaic"
             constants |= {"cfa": cfa, "period": plan.period}
         else:
-            stage, run = "optics.blur", blur_channels
+            stage = "optics.blur"
             constants |= {"period": plan.period}
         chain.add(
             stage,
             constants,
             f"{self.prefix}transfer",
-            run=run,
             words=self.words(stage),
             nbytes=self._bytes_of_blur(),
             work=self._work_of_blur(stage, cfa),
@@ -701,21 +697,6 @@ def place_planes(planes_, places, lights, zoom, *, seen, border, by_area, device
     return distort(planes_, places, seen, border, light=light, device=device)
 
 
-def blur_tiles(planes_, tables, *, mix, cfa, border, side, overlap, margin, device) -> Any:
-    """Return the mosaic, or the channels if `cfa` is None, blurred tile by tile."""
-    return tiles(planes_, tables, mix, cfa, border, side, overlap, margin=margin, device=device)
-
-
-def blur_mosaic(planes_, tables, *, mix, cfa, border, period, margin, device) -> Any:
-    """Return the blurred mosaic."""
-    return mosaic(planes_, tables, mix, cfa, border, period, margin=margin, device=device)
-
-
-def blur_channels(planes_, tables, *, mix, border, period, margin, device) -> Any:
-    """Return the blurred channels."""
-    return blur(planes_, tables, mix, border, period, margin=margin, device=device)
-
-
 def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:
     """Add the light from far away to rates. model: see `gpusim.planner.knobs.farfield.FarField`."""
     return far(
@@ -773,11 +754,6 @@ def pass_on(planes_, *, device) -> Any:
 def as_one_plane(rates, *, device) -> Any:
     """Return a mosaic (rows, cols) as planes (1, rows, cols)."""
     return device.reshape(rates, (1, *rates.shape))
-
-
-def sample_pixels(rates, *, row_start, row_weights, col_start, col_weights, device) -> Any:
-    """Return channels at the pixels from channels at the scene's samples."""
-    return sample(rates, row_start, row_weights, col_start, col_weights, device=device)
 
 
 def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device) -> Any:

@@ -159,14 +159,14 @@ def predict_errors(
 
     Raises NotMet if the simulator is strict.
     """
-    asked, single = simulator.tolerance, simulator.device.kind != "numpy"
-    own, its = (planned_by(camera, asked) for camera in (made.camera, simulator.camera))
+    tolerance, single = simulator.tolerance, simulator.device.kind != "numpy"
+    own, its = (planned_by(camera, tolerance) for camera in (made.camera, simulator.camera))
     is_own = made.scene is scene or same(made.scene, scene)
     is_judged = (
         is_own
         and not made.planned_for
         and made.single == single
-        and made.tolerance == asked
+        and made.tolerance == tolerance
         and same(own, its)
     )
     if not is_judged and made.misfit(scene):  # another tolerance, device or noise
@@ -175,13 +175,16 @@ def predict_errors(
         }
         account = replace(made.account, bounds=made.account.bounds | unknown)
         made = replace(
-            made, account=account, tolerance=asked, verdict=asked and account.verdict(asked)
+            made,
+            account=account,
+            tolerance=tolerance,
+            verdict=tolerance and account.verdict(tolerance),
         )
     elif not is_judged:
         question = Question.of(
-            scene, simulator.camera, facts, asked or made.tolerance, **_plan_options(simulator)
+            scene, simulator.camera, facts, tolerance or made.tolerance, **_plan_options(simulator)
         )
-        made = judged(made, question, exposure_time, asked, single)
+        made = judged(made, question, exposure_time, tolerance, single)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
     _require_met(simulator, made)
     return replace(made, scene=scene)

@@ -95,7 +95,7 @@ class Probing:
         self._account, self._name, self._awaited, self._drift = account, scene.name, scene, None
         if not holds:
             words = f"{plan.count} planes" if plan.count else "leaving the blur out"
-            unsure = f"; the {since} before were not probed" if since else ""
+            unsure = f"; the {since} scenes before were not probed" if since else ""
             self._missed = (
                 plan.count,
                 f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}",
@@ -136,11 +136,11 @@ class Probing:
         account, name = self._account, self._name
         if account is None or plan is not self._plan:
             return plan.of(scene, drift)
-        bounds, words = account.bounds, "this scene's"
+        bounds, words = account.bounds, "from this scene"
         if self._since:
-            words = f"those of {name}, {self._since} scenes ago"
+            words = f"from {name}, {self._since} scene{'s' * (self._since > 1)} ago"
             if drift and self._drift:
-                words += ", and what the device saw of this one"
+                words += ", scaled by the survey of this scene"
                 bounds = bounds | {plan.watched: bounds[plan.watched].times(drift / self._drift)}
         return replace(plan.of(scene, None, replace(account, bounds=bounds)), probed=words)
 

@@ -190,7 +190,7 @@ class Program:
             OutOfRange: A number is outside its allowed range.
         """
         simulator, scene, before = self.simulator, self.scene, self.before
-        camera, asked = simulator.camera, simulator.tolerance
+        camera, tolerance = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         seconds, probing = self._exposure_time, before.probing
         if self._fixed_plan is not None:
@@ -201,7 +201,7 @@ class Program:
         if (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
-            by is camera or same(planned_by(by, asked), planned_by(camera, asked))
+            by is camera or same(planned_by(by, tolerance), planned_by(camera, tolerance))
         )
         if (
             plan is None

@@ -220,9 +220,12 @@ class Report(Tabled):
             f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
             f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"
         ]
-        lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
+        lines += [
+            f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}".rstrip()
+            for stage in self.stages
+        ]
         lines.append(
-            f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included"
+            f"  {'sum of stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms with planning and copies"
         )
         lines += [
             f"  predicted: {name:22s} "
@@ -233,7 +236,7 @@ class Report(Tabled):
             )
             for name, bound in self.errors
         ]
-        lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
+        lines += [f"  not in the total: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error
             lines.append(

@@ -276,14 +276,14 @@ class Shots:
         models = plan.models | lines | {"processor.color": rendering.model}
         if "sensor.meter" in times:
             models["sensor.meter"] = (
-                "light looked at"
+                "light statistics"
                 if camera.sensor.exposure_time is not None
                 else f"automatic exposure, {camera.sensor.auto_exposure.method}"
             )
         simulator.launched = merge_names(simulator.launched, times)
         order = merge_names(simulator.launched, models)  # also stages that did no work
         stages = [
-            StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
+            StageReport(name, models.get(name, ""), times.get(name, 0.0))
             for name in order
             if name in models or name in times
         ]
@@ -301,17 +301,17 @@ class Shots:
         notes += scene.notes
         if plan.planned_for:
             notes.append(
-                f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
-                f"of the {'planes' if plan.mix is not None else 'blur left out'} are of that"
+                f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
+                f"{'planes' if plan.mix is not None else 'blur left out'} are for that scene"
             )
         if plan.given_of:
             notes.append(
-                f"by a plan that was given, of {plan.given_of}: all predicted errors are those of this scene"
+                f"the plan was given and made for {plan.given_of}: all predicted errors are for this scene"
             )
         if plan.probed:
             notes.append(f"probes: {plan.probed}")
         if error is not None and error.places:
-            notes.append(f"the true error is that of {error.places}")
+            notes.append(f"the true error is for {error.places}")
         return Report(
             {
                 "name": scene.name,

@@ -87,8 +87,8 @@ class Simulator:
         self._connect(camera, Cache(), Cache())
 
     def __repr__(self):
-        asked = "exact" if self.tolerance is None else repr(self.tolerance)
-        return shortened(f"Simulator({self.camera!r}, {self.device!r}, {asked})")
+        wanted = "exact" if self.tolerance is None else repr(self.tolerance)
+        return shortened(f"Simulator({self.camera!r}, {self.device!r}, {wanted})")
 
     def _connect(self, camera, cache, tables):
         """Set the camera and its caches.

@@ -105,9 +105,9 @@ def _report(report):
     rows = [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
     rows.append(
         (
-            "all stages",
+            "sum of stages",
             f"{report.ms:.3g} ms",
-            f"of {report.wall_ms:.4g} ms, planning and copies included",
+            f"of {report.wall_ms:.4g} ms with planning and copies",
         )
     )
     for name, bound in report.errors:

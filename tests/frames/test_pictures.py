@@ -135,7 +135,7 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
         own = program.frame()
         plan, found = program.plan, program.update(scene=other).frame()
         assert program.plan is plan and plan.watch is not None
-        assert any("by the plan of picture" in note for note in found.report.notes)
+        assert any("planned for picture" in note for note in found.report.notes)
         errors.append(
             (own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms)
         )

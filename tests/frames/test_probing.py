@@ -204,7 +204,7 @@ def test_probes_tell_the_true_error_of_a_plans_own_planes(scene, tolerance):
     assert program.plan.watch is not None
     turned = scene.content.with_samples(lambda array: np.ascontiguousarray(array[..., ::-1, ::-1]))
     report = program.update(scene=replace(scene, content=turned, name="turned")).frame().report
-    assert any("this scene's" in note for note in report.notes)
+    assert any("from this scene" in note for note in report.notes)
     error, predicted = errs(program), report.account.total
     assert 0.5 < SAFETY * predicted.rms / error.rms < SAFETY**2 * 2
     assert error.p999_sigma < SAFETY * predicted.p999_sigma
@@ -215,11 +215,11 @@ def test_reports_between_probes_say_when_it_was():
     program = made("opencl").program(even(), SECONDS)
     program.raw()
     found = program.update(scene=even("probed")).frame().report
-    assert any(note == "probes: this scene's" for note in found.notes)
+    assert any(note == "probes: from this scene" for note in found.notes)
     half = scene_of(MEAN + 0.125 * (SPECTRA - MEAN), "half")
     later = program.update(scene=half).frame().report
     assert any(
-        "probes: those of probed, 1 scenes ago, and what the device saw of this one" in note
+        "probes: from probed, 1 scene ago, scaled by the survey of this scene" in note
         for note in later.notes
     )
     # half the differences, over a mean that is the same but for its variance, which is below 0.25^2 of it

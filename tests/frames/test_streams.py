@@ -158,7 +158,7 @@ def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     }
     assert (own.scene["name"], report.scene["name"]) == ("leaves 0", "leaves 1")
     assert not any("leaves 0" in note for note in own.notes)
-    assert any("by the plan of leaves 0" in note for note in report.notes)
+    assert any("planned for leaves 0" in note for note in report.notes)
     assert report.account.bounds["planes"].rms == pytest.approx(
         own.account.bounds["planes"].rms, rel=0.05
     )  # 1.1 as
