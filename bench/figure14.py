@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
-from gpusim.apps.l3.train import train, wanted_colors
+from gpusim.apps.l3.train import ideal_colors, train
 from gpusim.data.charts import WAVELENGTHS, chart
 from gpusim.data.curves import curve
 from gpusim.data.reflectances import reflectances
@@ -190,9 +190,9 @@ def main():
         ):
             used = camera(name, cfa, **settings)
             simulator = Simulator(used, device=device)
-            wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ used.display.rgb_from_xyz.T
+            wanted = np.moveaxis(ideal_colors(scene), 0, -1) @ used.display.rgb_from_xyz.T
             for mean in LUMINANCES:
-                light = dataclasses.replace(scene, illuminant=scene.illuminant.scaled(mean / own))
+                light = dataclasses.replace(scene, illuminant=scene.illuminant.scale(mean / own))
                 frame = simulator(light, seed=arguments.seed)
                 rows.append(
                     (

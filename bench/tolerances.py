@@ -112,7 +112,7 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
                 "stages_ms": measured,
                 "error": rms(device.numpy(exposures[name].mean), truth),
                 "predicted": own.account.total.rms,
-                "met": own.verdict.met,
+                "met": own.verdict.is_met,
                 "planes": None if plan.mix is None else plan.mix.shape[1],
                 "period": plan.period,
             }

@@ -176,7 +176,7 @@ def model_of(scene, camera):
     """Return the distortion for this frame, None without one."""
     distortion = camera.optics.distortion
     if hasattr(distortion, "framed"):
-        return distortion.framed(scene.shape, camera.sensor.pixel_pitch)
+        return distortion.fit_to_frame(scene.shape, camera.sensor.pixel_pitch)
     return distortion
 
 

@@ -99,7 +99,7 @@ def _answered(question, device, row, only_met):
     account = exposure.plan.account.at(exposure.exposure_time)
     verdict = account.verdict(tolerance)
     row |= {
-        "state": getattr(verdict, "state", "met" if verdict.met else "not met"),
+        "state": getattr(verdict, "state", "met" if verdict.is_met else "not met"),
         "verdict": str(verdict),
         "predicted": {
             "rms": account.total.rms,

@@ -244,7 +244,7 @@ def _cube(random, samples, _ratio, data):
 @cache
 def _stored(path):
     content = gs.open_scene(path).content.on_host()
-    return content.scaled(1 / content.planes.max()) if content.is_spectral else content
+    return content.scale(1 / content.planes.max()) if content.is_spectral else content
 
 
 def _chart(random, samples, ratio, _data):

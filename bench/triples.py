@@ -28,7 +28,7 @@ import gpusim as gs
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import frame_ms
-from gpusim.judge.truth import require_truth, seen
+from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.pipeline.report import Error
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
@@ -266,7 +266,7 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
         account = plan.account.at(exposure.exposure_time)
         verdict = account.verdict(tolerance, plan.verdict.remedy)
         require_truth(question.camera, question.scene)
-        mean, truth = seen(simulator, question.scene, exposure)
+        mean, truth = mean_and_truth(simulator, question.scene, exposure)
     except GpusimError as refusal:
         return {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     error = Error.between(mean, truth, question.camera.sensor.read_sigma)
@@ -275,7 +275,7 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
     promised, total = getattr(account.total, bound), account.total.rms
     row = {
         "status": "ok",
-        "met": verdict.met,
+        "met": verdict.is_met,
         "verdict": str(verdict),
         "by": verdict.by,
         "within": error.meets(tolerance),

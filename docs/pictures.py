@@ -16,9 +16,9 @@ from skimage import data
 
 import gpusim as gs
 from gpusim.cli.main import main as gpusim
-from gpusim.judge.truth import seen
+from gpusim.judge.truth import mean_and_truth
 from gpusim.measure.ideal import ideal
-from gpusim.measure.mosaic import colored
+from gpusim.measure.mosaic import color_mosaic
 
 HERE = Path(__file__).parent / "pictures"
 SIZE = (480, 320)
@@ -74,7 +74,7 @@ def mosaic(frame, zoom):
         1,
     )
     level = (level / np.quantile(level, 0.995)).clip(0, 1) ** (1 / 2.2)
-    return colored(sensor, (255 * level).astype(np.uint8)).repeat(zoom, 0).repeat(zoom, 1)
+    return color_mosaic(sensor, (255 * level).astype(np.uint8)).repeat(zoom, 0).repeat(zoom, 1)
 
 
 def wide(scene):
@@ -113,7 +113,7 @@ def accuracy():
         simulate = gs.Simulator(camera, tolerance=asked)
         frame = simulate(scene, verify=True)
         predicted, true = frame.report.account.total, frame.report.error
-        mean, truth = seen(simulate, scene, simulate.expose(scene))
+        mean, truth = mean_and_truth(simulate, scene, simulate.expose(scene))
         noise = np.sqrt(truth + camera.sensor.read_sigma**2)
         image = axis.imshow(
             np.log10(np.abs(mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma"

@@ -45,7 +45,7 @@ _PUBLIC = {
     "Motion": "gpusim.domain.motion",
     "Flicker": "gpusim.domain.flicker",
     "bracket": "gpusim.captures.bracket",
-    "lengthened": "gpusim.captures.bracket",
+    "change_exposure_time": "gpusim.captures.bracket",
     "burst": "gpusim.captures.burst",
     "average": "gpusim.captures.burst",
     "read_nondestructively": "gpusim.captures.reads",
@@ -73,10 +73,10 @@ _PUBLIC = {
     "optiland_psf": "gpusim.io.camera.optiland",
     "open_display": "gpusim.data.displays",
     "display_names": "gpusim.data.displays",
-    "displayed": "gpusim.data.displays",
+    "display_picture": "gpusim.data.displays",
     "chart": "gpusim.data.charts",
     "illuminant": "gpusim.data.lights",
-    "illuminated": "gpusim.data.illumination",
+    "illuminate": "gpusim.data.illumination",
     "open_scene": "gpusim.io.scene.scenes",
     "save_scene": "gpusim.io.scene.scenes",
     "picture": "gpusim.io.scene.scenes",
@@ -91,7 +91,10 @@ if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
     from gpusim.apps.tensors.batches import Batch as Batch
-    from gpusim.captures.bracket import bracket as bracket, lengthened as lengthened
+    from gpusim.captures.bracket import (
+        bracket as bracket,
+        change_exposure_time as change_exposure_time,
+    )
     from gpusim.captures.burst import average as average, burst as burst
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
     from gpusim.captures.focus import autofocus as autofocus
@@ -110,11 +113,11 @@ if TYPE_CHECKING:
     from gpusim.data.charts import chart as chart
     from gpusim.data.displays import (
         display_names as display_names,
-        displayed as displayed,
+        display_picture as display_picture,
         open_display as open_display,
     )
     from gpusim.io.camera.emva1288 import sensor_from_emva1288 as sensor_from_emva1288
-    from gpusim.data.illumination import illuminated as illuminated
+    from gpusim.data.illumination import illuminate as illuminate
     from gpusim.data.lights import illuminant as illuminant
     from gpusim.io.camera.noise_profile import read_noise_profile as read_noise_profile
     from gpusim.io.camera.optiland import optiland_psf as optiland_psf

@@ -17,7 +17,7 @@ from gpusim.backends import warp as backend
 from gpusim.backends.select import open_device
 from gpusim.backends.warp import WarpDevice
 
-real = backend.started_warp()  # without its messages
+real = backend.start_warp()  # without its messages
 _contexts = threading.local()
 
 
@@ -392,7 +392,7 @@ def two_cuda(monkeypatch, native):
     monkeypatch.setattr(backend, "started_warp", lambda: FAKE)
     TwoCuda.shared = native
     devices = [TwoCuda(f"cuda:{ordinal}", f"warp:cuda:{ordinal}") for ordinal in range(2)]
-    opened = open_device.__globals__["_opened"]
+    opened = open_device.__globals__["_open"]
     named = {device.name: device for device in devices}
     monkeypatch.setitem(
         open_device.__globals__, "_opened", lambda name: named.get(name) or opened(name)

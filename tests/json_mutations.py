@@ -269,10 +269,10 @@ def read_fields(path):
 def read_manifest(path):
     """What a run that goes on with a video reads and writes."""
     from gpusim.apps.video.loops import Lags, Loops
-    from gpusim.apps.video.manifest import Plans, kept
+    from gpusim.apps.video.manifest import Plans, keep_manifest
 
-    Loops.kept_in(path, Lags(exposure=1.0, white=1.0), 3)
-    with kept(path, VIDEO, "the rest", lambda: False), Plans(path) as plans:
+    Loops.read_manifest(path, Lags(exposure=1.0, white=1.0), 3)
+    with keep_manifest(path, VIDEO, "the rest", lambda: False), Plans(path) as plans:
         plans.add("plan c", 3, True)
 
 

@@ -79,7 +79,7 @@ scene = gs.scene_from(data.astronaut()[:160, 130:330], luminance=100)
 own = mean_luminance(scene)
 figure, axes = plt.subplots(2, 3, figsize=(11, 6.4), layout="constrained")
 for row, mean in zip(axes, (1, 40), strict=True):
-    light = dataclasses.replace(scene, illuminant=scene.illuminant.scaled(mean / own))
+    light = dataclasses.replace(scene, illuminant=scene.illuminant.scale(mean / own))
     card = gs.chart("flat", size=(96, 64), luminance=100 * mean / own)
     for axis, (name, camera) in zip(row, learned.items(), strict=True):
         simulate = gs.Simulator(camera)

@@ -9,7 +9,7 @@ your choice. A camera then photographs it in an office, in a dim room and in a s
 # %%
 # From an office to the street
 # ----------------------------
-# All three are exposed for 1/30 s. ``normalised`` shows a white surface as white, like a higher ISO
+# All three are exposed for 1/30 s. ``normalise`` shows a white surface as white, like a higher ISO
 # speed, so noise is compared at the same brightness.
 
 import matplotlib.pyplot as plt

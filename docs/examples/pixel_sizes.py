@@ -30,7 +30,7 @@ colors = dict(zip(cameras, ("tab:blue", "tab:orange"), strict=True))
 # -------------------
 # The scene has the same samples for both, so both receive the same light on the same area: two
 # samples along each side of a small pixel, four along a large one. White has 20 cd/m², a dim room,
-# and both expose for 1/30 s; ``normalised`` shows white as white for any exposure.
+# and both expose for 1/30 s; ``normalise`` shows white as white for any exposure.
 
 photograph = data.astronaut()[:440, 40:480]
 frames = {}

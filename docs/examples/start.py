@@ -51,7 +51,7 @@ print(frame.report)
 # Another exposure
 # ----------------
 # ``with_`` changes any key of a camera. Here is the same chart under a dim lamp, exposed for a
-# fifteenth of a second. ``normalised`` shows white as white, for any number of electrons:
+# fifteenth of a second. ``normalise`` shows white as white, for any number of electrons:
 
 dim = gs.open_scene("colorchecker", size=(384, 256), light="A", luminance=5)
 patient = camera.with_(exposure_time_ms=1000 / 15, scaling="normalised")

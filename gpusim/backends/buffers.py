@@ -139,7 +139,7 @@ class OpenCLArray:
         """Return a copy of ranges (start, count) of the values, one after the other."""
         result, to = self.device.empty(shape, self.dtype), 0
         for start, count in parts if result.size else ():
-            self.device._copied(result, self, count, start, to)
+            self.device._start_copy(result, self, count, start, to)
             to += count
         return result
 

@@ -73,10 +73,14 @@ def known_processor(cl_device) -> str:
     if found[1] != "generic" and known == widest:
         return ""
     name = next((name for name, needed in PROCESSORS.items() if needed <= features), "")
-    return name if name and _renamed(cl_device.int_ptr, found[1].encode(), name.encode()) else ""
+    return (
+        name
+        if name and _rename_processor(cl_device.int_ptr, found[1].encode(), name.encode())
+        else ""
+    )
 
 
-def _renamed(structure, wrong, name):
+def _rename_processor(structure, wrong, name):
     """Write `name` over the wrong processor of PoCL's device at this address; return success."""
     try:
         memory = os.open("/proc/self/mem", os.O_RDWR)  # unmapped memory is an error, not a crash

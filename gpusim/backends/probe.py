@@ -289,7 +289,7 @@ def identity(device) -> dict:
     }
 
 
-def made_by(device) -> str:
+def hardware_id(device) -> str:
     """Return hardware and driver of a device. Results are bit-identical only if these are equal.
 
     Devices of one make are interchangeable.

@@ -12,7 +12,7 @@ import numpy as np
 from gpusim.backends.driver import cl_devices
 from gpusim.backends.probe import COPY_BYTES, copy_gbps, identity
 from gpusim.backends.select import open_device
-from gpusim.backends.warp import started_warp
+from gpusim.backends.warp import start_warp
 from gpusim.domain.errors import DeviceError, GpusimError
 
 
@@ -23,7 +23,7 @@ def _list():
     except DeviceError as error:  # no pyopencl
         failure = str(error)
     try:
-        wp = started_warp()
+        wp = start_warp()
         names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
     except Exception:  # its own entry, warp:cpu, will say why
         pass

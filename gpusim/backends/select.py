@@ -31,14 +31,14 @@ def open_device(name: str = "auto") -> Device:
             f'device: {type(name).__name__}, wanted a name, for example "auto" or "opencl:0"'
         )
     with _lock:
-        return _opened(name)
+        return _open(name)
 
 
 Device.opened_by = open_device  # opens pickled devices
 
 
 @functools.cache
-def _opened(name):
+def _open(name):
     if name == "numpy":
         return Device()
     refuse_fork(name)

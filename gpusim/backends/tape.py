@@ -79,7 +79,7 @@ class Tape:
         self.commands.append(command)
         command.start()
 
-    def replaced(self, others) -> bool:
+    def replace_arrays(self, others) -> bool:
         """Give the recorded kernels other arrays, pairs (old, new); False if one is not found.
 
         Nothing changes then. Kernels that read an array in another form have that form among their
@@ -144,7 +144,7 @@ _current = _Current()
 
 
 @contextmanager
-def noted(tape: Tape | None):
+def recording(tape: Tape | None):
     """Record requests to devices inside the block on the tape, or on none if it is None."""
     outer, _current.tape = _current.tape, tape
     if tape is not None:
@@ -177,7 +177,7 @@ class Taped(Device):
         if isinstance(values, self.array_type) and self._is_here(values):
             return values
         if not isinstance(values, np.ndarray):
-            shared = self._shared(values, np.dtype(dtype))
+            shared = self._share(values, np.dtype(dtype))
             if shared is not None:
                 return shared
             values = to_host(values, self.name)
@@ -240,17 +240,17 @@ class Taped(Device):
         result = self.empty((len(arrays), *arrays[0].shape), self._dtype(arrays[0]))
         size = int(np.prod(arrays[0].shape))
         for number, array in enumerate(arrays):
-            self._copied(result, array, size, 0, number * size)
+            self._start_copy(result, array, size, 0, number * size)
         return result
 
     def part(self, array, index):
         result = self.empty(array.shape[1:], self._dtype(array))
         size = int(np.prod(result.shape))
-        self._copied(result, array, size, index * size, 0)
+        self._start_copy(result, array, size, index * size, 0)
         return result
 
     @refusable(of_values)
-    def _copied(self, target, source, count, start, to):
+    def _start_copy(self, target, source, count, start, to):
         """Copy `count` values between arrays, in turn with launches."""
         tape, what = _current.tape, (target, source, count, start, to)
         if tape is None:
@@ -300,7 +300,7 @@ class Taped(Device):
         """Return whether an array of `array_type` belongs to this device."""
         raise NotImplementedError
 
-    def _shared(self, values, dtype):
+    def _share(self, values, dtype):
         """Return an array made from another's device memory; None if the host can read it."""
 
     def _fitting(self, array, dtype):

@@ -24,7 +24,7 @@ from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
 from gpusim.domain.memory import Pinned
 
 
-def started_warp():
+def start_warp():
     """Return Warp, initialised silently: no log level stops its warning without CUDA."""
     try:
         import warp as wp
@@ -66,7 +66,7 @@ class WarpDevice(Taped):
 
     def __init__(self, alias: str, name: str):
         super().__init__()
-        wp = started_warp()
+        wp = start_warp()
         try:
             self.wp_device = wp.get_device(alias)
         except Exception as error:  # Warp raises ValueError or RuntimeError by version
@@ -106,7 +106,7 @@ class WarpDevice(Taped):
     def _is_here(self, array):
         return array.device == self.wp_device
 
-    def _shared(self, values, dtype):
+    def _share(self, values, dtype):
         wp = self._wp
         try:
             if isinstance(values, wp.array):  # of another of Warp's devices

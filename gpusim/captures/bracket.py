@@ -50,7 +50,7 @@ def bracket(
     metered = simulator.expose(scene, plan=plan)
     frames: list[Frame] = []
     for number, factor in enumerate(factors):
-        exposure = lengthened(simulator, metered, metered.exposure_time * float(factor))
+        exposure = change_exposure_time(simulator, metered, metered.exposure_time * float(factor))
         if number == 0:
             exposure = dataclasses.replace(
                 exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
@@ -59,7 +59,9 @@ def bracket(
     return frames
 
 
-def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -> Exposure:
+def change_exposure_time(
+    simulator: Simulator, exposure: Exposure, exposure_time: float
+) -> Exposure:
     """Return an exposure of the same scene with another exposure time.
 
     Only the electrons of the chip are computed again; the light on the pixels is reused.

@@ -74,7 +74,7 @@ def average(
     Raises:
         OutOfRange: if `count`, `seed` or `first` is out of range.
     """
-    return exposure.layered(
+    return exposure.split_layers(
         simulator.readout.average(
             exposure.chip_mean,
             exposure.exposure_time,

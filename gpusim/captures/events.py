@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.captures.moving import STEP, largest_step
 from gpusim.captures.photoreceptor import RATES, Photoreceptor
-from gpusim.domain.errors import BadData, OutOfRange, checked_count, shown
+from gpusim.domain.errors import BadData, OutOfRange, checked_count, format_value
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.simulator import Simulator
@@ -73,7 +73,7 @@ class EventSensor:
             if not (name == "window" and value is None) and not (
                 isinstance(value, Real) and low <= value < inf
             ):
-                raise OutOfRange(f"events.{name}", shown(value), f"{low:g} or more")
+                raise OutOfRange(f"events.{name}", format_value(value), f"{low:g} or more")
         if not self.dark > 0:
             raise OutOfRange(
                 "events.dark", self.dark, "above 0, because the logarithm of 0 is undefined"

@@ -9,7 +9,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 from gpusim.pipeline.simulator import Simulator
 
 FIRST_STEP = 4.0  # [pixel] circle of confusion between the first positions
@@ -34,7 +34,7 @@ class Focus:
     distances: np.ndarray
     contrasts: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def object_distance(self) -> float:
@@ -171,7 +171,7 @@ class _Trials:
             program = self._program.update(camera=replace(simulator.camera, optics=focused))
             exposure = program.exposure
             raw = program.raw(seed=self._seed, frame=len(self.found))
-            raw = exposure.layered(np.asarray(simulator.device.numpy(raw)))
+            raw = exposure.split_layers(np.asarray(simulator.device.numpy(raw)))
             # for the next trials
             program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
             # the middle channel

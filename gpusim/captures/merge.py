@@ -248,7 +248,7 @@ def merge_flash(
     )
     developer = Developer(ambient.camera, simulator.device)
     linear, rgb = host_pictures(
-        simulator.device, developer, developer.colored(simulator.device.array(planes), as_is)
+        simulator.device, developer, developer.apply_color(simulator.device.array(planes), as_is)
     )
     *stages, encoding = ambient.report.stages
     by_flash = StageReport(

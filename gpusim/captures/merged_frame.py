@@ -73,7 +73,7 @@ def develop_merged(
             np.uint16
         )
         developer = Developer(camera, device, averaged)
-        planes = developer.demosaicked(
+        planes = developer.demosaic(
             device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
             shading=shading,
             white=frame.rendering.neutral,
@@ -101,7 +101,7 @@ def develop_merged(
             white=rendering.white / k,
             saturation=saturated,
         )
-        linear, rgb = host_pictures(device, developer, developer.colored(planes, rescaled))
+        linear, rgb = host_pictures(device, developer, developer.apply_color(planes, rescaled))
     first = {}
     if defects != "none":
         before = dataclasses.replace(
@@ -133,7 +133,7 @@ def develop_merged(
 def host_pictures(device, developer, shown):
     """Return `linear` and `rgb` of a frame from linear display RGB on the device."""
     planes = np.array(device.numpy(shown), np.float32)
-    codes = np.array(device.numpy(developer.encoded(shown)))
+    codes = np.array(device.numpy(developer.encode(shown)))
     return np.moveaxis(planes, 0, -1), codes
 
 

@@ -19,7 +19,7 @@ from gpusim.kernels.sensor.shutter import shutter
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.frame import Exposure
 from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numbers
-from gpusim.pipeline.planning import given, probes_for
+from gpusim.pipeline.planning import adopt_plan, probes_for
 from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
@@ -113,7 +113,9 @@ def _plans(simulator, scenes, plan, exposure_time):
 
     def plan_scene(scene):
         return (
-            simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
+            simulator.plan(scene)
+            if plan is None
+            else adopt_plan(simulator, plan, scene, exposure_time)
         )
 
     first = plan_scene(scenes[0])

@@ -38,7 +38,7 @@ def read_nondestructively(
     """
     checked: np.ndarray = simulator.readout.checked_reads(times)
     exposure = simulator.expose(scene, float(checked[-1]), plan=plan)
-    return exposure.layered(
+    return exposure.split_layers(
         simulator.readout.nondestructive(
             exposure.mean,
             exposure.exposure_time,

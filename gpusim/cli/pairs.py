@@ -111,7 +111,7 @@ def pairs(request: PairsRequest) -> int:
 
     from gpusim.apps.pairs.pairs import Pairs, gain_of
     from gpusim.apps.pairs.shards import write_shard
-    from gpusim.apps.video.manifest import describe_run, kept
+    from gpusim.apps.video.manifest import describe_run, keep_manifest
     from gpusim.data.lights import illuminant
 
     request.check_settings()
@@ -162,7 +162,7 @@ def pairs(request: PairsRequest) -> int:
     begun, count = time.perf_counter(), sum(map(len, missing))
     states: Counter[str] = Counter()
     with (
-        kept(
+        keep_manifest(
             folder / "pairs.json",
             content,
             "its tar files",

@@ -201,7 +201,7 @@ def video(request: VideoRequest) -> int:
         GpusimError: If an option or a file is wrong.
     """
     from gpusim.apps.video.loops import NO_LOOPS, Loops
-    from gpusim.apps.video.manifest import Plans, kept
+    from gpusim.apps.video.manifest import Plans, keep_manifest
     from gpusim.apps.video.video import within_period
 
     request.check_settings()
@@ -221,11 +221,11 @@ def video(request: VideoRequest) -> int:
         make_folder(folder)
     loops = NO_LOOPS
     if request.lag:
-        loops = Loops.kept_in(manifest, request.lag, scenes.count) or _meter(
+        loops = Loops.read_manifest(manifest, request.lag, scenes.count) or _meter(
             request, simulator, scenes
         )
         made["loops"] = asdict(loops)
-    with kept(manifest, made, target.words, target.is_empty):
+    with keep_manifest(manifest, made, target.words, target.is_empty):
         return _write(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
 
 

@@ -11,7 +11,7 @@ from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
 from gpusim.domain.sensor import Sensor
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.weights import product_weights
 
@@ -42,7 +42,7 @@ class Rendering:
     saturation: float
     diffuser: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ def _match_colors(white_rate, light, camera, cache):
         white, transforms = np.array(processor.white) / max(processor.white), None
         if processor.color != "none":
             transforms = cache("transforms", transform_set, **transform_arguments(camera))
-        return _balanced(camera, white, "white as preset", transforms)
+        return _balance_white(camera, white, "white as preset", transforms)
     if letters == XYZ:  # XYZ of surfaces in the target light: the filters have balanced white
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
@@ -200,7 +200,7 @@ def _match_colors(white_rate, light, camera, cache):
         neutral = np.ones(len(letters))
         if known and rates is not None:
             neutral = rates / rates.max()
-        matrix, model = _channels_shown(letters, neutral)
+        matrix, model = _show_channels(letters, neutral)
     if len(neutral) > 1:
         model += (
             f", white balance for {light.name or 'the scene light'}"
@@ -216,7 +216,7 @@ def planes_of(camera: Camera) -> tuple[str, ...]:
     return camera.sensor.channels if table is None else table.layout.outputs
 
 
-def rebalanced(
+def rebalance(
     once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float
 ) -> Rendering:
     """Return the rendering of the same exposure for the white estimated from the picture.
@@ -236,17 +236,17 @@ def rebalanced(
     """
     processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
-    return _balanced(camera, estimate.white, estimate.model, transforms).at(*levels)
+    return _balance_white(camera, estimate.white, estimate.model, transforms).at(*levels)
 
 
-def _balanced(camera, white, words, transforms):
+def _balance_white(camera, white, words, transforms):
     """Return transforms that make `white` (C,), largest 1, neutral.
 
     transforms: transforms of a set of lights, or None without a matrix.
     """
     processor = camera.processor
     if processor.color == "none":
-        matrix, model = _channels_shown(planes_of(camera), white)
+        matrix, model = _show_channels(planes_of(camera), white)
         return Colors(matrix, white, f"{model}, {words}")
     made = transforms.at(white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
@@ -266,7 +266,7 @@ def transform_arguments(camera: Camera) -> dict:
     }
 
 
-def _channels_shown(letters, neutral):
+def _show_channels(letters, neutral):
     """Return the matrix (3, C) without colour correction, white as 1, and its name.
 
     Red, green and blue are shown as such, and so are any three channels. Others are added to a

@@ -11,7 +11,7 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName, is_known
-from gpusim.domain.foreign import described, type_of
+from gpusim.domain.foreign import describe_array, type_of
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
@@ -71,7 +71,7 @@ def _load_display(name):
     )
 
 
-def displayed(codes: Any, display: Display) -> Scene:
+def display_picture(codes: Any, display: Display) -> Scene:
     """Return the screen of a display with a picture as a scene, with one sample per pixel.
 
     The scene's light is the display's white. Radiance = linear light of the three primaries times
@@ -91,7 +91,7 @@ def displayed(codes: Any, display: Display) -> Scene:
     Source:
         Farrell & Wandell, section 3.
     """
-    codes = described(codes, "displayed picture")
+    codes = describe_array(codes, "displayed picture")
     if display.spectra is not None:
         spectra = photons_from_energy(display.spectra)
         white = Spectrum(

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.data.lights import light_of, white_radiance
 from gpusim.domain.content import is_seen
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import described
+from gpusim.domain.foreign import describe_array
 from gpusim.domain.illuminated import Illuminated, spline, surfaces_of
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum
@@ -21,7 +21,7 @@ STEP = 0.1  # [nm] step of integrals
 EDGE = 1e-3  # [nm] distance in which the end of a table falls to zero
 
 
-def illuminated(scene: Scene, lights: dict[Any, Any]) -> Scene:
+def illuminate(scene: Scene, lights: dict[Any, Any]) -> Scene:
     """Return the surfaces of a scene in other light, which varies over the scene.
 
     The result keeps the wavelengths of the scene and adds more if the lights need them: spectral
@@ -70,7 +70,7 @@ def illuminated(scene: Scene, lights: dict[Any, Any]) -> Scene:
 def _map(label, values, scene):
     """Return the map of a light as float32 in the shape of the scene's samples."""
     name = f"{scene.name}: map of {label if isinstance(label, str) else getattr(label, 'name', '') or 'a light'}"
-    values = described(values, name) if hasattr(values, "shape") else values
+    values = describe_array(values, name) if hasattr(values, "shape") else values
     try:
         values = np.asarray(values, np.float32)
     except (TypeError, ValueError):

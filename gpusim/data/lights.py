@@ -175,4 +175,4 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
             f"{brightness:g}",
             "> 0 in 360 .. 830 nm",
         )
-    return photons_from_energy(light.scaled(luminance / brightness))
+    return photons_from_energy(light.scale(luminance / brightness))

@@ -80,7 +80,7 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
     )
 
 
-def drawn_into_srgb(linear: np.ndarray) -> float:
+def draw_into_srgb(linear: np.ndarray) -> float:
     """Move colours outside sRGB towards grey of the same luminance, in place.
 
     Afterwards no channel is negative. A colour without luminance becomes black.

@@ -196,7 +196,7 @@ class Verdict:
     unknown: tuple[str, ...] = ()
 
     @property
-    def met(self) -> bool:
+    def is_met(self) -> bool:
         """True if the state is "met"."""
         return self.state == "met"
 
@@ -207,7 +207,7 @@ class Verdict:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        return asdict(self) | {"met": self.met}
+        return asdict(self) | {"met": self.is_met}
 
     def __str__(self):
         cause = f"{'; '.join(self.unknown)}; the known errors are " if self.unknown else ""

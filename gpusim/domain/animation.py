@@ -14,7 +14,7 @@ from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Actor:
     place: tuple[float, float] = (0.0, 0.0)
     path: Motion = field(default_factory=Motion)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         if not isinstance(self.content, Basis | Cube):
@@ -136,7 +136,7 @@ class Animation:
     scene: Scene
     actors: tuple[Actor, ...]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         scene = checked_scene(self.scene)

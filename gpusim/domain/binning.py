@@ -3,7 +3,9 @@
 import numpy as np
 
 
-def binned(cfa_indices: np.ndarray, binning: tuple[int, int]) -> tuple[tuple[int, int], np.ndarray]:
+def bin_mosaic(
+    cfa_indices: np.ndarray, binning: tuple[int, int]
+) -> tuple[tuple[int, int], np.ndarray]:
     """Find the distance between pixels that are combined, and the mosaic of the binned frame.
 
     If the mosaic consists of cells of one colour with the size of `binning` (quad-Bayer with 2 x 2,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 PINHOLE = (
     "k1",
@@ -89,7 +89,7 @@ class BrownConrady:
     tau_x: float = 0.0
     tau_y: float = 0.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         check_model(self, *PINHOLE)
@@ -144,7 +144,7 @@ class BrownConrady:
             slope,
         )
 
-    def distorted(self, x, y):
+    def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         u, v, _, _ = self._distort_without_tilt(x, y)
         if self._tilt is not None:
@@ -204,7 +204,7 @@ class Fisheye:
     radius: float
     scale: float = 1.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         check_model(self, *FISHEYE)
@@ -217,7 +217,7 @@ class Fisheye:
         slope = 1 + q * (3 * self.k1 + q * (5 * self.k2 + q * (7 * self.k3 + q * 9 * self.k4)))
         return np.divide(height, r, out=np.ones_like(r), where=r > 0), slope / (1 + r * r)
 
-    def distorted(self, x, y):
+    def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         factor = self.scale * self._radial(np.hypot(x, y))[0]
         return x * factor, y * factor
@@ -264,7 +264,7 @@ class Calibration:
     coefficients: tuple[float, ...] = ()
     fisheye: bool = False
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         for key in ("width", "height"):
@@ -352,7 +352,7 @@ class Calibration:
         """Position of the principal point relative to the image centre, (x, y) [pixel]."""
         return self.cx + 0.5 - self.width / 2, self.cy + 0.5 - self.height / 2
 
-    def framed(self, shape: tuple[int, int], pitch: float) -> "Framed":
+    def fit_to_frame(self, shape: tuple[int, int], pitch: float) -> "Framed":
         """Return the distortion for a frame of another resolution.
 
         Args:
@@ -414,21 +414,21 @@ class Framed:
     aspect: float
     middle: tuple[float, float]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
-    def normalised(self, x, y):
+    def normalise(self, x, y):
         """Return positions relative to the principal point, divided by the focal lengths."""
         return x - self.middle[0], (y - self.middle[1]) / self.aspect
 
-    def of_normalised(self, u, v):
-        """Return positions in the frame from normalised ones: the inverse of `normalised`."""
+    def denormalise(self, u, v):
+        """Return positions in the frame from normalised ones: the inverse of `normalise`."""
         return u + self.middle[0], v * self.aspect + self.middle[1]
 
-    def distorted(self, x, y):
+    def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        return self.of_normalised(*self.lens.distorted(*self.normalised(x, y)))
+        return self.denormalise(*self.lens.distort(*self.normalise(x, y)))
 
     def derivative(self, x, y):
         """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        a, b, c, d = self.lens.derivative(*self.normalised(x, y))
+        a, b, c, d = self.lens.derivative(*self.normalise(x, y))
         return a, b / self.aspect, c * self.aspect, d

@@ -9,7 +9,7 @@ from gpusim.domain.labels import Tabled
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 
 
 def checked_camera(camera) -> "Camera":
@@ -76,7 +76,7 @@ class Camera(Tabled):
             else f"{1e3 * sensor.exposure_time:.4g} ms"
         )
         bits = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bits"
-        return shortened(
+        return shorten_repr(
             f"Camera({self.name!r}, f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, pixels of "
             f"{1e6 * sensor.pixel_pitch:.4g} um, {mosaic}, {bits}, {time})"
         )

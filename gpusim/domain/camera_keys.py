@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.domain.calibration import FISHEYE, PINHOLE, Calibration
 from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
-from gpusim.domain.errors import BadData, BadFile, UnknownName, near, shown
+from gpusim.domain.errors import BadData, BadFile, UnknownName, format_value, near
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.noise import Noise
@@ -365,11 +365,13 @@ def section_fields(path, table, section, cls=None):
     known = SECTIONS[section]
     given = table.get(section, {})
     if type(given) is not dict:
-        raise BadFile(path, f"{section} = {shown(given)}: wanted a section [{section}]")
+        raise BadFile(path, f"{section} = {format_value(given)}: wanted a section [{section}]")
     fields = {}
     for key, value in given.items():
         if key not in known:
-            raise BadFile(path, f"unknown key {shown(key)} in [{section}]{_near_key(key, section)}")
+            raise BadFile(
+                path, f"unknown key {format_value(key)} in [{section}]{_near_key(key, section)}"
+            )
         field, read = known[key]
         try:
             fields[field] = value_of(f"[{section}] {key}", read, value)
@@ -409,7 +411,7 @@ def key_spoken_of(table, message: str) -> str:
         if at:
             found.append((at.start(), key))
     key = min(found, default=(0, ""))[1]
-    return f"[{section}] {key} = {shown(given[key])}" if key and key not in message else ""
+    return f"[{section}] {key} = {format_value(given[key])}" if key and key not in message else ""
 
 
 def value_of(label, read, value):
@@ -417,7 +419,7 @@ def value_of(label, read, value):
     try:
         return read(value)
     except _Wanted as wanted:
-        raise BadData(f"{label} = {shown(value)}: wanted {wanted}") from None
+        raise BadData(f"{label} = {format_value(value)}: wanted {wanted}") from None
     except UnknownName as error:
         raise BadData(f"{label}: {error}") from None
 

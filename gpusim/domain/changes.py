@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.camera_keys import SECTIONS, value_of
 from gpusim.domain.distortion import Distortion
-from gpusim.domain.errors import BadData, UnknownName, shown
+from gpusim.domain.errors import BadData, UnknownName, format_value
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.noise import reset_noise
@@ -106,10 +106,10 @@ def _value(key, name, field, read, value):
         return None
     if field in READ:
         raise BadData(
-            f"{key} = {shown(value)}: wanted a {kind.__name__}, which a camera file names"
+            f"{key} = {format_value(value)}: wanted a {kind.__name__}, which a camera file names"
         )
     if kind is Spectrum and isinstance(value, dict | str):
-        raise BadData(f"{key} = {shown(value)}: wanted a number or a Spectrum")
+        raise BadData(f"{key} = {format_value(value)}: wanted a number or a Spectrum")
     return value_of(key, read, _plain(value))
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import described, to_host, type_of
+from gpusim.domain.foreign import describe_array, to_host, type_of
 from gpusim.domain.memory import Pinned
 from gpusim.domain.short_repr import span
 from gpusim.domain.spectrum import check_wavelengths
@@ -48,7 +48,9 @@ class Content:
 
     def __post_init__(self):
         for name in self.samples:
-            object.__setattr__(self, name, described(getattr(self, name), f"{self.form} {name}"))
+            object.__setattr__(
+                self, name, describe_array(getattr(self, name), f"{self.form} {name}")
+            )
 
     def __repr__(self):
         tables = "".join(f", {name} {np.shape(getattr(self, name))}" for name in self.shared)
@@ -182,7 +184,7 @@ class Content:
             },
         )
 
-    def scaled(self, factor: float) -> Self:
+    def scale(self, factor: float) -> Self:
         """Return content that is `factor` times as bright.
 
         Args:
@@ -193,7 +195,7 @@ class Content:
         """
         return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) * factor})
 
-    def divided(self, light: np.ndarray) -> Self:
+    def divide_by(self, light: np.ndarray) -> Self:
         """Return reflectances from radiances.
 
         Args:
@@ -220,7 +222,7 @@ class Content:
         ]
         return all(own is its or np.array_equal(own, its) for own, its in pairs)
 
-    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+    def mix(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         """Return channel values of samples in whole rows.
 
         Args:
@@ -241,7 +243,7 @@ class Content:
         Returns:
             Spectra, float64, shape (L, rows, cols).
         """
-        return self.mixed(self.entry_spectra.T, rows)
+        return self.mix(self.entry_spectra.T, rows)
 
     def used(self, rows: slice = slice(None)) -> np.ndarray:
         """Return the amount of each entry in whole rows, summed over all samples.
@@ -262,7 +264,7 @@ class Content:
         """
         return self.used() @ self.entry_spectra / prod(self.shape)
 
-    def weighted(
+    def weigh(
         self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
     ) -> np.ndarray:
         """Return weighted sums over wavelength of the samples in a window.
@@ -390,10 +392,10 @@ class Cube(Content):
         """True for each wavelength at which a sample is not zero, bool, shape (L,)."""
         return np.asarray(self.values.any(axis=(1, 2)))
 
-    def scaled(self, factor: float) -> Self:
+    def scale(self, factor: float) -> Self:
         return replace(self, values=self.values * np.float32(factor))
 
-    def divided(self, light: np.ndarray) -> Self:
+    def divide_by(self, light: np.ndarray) -> Self:
         return replace(self, values=self.values / np.asarray(light, np.float32)[:, None, None])
 
     def bands_at(self, rows: Any) -> np.ndarray:
@@ -492,7 +494,7 @@ class Materials(Content):
     def stored_type(self, name: str) -> np.dtype:
         return np.dtype(np.uint16 if name == "ids" else np.float32)
 
-    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+    def mix(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         light = np.take(rates, self.ids[rows], axis=1)
         light *= self.shading[rows]
         return light
@@ -500,7 +502,7 @@ class Materials(Content):
     def used(self, rows: slice = slice(None)) -> np.ndarray:
         return np.bincount(self.ids[rows].ravel(), self.shading[rows].ravel(), len(self.spectra))
 
-    def weighted(
+    def weigh(
         self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
     ) -> np.ndarray:
         return (weights @ self.entry_spectra.T)[:, self.ids[window]] * self.shading[window]

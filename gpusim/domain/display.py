@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from gpusim.domain.errors import BadData, OutOfRange, check_range
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
 
 
@@ -37,7 +37,7 @@ class Display:
     luminance: float = 80.0
     spectra: Spectrum | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         try:

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 # Field heights at which turning points are searched, and from which Newton's method starts.
 SAMPLES = 4097
@@ -38,12 +38,12 @@ class RadialPolynomial:
     radius: float
     scale: float = 1.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         check_model(self, "k1", "k2")
 
-    def distorted(self, x, y):
+    def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         r = np.hypot(x, y)
         factor = self.scale * (1 + self.k1 * r + self.k2 * r * r)
@@ -87,7 +87,7 @@ class RadialTable:
     real: np.ndarray
     scale: float = 1.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         ideal, real = np.asarray(self.ideal, np.float64), np.asarray(self.real, np.float64)
@@ -132,7 +132,7 @@ class RadialTable:
         height = self._curve(inside) + (r - inside) * slope
         return np.divide(height, r, out=np.array(self._slope(np.zeros_like(r))), where=r > 0), slope
 
-    def distorted(self, x, y):
+    def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
         factor = self.scale * self._radial(np.hypot(x, y))[0]
         return x * factor, y * factor
@@ -152,7 +152,7 @@ Model = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Framed
 Distortion = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Calibration
 
 
-def framed(distortion: Distortion, shape, pitch: float) -> Model:
+def fit_to_frame(distortion: Distortion, shape, pitch: float) -> Model:
     """Return the distortion for a frame; a calibration is scaled to its resolution.
 
     Args:
@@ -166,7 +166,9 @@ def framed(distortion: Distortion, shape, pitch: float) -> Model:
     Raises:
         OutOfRange: A calibration is of another aspect ratio.
     """
-    return distortion.framed(shape, pitch) if isinstance(distortion, Calibration) else distortion
+    return (
+        distortion.fit_to_frame(shape, pitch) if isinstance(distortion, Calibration) else distortion
+    )
 
 
 def ideal(distortion: Model, x, y):
@@ -188,7 +190,7 @@ def ideal(distortion: Model, x, y):
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     if isinstance(distortion, Framed):
-        return distortion.of_normalised(*ideal(distortion.lens, *distortion.normalised(x, y)))
+        return distortion.denormalise(*ideal(distortion.lens, *distortion.normalise(x, y)))
     wanted = np.hypot(x, y)
     start_r = _start(distortion, wanted)
     u, v = (
@@ -196,7 +198,7 @@ def ideal(distortion: Model, x, y):
         for axis in (x, y)
     )
     for _ in range(NEWTON_STEPS):
-        at_x, at_y = distortion.distorted(u, v)
+        at_x, at_y = distortion.distort(u, v)
         a, b, c, d = distortion.derivative(u, v)
         determinant = a * d - b * c
         if not (determinant > 0).all():
@@ -228,7 +230,7 @@ def _start(distortion, wanted):
     reach = farthest / distortion.scale if farthest else 1.0
     for _ in range(8):  # a barrel needs larger ideal heights: double the range until they fit
         r = np.linspace(0, reach, SAMPLES)
-        height = np.hypot(*distortion.distorted(r * np.sqrt(0.5), r * np.sqrt(0.5)))
+        height = np.hypot(*distortion.distort(r * np.sqrt(0.5), r * np.sqrt(0.5)))
         turn = np.flatnonzero(np.diff(height) <= 0)
         peak = height[turn[0]] if len(turn) else height[-1]
         if peak >= farthest:
@@ -245,7 +247,7 @@ def _start(distortion, wanted):
             )
         reach *= 2
     if isinstance(distortion, RadialTable):
-        end = distortion.distorted(1.0, 0.0)[0]
+        end = distortion.distort(1.0, 0.0)[0]
         raise OutOfRange(
             "distortion table",
             f"ends at an image height of {end:.6g} radii",

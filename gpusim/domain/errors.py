@@ -29,7 +29,7 @@ def one_line(text, longest: int = LONGEST) -> str:
     return text if len(text) <= longest else f"{text[: longest - end - 5]} ... {text[-end:]}"
 
 
-def shown(value) -> str:
+def format_value(value) -> str:
     """Return a value as Python writes it, in at most LONGEST_VALUE letters, for a message."""
     return one_line(repr(value) if isinstance(value, str) else value, LONGEST_VALUE)
 
@@ -66,7 +66,7 @@ class UnknownName(GpusimError):
 
     def __init__(self, what: str, name: str, known: Iterable[str]):
         super().__init__(
-            f"unknown {one_line(what, LONGEST_PATH)} {shown(name)}{near(name, sorted(known))}"
+            f"unknown {one_line(what, LONGEST_PATH)} {format_value(name)}{near(name, sorted(known))}"
         )
 
 
@@ -134,7 +134,7 @@ def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -
     ):
         raise OutOfRange(
             key,
-            shown(value),
+            format_value(value),
             f"a whole number, {least}" + (" or more" if most == float("inf") else f" .. {most}"),
         )
     return int(value)

@@ -7,7 +7,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpusim.domain.errors import OutOfRange, shown
+from gpusim.domain.errors import OutOfRange, format_value
 
 FASTEST = 1e7  # [Hz]
 
@@ -43,7 +43,7 @@ class Flicker:
         ):
             value = getattr(self, name)
             if not isinstance(value, Real):
-                raise OutOfRange(f"flicker.{name}", shown(value), "a number")
+                raise OutOfRange(f"flicker.{name}", format_value(value), "a number")
             value = float(value)
             if not (low <= value <= high and np.isfinite(value)) or (
                 name == "frequency" and not value

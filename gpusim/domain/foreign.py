@@ -28,7 +28,7 @@ class Described:
         self.dtype = np.dtype(self.__cuda_array_interface__["typestr"])
 
 
-def described(values, what: str):
+def describe_array(values, what: str):
     """Return an array with `shape` and `dtype`: the value itself, or a view of its memory.
 
     Args:

@@ -67,10 +67,10 @@ class Illuminated(Content):
     def with_planes(self, planes: Any) -> Basis:
         return Basis(self.wavelengths, planes, self.entry_spectra)
 
-    def mixed(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+    def mix(self, rates: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         return self._sum(rates, (rows,))
 
-    def weighted(
+    def weigh(
         self, weights: np.ndarray, window: tuple[slice, slice] = (slice(None), slice(None))
     ) -> np.ndarray:
         return self._sum(weights @ self.entry_spectra.T, window)
@@ -144,7 +144,7 @@ def surfaces_of(content: Content) -> Basis:
     left, values, right = np.linalg.svd(content.entry_spectra, full_matrices=False)
     rank = max(int((values > len(left) * np.finfo(float).eps * values[:1].max(initial=0)).sum()), 1)
     table = (left[:, :rank] * values[:rank]).astype(np.float32)
-    return Basis(content.wavelengths, content.mixed(table.T), right[:rank])
+    return Basis(content.wavelengths, content.mix(table.T), right[:rank])
 
 
 def spline(wavelengths, values, others) -> np.ndarray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 DOMAINS = ("root", "linear")
 XYZ = ("X", "Y", "Z")
@@ -122,7 +122,7 @@ class Code:
             self.offset
         )
 
-    def measured(self, raw, factors=1.0):
+    def encode_raw(self, raw, factors=1.0):
         """Return codes of digital numbers exactly as devices compute them.
 
         Roots are computed in float32 and rounded to multiples of 1 / GRAIN. factors: factor of each
@@ -197,7 +197,7 @@ class Layout:
     detail: tuple[np.ndarray, np.ndarray] | None = None
     shares: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         if self.domain not in DOMAINS:
@@ -397,7 +397,7 @@ class FilterTable:
     offsets: np.ndarray | None = None
     provenance: str = ""
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         shape = self.layout.shape

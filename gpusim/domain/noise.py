@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 PHOTONS = ("fast", "exact", "none")
 ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)
@@ -81,7 +81,7 @@ class Noise:
     telegraph_switching: float = 1.0
     seed: int = 0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         def check(key, allowed, good, unit=""):

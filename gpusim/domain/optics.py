@@ -9,7 +9,7 @@ from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
 
 MODELS = ("diffraction", "measured", "none")
@@ -65,7 +65,7 @@ class Optics:
     distortion: Distortion | None = None
     lateral_color: Spectrum | float = 0.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         if not 0.1 <= self.f_number <= 1000:
@@ -178,7 +178,7 @@ class Optics:
         }
 
     @property
-    def unused(self) -> str:
+    def ignored_settings(self) -> str:
         """Settings that have no effect on the blur with model "none", in words."""
         return ", ".join(
             [

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 from gpusim.domain.learned import FilterTable
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
@@ -85,7 +85,7 @@ class Processor:
     tone: tuple = ()
     white: tuple[float, ...] = ()
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         for key, known in (

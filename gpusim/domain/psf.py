@@ -8,7 +8,7 @@ import scipy
 from scipy.special import erf
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class PointSpread:
     grid: tuple | None = None
     _axes: tuple = field(init=False, repr=False, default=())
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.values, dtype, copy=copy)

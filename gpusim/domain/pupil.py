@@ -11,7 +11,7 @@ from math import comb, factorial
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 LONGEST_WAVEFRONT = (
     40.0  # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
@@ -121,7 +121,7 @@ class Wavefront:
     seidel: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     reference: float = 550.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         try:

@@ -10,7 +10,7 @@ from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import is_array
 from gpusim.domain.labels import Pictured
-from gpusim.domain.short_repr import brief, shortened
+from gpusim.domain.short_repr import short_repr, shorten_repr
 from gpusim.domain.spectrum import Spectrum, seen_band
 from gpusim.domain.view import View
 
@@ -31,7 +31,7 @@ class Layer:
     alpha: np.ndarray
     depth: np.ndarray | float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class Scene(Pictured):
         )
         if self.samples_per_pixel != 1:
             more += [f"{self.samples_per_pixel:g} samples per pixel"]
-        return shortened(
+        return shorten_repr(
             f"Scene({', '.join([repr(self.name), repr(self.content), *more, f'border {self.border!r}'])})"
         )
 
@@ -206,7 +206,7 @@ class Scene(Pictured):
         scene._check_view()
         return scene
 
-    def brightened(self, factor: float) -> "Scene":
+    def brighten(self, factor: float) -> "Scene":
         """Return the scene in brighter light. Its samples are not checked again.
 
         Args:

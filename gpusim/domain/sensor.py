@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, shown
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, format_value
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
 
 HUGE = 1e12  # limit of electrons, seconds and gains; its square is far from float32's limit
@@ -35,7 +35,7 @@ class Microlens:
     response: np.ndarray
     shift: float = 0.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         angles, response = (
@@ -142,13 +142,13 @@ class Sensor:
     black_level: int = 0
     noise: Noise = field(default_factory=Noise)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self):
         for key, kind in (("qe", Spectrum), ("noise", Noise), ("auto_exposure", AutoExposure)):
             if not isinstance(getattr(self, key), kind):
                 raise BadData(
-                    f"sensor.{key} = {shown(getattr(self, key))}: wanted a gpusim.{kind.__name__}"
+                    f"sensor.{key} = {format_value(getattr(self, key))}: wanted a gpusim.{kind.__name__}"
                 )
         for key in ("channels", "cfa", "binning"):
             if isinstance(getattr(self, key), (str, list, tuple, np.ndarray)):
@@ -157,7 +157,7 @@ class Sensor:
             value = getattr(self, key)
             if not isinstance(value, tuple) or not all(isinstance(text, str) for text in value):
                 raise BadData(
-                    f"sensor.{key} = {shown(value)}: wanted a tuple of texts, such as {wanted}"
+                    f"sensor.{key} = {format_value(value)}: wanted a tuple of texts, such as {wanted}"
                 )
         self._check_pixel()
         self._check_numbers()

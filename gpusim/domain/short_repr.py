@@ -7,7 +7,7 @@ import numpy as np
 LONGEST, NESTED = 200, 60  # largest number of letters of a repr, and of a part of it
 
 
-def brief(made) -> str:
+def short_repr(made) -> str:
     """Return the repr of a dataclass: its name, and the fields that differ from their defaults.
 
     Arrays show their type and shape.
@@ -18,10 +18,10 @@ def brief(made) -> str:
         if field.repr
         and (field.name == "name" or not _is_default(field, getattr(made, field.name)))
     ]
-    return shortened(f"{type(made).__name__}({', '.join(parts)})")
+    return shorten_repr(f"{type(made).__name__}({', '.join(parts)})")
 
 
-def shortened(text: str) -> str:
+def shorten_repr(text: str) -> str:
     """Return a repr shortened to at most LONGEST letters."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 4]}...{text[-1]}"
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData
-from gpusim.domain.short_repr import shortened, span
+from gpusim.domain.short_repr import shorten_repr, span
 
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
 LIGHT_SPEED = 299792458.0  # [m s-1], exact
@@ -55,7 +55,7 @@ class Spectrum:
 
     def __repr__(self):
         name, curves = f"{self.name!r}, " if self.name else "", len(np.atleast_2d(self.values))
-        return shortened(
+        return shorten_repr(
             f"Spectrum({name}{f'{curves} curves, ' if curves > 1 else ''}{span(self.wavelengths)}, "
             f"values {self.values.min():.4g} .. {self.values.max():.4g})"
         )
@@ -77,7 +77,7 @@ class Spectrum:
         ]
         return rows[0] if self.values.ndim == 1 else np.stack(rows)
 
-    def scaled(self, factor: float) -> "Spectrum":
+    def scale(self, factor: float) -> "Spectrum":
         """Return the spectrum times a factor.
 
         Args:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from numbers import Real
 
-from gpusim.domain.errors import OutOfRange, UnknownName, shown
+from gpusim.domain.errors import OutOfRange, UnknownName, format_value
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Tolerance:
         bounds = {"rms": self.rms, "p999_sigma": self.p999_sigma, "max_sigma": self.max_sigma}
         for key, value in bounds.items():
             if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
-                raise OutOfRange(f"tolerance.{key}", shown(value), f"0 < {key} < inf")
+                raise OutOfRange(f"tolerance.{key}", format_value(value), f"0 < {key} < inf")
         if all(value is None for value in bounds.values()):
             raise OutOfRange("tolerance", "none", "at least one of rms, p999_sigma, max_sigma")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.data.srgb import drawn_into_srgb, srgb_from_rgb, srgb_to_xyz
+from gpusim.data.srgb import draw_into_srgb, srgb_from_rgb, srgb_to_xyz
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile
 from gpusim.domain.memory import require_memory
@@ -140,7 +140,7 @@ def _colors(values, kind, chromaticities):
     with np.errstate(over="ignore", invalid="ignore"):
         if matrix is not None:
             values = np.einsum("ij,jkl->ikl", matrix.astype(np.float32), values)
-        outside = drawn_into_srgb(values)
+        outside = draw_into_srgb(values)
     if not np.isfinite([values.min(), values.max()]).all():
         raise BadData("colours too large: not finite in sRGB")
     return values, [OUTSIDE.format(100 * outside)] if outside else []

@@ -8,7 +8,7 @@ import stat
 from contextlib import contextmanager
 from pathlib import Path
 
-from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
+from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, format_value
 from gpusim.domain.memory import require_memory
 
 LONGEST_TEXT = 2**20  # [byte] of files written by hand; TOML takes up to 3 s for this
@@ -30,7 +30,7 @@ def open_file(path) -> io.BufferedReader:
     devices because they have no end.
     """
     if not isinstance(path, str | os.PathLike):
-        raise BadFile(shown(path), f"{type(path).__name__}, wanted a file's path")
+        raise BadFile(format_value(path), f"{type(path).__name__}, wanted a file's path")
     path = Path(path)
     try:
         _require_regular(path, path.stat())  # before opening: opening a device may have effects

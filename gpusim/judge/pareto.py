@@ -104,7 +104,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
             tolerance=tolerance,
             words=words,
             predicted=plan.account.total.rms,
-            met=plan.verdict and plan.verdict.met,
+            met=plan.verdict and plan.verdict.is_met,
             predicted_ms=sum(frame_ms(simulator, plan, speeds).values()),
         )
     for name, made in _naive(camera, scene, seconds).items():

@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.backends.probe import cache_file, write_cache
-from gpusim.backends.tape import Tape, noted
+from gpusim.backends.tape import Tape, recording
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function, stage_module
 from gpusim.optics.splines import multiplications
@@ -88,7 +88,7 @@ class Speeds:
         def run():
             function(**resident, device=self.device)
 
-        with noted(tape if self.device.is_gpu else None):
+        with recording(tape if self.device.is_gpu else None):
             run()  # builds the kernels
         if (
             self.device.is_gpu and tape.is_replayable

@@ -15,7 +15,7 @@ stated):
   test_truth_stars.py, by Hankel and Fourier integrals of the pupil;
 - displaced samples are points of light that keep their energy for any fill factor, and a uniform
   scene gives uniform pixels: test_truth_stars.py, test_truth_scenes.py;
-- light from afar, on a coarse grid (`optics.outside.unseen`): test_border.py;
+- light from afar, on a coarse grid (`optics.outside.unseen_light`): test_border.py;
 - formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`,
   `optics.geometry`): test_opencv.py, tests/frames/test_geometry.py;
 - layers and kernels by distance (`optics.depth`), and samples that fill their cells if there is no
@@ -48,14 +48,14 @@ def true_error(simulator, scene, exposure) -> Error:
         DoesNotFit: The truth needs more memory than there is.
     """
     camera = simulator.camera
-    error = Error.between(*seen(simulator, scene, exposure), camera.sensor.read_sigma)
+    error = Error.between(*mean_and_truth(simulator, scene, exposure), camera.sensor.read_sigma)
     if not lens_of(camera).is_uniform and len(blocks(scene.shape)) > 1:
         words = f"{BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over the field"
         return dataclasses.replace(error, places=words)
     return error
 
 
-def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
+def mean_and_truth(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean electrons of an exposure, and their truth.
 
     For a large frame with a blur that varies over the field, both are one row of samples from

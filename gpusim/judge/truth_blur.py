@@ -3,7 +3,7 @@
 Every wavelength is computed separately, in a world that continues to infinity. Samples are points
 of light, and a uniform scene gives uniform pixels. A mirrored world repeats every two frames, and
 so does a transform of that length, exactly. Other worlds are transformed with REACH samples around
-the frame; the smooth light from beyond comes from a coarse grid (`gpusim.optics.outside.unseen`). A
+the frame; the smooth light from beyond comes from a coarse grid (`gpusim.optics.outside.unseen_light`). A
 pupil with straight blades throws light along their normals, in beams too narrow for a coarse grid,
 which takes the mean over directions: BLADES_REACH samples surround the frame. Beyond the margin of
 a scene its outermost samples continue.
@@ -21,7 +21,7 @@ from gpusim.domain.optics import Optics
 from gpusim.judge.truth_lens import transfer_of
 from gpusim.judge.truth_light import MODES, pixel_places
 from gpusim.optics.lens import open_lens
-from gpusim.optics.outside import at_samples, rule_of, unseen
+from gpusim.optics.outside import at_samples, rule_of, unseen_light
 from gpusim.optics.weights import electrons_per_content
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
@@ -112,7 +112,7 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
     return np.stack(
         [
             at_samples(
-                unseen(
+                unseen_light(
                     one,
                     period,
                     border,

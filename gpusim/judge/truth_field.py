@@ -61,7 +61,7 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
         for one, part in zip(total, parts, strict=True):
             _spread(
                 one,
-                _taken(seen, part, lens.half, scene.margin, scene.border),
+                _take_windows(seen, part, lens.half, scene.margin, scene.border),
                 kernels,
                 lens.limits,
                 part,
@@ -69,7 +69,7 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
     return total
 
 
-def _taken(light, part, half, margin, border):
+def _take_windows(light, part, half, margin, border):
     """Return the light of a part and `half` samples around it, continued by the border rule."""
     at = [np.arange(one.start - half, one.stop + half) + margin for one in part]
     y, x = (

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gpusim.domain.calibration import Framed
-from gpusim.domain.distortion import framed, ideal
+from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
@@ -40,7 +40,7 @@ FINER, PARTS = (
 def axis_of(camera, shape) -> tuple[float, float]:
     """Return the place of the optical axis, from the middle of a frame, (rows, cols) [pixel]."""
     distortion, pitch = camera.optics.distortion, camera.sensor.pixel_pitch
-    model = None if distortion is None else framed(distortion, shape, pitch)
+    model = None if distortion is None else fit_to_frame(distortion, shape, pitch)
     if not isinstance(model, Framed):
         return 0.0, 0.0
     x, y = (middle * model.radius / pitch for middle in model.middle)
@@ -59,7 +59,9 @@ def placed_light(camera, scene) -> np.ndarray:
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
     model = (
-        None if distortion is None else framed(distortion, scene.shape, camera.sensor.pixel_pitch)
+        None
+        if distortion is None
+        else fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
     )
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
@@ -196,11 +198,11 @@ def _tangent(camera, scene):
     )
     if optics.distortion is None:
         return np.hypot(y[:, None], x) * slope
-    model = framed(optics.distortion, scene.shape, sensor.pixel_pitch)
+    model = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
     step = sensor.pixel_pitch / model.radius
     u, v = ideal(model, x * step, y[:, None] * step)
     return (
-        np.hypot(*model.normalised(u, v))
+        np.hypot(*model.normalise(u, v))
         if isinstance(model, Framed)
         else np.hypot(u, v) / step * slope
     )

@@ -102,10 +102,10 @@ def sample_sums(scene: Scene, weights, window) -> np.ndarray:
     weights: of the scene's wavelengths, shape (C, L). window: slices of rows and columns of the
     content's samples.
     """
-    planes = scene.content.on_host().weighted(weights, window)
+    planes = scene.content.on_host().weigh(weights, window)
     for layer in scene.layers[::-1]:
         alpha = np.asarray(layer.alpha, np.float64)[window]
-        planes = planes * (1 - alpha) + layer.content.on_host().weighted(weights, window) * alpha
+        planes = planes * (1 - alpha) + layer.content.on_host().weigh(weights, window) * alpha
     return planes
 
 

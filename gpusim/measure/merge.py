@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 # read noise sigmas below the well that count as full: 1 in 3e6 saturated values passes
 MARGIN = 5.0
@@ -29,7 +29,7 @@ class MergeInputs:
     variances: np.ndarray
     valid: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:

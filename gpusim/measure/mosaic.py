@@ -17,7 +17,7 @@ LIGHTS = {
 GREY = (1, 1, 1)
 
 
-def colored(sensor: Sensor, codes) -> np.ndarray:
+def color_mosaic(sensor: Sensor, codes) -> np.ndarray:
     """Return a colour picture of a mosaic's codes, uint8 (rows, cols, 3).
 
     One channel and filters with unknown letters are grey. Stacked RGB is a picture; of other

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import ROUNDING
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 # [DN^2]; rounding hides smaller dark noise, and the standard uses this value
 LEAST_DARK_VARIANCE = 0.24
@@ -81,7 +81,7 @@ class PhotonTransfer:
     dark_current: float | None = None
     dark_current_from_variance: float | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def figures(self) -> dict[str, float]:

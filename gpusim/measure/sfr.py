@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.short_repr import brief
+from gpusim.domain.short_repr import short_repr
 
 BINS = 4  # per pixel along the edge's normal
 LEAST = 10  # rows and columns of a picture, and twice the pixels on each side of the edge
@@ -38,7 +38,7 @@ class EdgeResponse:
     per_mm: np.ndarray | None = None
     error: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def sfr(

@@ -640,7 +640,7 @@ class PointLens(_OnGrid):
     @property
     def words(self) -> str:
         """See `Lens`."""
-        return f'{self.optics.unused}: optics.model is "none"'
+        return f'{self.optics.ignored_settings}: optics.model is "none"'
 
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""

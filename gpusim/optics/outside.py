@@ -65,7 +65,7 @@ def border_indices(at, n: int, border: str) -> np.ndarray:
     return np.clip(at, 0, n - 1)
 
 
-def unseen(
+def unseen_light(
     image,
     period,
     border: str,
@@ -142,7 +142,7 @@ def unseen(
 
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
-    """Return the result of `unseen` for an image of `shape` at samples `rows` x `cols`, which may lie around it."""
+    """Return `unseen_light` for an image of `shape` at samples `rows` x `cols`, which may lie around it."""
     down, across = (
         _spline_weights(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
         for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)
@@ -258,7 +258,7 @@ class Outside:
         noise: Variance of the read noise over the electrons at that level.
         missing: Light that every sample is known to lack.
         around: Samples on each side whose mean approximates the light that a lens mixes.
-        rays: Lines along which a part of the tail goes, see `unseen`.
+        rays: Lines along which a part of the tail goes, see `unseen_light`.
         straight: That part of the tail.
         deviation: Of the Gaussian that approximates the lens [sample].
         is_moved: Whether the frame is a view of the scene.
@@ -307,7 +307,7 @@ class Outside:
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
-        coarse = unseen(
+        coarse = unseen_light(
             light,
             period,
             rule_of(self.border),

@@ -193,7 +193,7 @@ class Moments:
 
 
 def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
-    """Return moments of pairs of neighbouring rows, one above the other, in channels `seen` (C, rows, cols).
+    """Return moments of pairs of neighbouring rows, one above the other, in channels `mean_and_truth` (C, rows, cols).
 
     weight: of each pair, 1 in the mean, (n,); None: equal weights.
     """

@@ -90,7 +90,7 @@ class Kept(Protocol):
         """
 
 
-def made_anew(name: str, key: Any, make: Callable[[], Any]) -> Any:
+def make_always(name: str, key: Any, make: Callable[[], Any]) -> Any:
     """Return `make()`: a `Kept` that stores nothing."""
     return make()
 

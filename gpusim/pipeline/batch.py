@@ -10,10 +10,10 @@ from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.outputs import OUTPUTS
-from gpusim.pipeline.planning import planned_by
+from gpusim.pipeline.planning import plan_inputs
 from gpusim.pipeline.program import Program, SharedOptics
 from gpusim.planner.plan import Plan
 
@@ -60,7 +60,7 @@ class Batch:
         self.plans: list[Plan] = []
 
     def __repr__(self):
-        return shortened(f"Batch({self.count} of {self.output}, {self._simulator!r})")
+        return shorten_repr(f"Batch({self.count} of {self.output}, {self._simulator!r})")
 
     def __call__(
         self,
@@ -168,10 +168,10 @@ class Batch:
         if program is not None and program.simulator.camera is camera:
             return program
         tolerance = self._simulator.tolerance
-        by = planned_by(checked_camera(camera), tolerance)
+        by = plan_inputs(checked_camera(camera), tolerance)
 
         def has_same_plan(other):
-            return same(planned_by(other.simulator.camera, tolerance), by)
+            return same(plan_inputs(other.simulator.camera, tolerance), by)
 
         if program is not None:
             if has_same_plan(program):

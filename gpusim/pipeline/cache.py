@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.backends.tape import Tape, noted
+from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.planner.facts import Facts
@@ -71,7 +71,7 @@ class Cache:
         found = self._entries.get(name)
         if found is not None and same(found[0], key):
             return found[1]
-        with noted(None):
+        with recording(None):
             value = make()
         self._entries[name] = key, value, None
         return value
@@ -116,7 +116,7 @@ class Cache:
                 tape.replay()
                 value = found[1]
             else:
-                with noted(tape):
+                with recording(tape):
                     value = function(*args, **kwargs, **numbers)
         except BaseException:
             if tape is not None:  # its arrays may be half written
@@ -144,7 +144,9 @@ class Cache:
             if own.value is not its.value
         ]
         parts = found[1] if isinstance(found[1], tuple) else (found[1],)
-        return not any(part is old for part in parts for old, _ in others) and tape.replaced(others)
+        return not any(part is old for part in parts for old, _ in others) and tape.replace_arrays(
+            others
+        )
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Return results whose last computation did not only start kernels.

@@ -10,7 +10,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.color.color import transform_set
 from gpusim.color.encoding import decoding
-from gpusim.color.rendering import Rendering, rebalanced, transform_arguments
+from gpusim.color.rendering import Rendering, rebalance, transform_arguments
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
 from gpusim.domain.raw_noise import RawNoise
@@ -321,7 +321,7 @@ class Developer:
             run=render_for_picture,
         )
 
-    def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0) -> Any:
+    def demosaic(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0) -> Any:
         """Return camera values of each pixel, (C, rows, cols), or the output of learned filters; white level 1.
 
         Args:
@@ -344,11 +344,11 @@ class Developer:
         values.give(raw=raw, neutral=white, defects=known, shading=shading, blur=blur)
         return values["camera"]
 
-    def colored(self, planes, rendering: Rendering) -> Any:
+    def apply_color(self, planes, rendering: Rendering) -> Any:
         """Return linear display RGB (3, rows, cols), before the tone curve."""
         return apply_colors(planes, colors_of(rendering), device=self.device)
 
-    def encoded(self, linear_rgb) -> Any:
+    def encode(self, linear_rgb) -> Any:
         """Return display codes (rows, cols, 3) of linear display RGB."""
         return encode(linear_rgb, self._edges, device=self.device)
 
@@ -443,4 +443,4 @@ def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:
 def render_for_picture(planes, once, *, camera, transforms, floor, device) -> Rendering:
     """Return the rendering for a white estimated from the picture. once: the rendering for the target light."""
     small = device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=device))
-    return rebalanced(once, camera, transforms, small, floor)
+    return rebalance(once, camera, transforms, small, floor)

@@ -14,7 +14,7 @@ from gpusim.color.rendering import Rendering
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.labels import Pictured
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.io.frame.frames import write_frame
 from gpusim.pipeline.report import Report
 from gpusim.planner.plan import Plan
@@ -65,12 +65,12 @@ class Exposure:
         return np.array(self.mean, dtype, copy=copy)
 
     def __repr__(self):
-        return shortened(
+        return shorten_repr(
             f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
             f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})"
         )
 
-    def layered(self, raw: Any) -> Any:
+    def split_layers(self, raw: Any) -> Any:
         """Return raw values with the layers of stacked pixels on an axis.
 
         Args:
@@ -160,7 +160,7 @@ class Frame(Pictured):
             for name, part in made.items()
             if not isinstance(part, Later)
         ]
-        return shortened(
+        return shorten_repr(
             f"Frame({self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
             f"{', '.join(parts) or 'nothing computed yet'})"
         )

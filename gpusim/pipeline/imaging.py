@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.color.shading import phase_gains, relative_response, shading_gains
-from gpusim.domain.binning import binned
+from gpusim.domain.binning import bin_mosaic
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
 from gpusim.domain.errors import BadData
@@ -467,7 +467,7 @@ class _Steps:
         plan, sensor, imaging = self.plan, self.sensor, self.imaging
         if not imaging.camera.processor.shading:
             return [Step("shading", "", run=return_none)]
-        stride, out = binned(sensor.cfa_indices, sensor.binning)
+        stride, out = bin_mosaic(sensor.cfa_indices, sensor.binning)
         return [
             Step(
                 "shading",

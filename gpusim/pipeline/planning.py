@@ -5,7 +5,7 @@ from math import ceil, prod
 
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, shown
+from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, format_value
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
@@ -13,10 +13,10 @@ from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
 from gpusim.pipeline.reading import Reading, bytes_read_on_device
 from gpusim.pipeline.step import steps_needed
-from gpusim.planner.after import probed
+from gpusim.planner.after import probe_account
 from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts
-from gpusim.planner.given import judged, named_parts, planned_by
+from gpusim.planner.given import judge_given, named_parts, plan_inputs
 from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
@@ -34,7 +34,7 @@ def checked_reach(reach: int | None) -> int | None:
 
 def draft_key(camera: Camera) -> tuple:
     """Return the camera settings that invalidate a draft: all but the lens controls in TURNED."""
-    return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
+    return plan_inputs(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
 def make_plan(
@@ -78,7 +78,7 @@ def make_plan(
 
 def _require_met(simulator, made):
     """Raise NotMet if the simulator is strict and the plan's tolerance is not met in its scene."""
-    if simulator.strict and made.verdict is not None and not made.verdict.met:
+    if simulator.strict and made.verdict is not None and not made.verdict.is_met:
         raise NotMet(f"{made.scene.name}: tolerance {made.verdict}")
 
 
@@ -116,7 +116,7 @@ def check_given(made, camera: Camera, scene: Scene):
     """Raise BadData if a given plan is not for this camera and this scene."""
     if not isinstance(made, Plan):
         raise BadData(f"plan: {type(made).__name__}, wanted a Plan, see Simulator.plan")
-    named = f"plan {made.name} of {shown(made.scene.name)}"
+    named = f"plan {made.name} of {format_value(made.scene.name)}"
     if made.is_draft:
         raise BadData(
             f"{named}: a draft for a lens slider that moves; wanted a plan from Simulator.plan"
@@ -130,10 +130,10 @@ def check_given(made, camera: Camera, scene: Scene):
                     f"{_shorten(its[name])}"
                 )
     if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
-        raise BadData(f"{named} does not serve {shown(scene.name)}: {why}")
+        raise BadData(f"{named} does not serve {format_value(scene.name)}: {why}")
 
 
-def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
+def adopt_plan(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
     """Return a given plan, checked, with its errors in a scene.
 
     Raises BadData, see `check_given`, DoesNotFit, or NotMet, see `predict_errors`.
@@ -146,7 +146,7 @@ def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = Non
 def _shorten(value):
     """Return a value for a message; for long values its type."""
     return (
-        shown(value)
+        format_value(value)
         if isinstance(value, int | float | str | tuple | type(None))
         else type(value).__name__
     )
@@ -160,7 +160,7 @@ def predict_errors(
     Raises NotMet if the simulator is strict.
     """
     tolerance, single = simulator.tolerance, simulator.device.kind != "numpy"
-    own, its = (planned_by(camera, tolerance) for camera in (made.camera, simulator.camera))
+    own, its = (plan_inputs(camera, tolerance) for camera in (made.camera, simulator.camera))
     is_own = made.scene is scene or same(made.scene, scene)
     is_judged = (
         is_own
@@ -184,16 +184,16 @@ def predict_errors(
         question = Question.of(
             scene, simulator.camera, facts, tolerance or made.tolerance, **_plan_options(simulator)
         )
-        made = judged(made, question, exposure_time, tolerance, single)
+        made = judge_given(made, question, exposure_time, tolerance, single)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
     _require_met(simulator, made)
     return replace(made, scene=scene)
 
 
 def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
-    """Return a plan's errors in another scene, see `gpusim.planner.after.probed`."""
+    """Return a plan's errors in another scene, see `gpusim.planner.after.probe_account`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
-    return probed(
+    return probe_account(
         made,
         Question.of(
             scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)

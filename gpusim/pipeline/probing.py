@@ -61,7 +61,7 @@ class Probing:
         """Why a new plan is made, if a probe missed; else ""."""
         return "" if self._missed is None else self._missed[1]
 
-    def planned(self, plan: Plan):
+    def set_plan(self, plan: Plan):
         """Begin to use a new plan. After a miss its planes are the minimum for scenes of this kind."""
         if plan is self._plan:
             return
@@ -101,7 +101,7 @@ class Probing:
                 f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}",
             )
 
-    def surveyed(self, plan: Plan, scene: Scene, drift: float, steepest: float):
+    def add_survey(self, plan: Plan, scene: Scene, drift: float, steepest: float):
         """Take the survey of a scene, which arrives later: its drift, and the drift of its steepest rows."""
         if plan is not self._plan or self._account is None:
             return

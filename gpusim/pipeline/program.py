@@ -11,7 +11,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.frame import Exposure, Frame
@@ -21,7 +21,7 @@ from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import (
     check_given,
     draft_key,
-    planned_by,
+    plan_inputs,
     predict_errors,
     probe_plan,
     require_memory,
@@ -31,7 +31,7 @@ from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
 from gpusim.pipeline.shots import Shots, exposure_numbers, exposure_steps, picture_steps
 from gpusim.pipeline.step import Rate, Values
 from gpusim.planner.after import holds
-from gpusim.planner.draft import drafted
+from gpusim.planner.draft import draft_plan
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
@@ -134,7 +134,7 @@ class Program:
             require_memory(plan, simulator)
 
     def __repr__(self):
-        return shortened(
+        return shorten_repr(
             f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})"
         )
 
@@ -201,7 +201,7 @@ class Program:
         if (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
-            by is camera or same(planned_by(by, tolerance), planned_by(camera, tolerance))
+            by is camera or same(plan_inputs(by, tolerance), plan_inputs(camera, tolerance))
         )
         if (
             plan is None
@@ -214,7 +214,7 @@ class Program:
             facts = self._facts()
             least, words = probing.least(scene), probing.words
             plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
-            probing.planned(plan)
+            probing.set_plan(plan)
         before.plan = plan, camera
         return self._draft() or plan
 
@@ -230,7 +230,7 @@ class Program:
             return None
         if lens_of(camera).symmetry.is_round and same(by.optics, camera.optics):
             return None
-        return self.before.cache("draft", drafted, plan, camera)
+        return self.before.cache("draft", draft_plan, plan, camera)
 
     def _plan_still_valid(self):
         """Return False and drop the plan if it does not fit.
@@ -411,7 +411,7 @@ class Program:
         if check.survey is not None:
             found = check.survey()
             self._drift, steepest = plan.watch.errors(found)
-            probing.surveyed(plan, scene, self._drift, steepest)
+            probing.add_survey(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device, open_device
-from gpusim.backends.tape import Tape, noted
-from gpusim.domain.binning import binned
+from gpusim.backends.tape import Tape, recording
+from gpusim.domain.binning import bin_mosaic
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
@@ -55,7 +55,7 @@ class Readout:
             sensor,
             open_device(device) if isinstance(device, str) else device,
         )
-        self.stride, mosaic = binned(sensor.cfa_indices, sensor.binning)
+        self.stride, mosaic = bin_mosaic(sensor.cfa_indices, sensor.binning)
         charge = sensor.binning_mode == "charge"
         self.pixels = prod(sensor.binning) if charge else 1
         self.output = dataclasses.replace(
@@ -73,7 +73,7 @@ class Readout:
         self._sensors = {1.0: self.output}
 
     def __repr__(self):
-        return shortened(f"Readout({self.sensor!r}, {self.device!r})")
+        return shorten_repr(f"Readout({self.sensor!r}, {self.device!r})")
 
     def steps(self, shape: tuple[int, ...]) -> list[Step]:
         """Return the steps from the mean electrons "mean", by way of "chip_mean", to the digital numbers "raw".
@@ -416,7 +416,7 @@ class Readout:
         values.give(chip_mean=chip_mean)
         planes = [values[name] if name else None for name in read.inputs]
         numbers = self.numbers(exposure_time, gain) | {"seed": seed, "frame": frame}
-        with noted(tape):
+        with recording(tape):
             raw = noise(*planes, **read.constants, **numbers, frames=frames)
         if not self._digital:
             return raw
@@ -453,7 +453,9 @@ class Readout:
             RuntimeError: The tape cannot write to another array.
         """
         raw = self.device.empty((1, *shape), last.dtype)
-        if not (tape.renumber({"seed": seed, "frame": frame}) and tape.replaced([(last, raw)])):
+        if not (
+            tape.renumber({"seed": seed, "frame": frame}) and tape.replace_arrays([(last, raw)])
+        ):
             raise RuntimeError("the recorded frame cannot be drawn again")
         tape.replay()
         return raw

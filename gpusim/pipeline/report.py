@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.account import Account, Bound, Verdict
 from gpusim.domain.labels import Tabled
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.tolerance import Tolerance
 
 
@@ -209,7 +209,7 @@ class Report(Tabled):
     def __repr__(self):
         named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
         verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
-        return shortened(
+        return shorten_repr(
             f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
             f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})"
         )

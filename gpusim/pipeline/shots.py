@@ -240,7 +240,7 @@ class Shots:
             exposure.exposure_time,
             Later(lambda: shot.developed[2]),
             Later(lambda: shot.measure(self.mean_of_pixels)),
-            Later(lambda: exposure.layered(shot.copy_to_host(shot.raw))),
+            Later(lambda: exposure.split_layers(shot.copy_to_host(shot.raw))),
             Later(lambda: np.moveaxis(shot.copy_to_host(shot.developed[0], np.float32), 0, -1)),
             Later(lambda: shot.copy_to_host(shot.developed[1])),
             Later(report),

@@ -12,7 +12,7 @@ from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.noise import OUT
@@ -88,7 +88,7 @@ class Simulator:
 
     def __repr__(self):
         wanted = "exact" if self.tolerance is None else repr(self.tolerance)
-        return shortened(f"Simulator({self.camera!r}, {self.device!r}, {wanted})")
+        return shorten_repr(f"Simulator({self.camera!r}, {self.device!r}, {wanted})")
 
     def _connect(self, camera, cache, tables):
         """Set the camera and its caches.

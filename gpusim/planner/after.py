@@ -10,7 +10,7 @@ from gpusim.planner.question import Question
 from gpusim.planner.search import HEADROOM
 
 
-def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
+def probe_account(plan: Plan, question: Question, seconds: float | None) -> Account:
     """Return the plan's account for another scene that it serves.
 
     The errors of its planes, or of a blur left out, come from probes of that scene; the others are

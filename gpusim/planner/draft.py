@@ -23,7 +23,7 @@ TURNED: dict[str, Any] = {  # what may be other
 }
 
 
-def drafted(plan: Plan, camera: Camera) -> Plan | None:
+def draft_plan(plan: Plan, camera: Camera) -> Plan | None:
     """Return the plan with the camera's lens in place of its own; None if that is not possible.
 
     Planes, tiles and all choices stay; the light and the tables of the lens are the camera's. The

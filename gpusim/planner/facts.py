@@ -140,7 +140,7 @@ class Facts:
             table = weights @ self.pairs.entry_spectra.T
             found = self._channels = (
                 key,
-                self.pairs.mixed(table.astype(np.float32)).astype(np.float64),
+                self.pairs.mix(table.astype(np.float32)).astype(np.float64),
             )
         return found[1]
 

@@ -30,7 +30,7 @@ PIXELS = (
 REMEDY = "a plan made for this scene may meet it"
 
 
-def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
+def plan_inputs(camera: Camera, asked: Tolerance | None) -> tuple:
     """Return everything but the scene that a plan depends on.
 
     asked: the tolerance; None: everything that the frames of a plan depend on.
@@ -49,7 +49,7 @@ def named_parts(camera: Camera) -> dict:
     }
 
 
-def judged(
+def judge_given(
     plan: Plan,
     question: Question,
     exposure_time: float | None,
@@ -76,7 +76,7 @@ def judged(
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
-        question = question.limited(probes)
+        question = question.with_limit(probes)
     if plan.mix is None and question.is_blurred:
         assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
@@ -84,13 +84,13 @@ def judged(
         question = question.without_blur()
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
-        geometry.viewed(question, told(), notes)
-    placed = geometry.interpolated(question, told, notes)
+        geometry.note_view(question, told(), notes)
+    placed = geometry.plan_distortion(question, told, notes)
     rounding = rounding_of(question, probes, single)
     if question.is_blurred:
         rounding = _blur(plan, question, picture, operation, probes, rounding, notes)
     else:
-        spectral.unblurred(question, notes)
+        spectral.planes_without_blur(question, notes)
     notes.bounds = rounding | notes.bounds
     _geometry(plan, placed, question, probes, notes)
     spectral.describe_unseen(question, notes)
@@ -153,7 +153,7 @@ def _planes(plan, probes):
 def _geometry(plan, made, question, probes, notes):
     """Predict what the plan leaves out of distortion, `made` for the scene, and of fall-off."""
     own = Notes()  # without probes nothing is left out
-    geometry.distorted(question, made, None, own)
+    geometry.choose_distortion(question, made, None, own)
     if made is not None and plan.distortion is None and probes is not None:
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())

@@ -11,7 +11,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.drift import Watch
@@ -20,7 +20,7 @@ from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.sampling import Taps
-from gpusim.optics.tables import Kept, made_anew
+from gpusim.optics.tables import Kept, make_always
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs import (
     blur,
@@ -36,7 +36,15 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Notes, Question
-from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
+from gpusim.planner.search import (
+    HEADROOM,
+    REMEDIES,
+    Candidate,
+    choose_option,
+    front,
+    options,
+    remedy,
+)
 
 STORED = (
     2.0**-24 / 3**0.5
@@ -125,7 +133,7 @@ class Plan:
     def __repr__(self):
         rows, cols = self.scene.shape
         planes = len(self.weights if self.table is None else self.table)
-        return shortened(
+        return shorten_repr(
             f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: {planes} planes"
             f"{'' if self.mix is None else f', transforms of {self.period[1]}x{self.period[0]}'}, "
             f"predicted rms {self.account.total.rms:.2g})"
@@ -259,10 +267,10 @@ class Plan:
         if (
             exposure_time in (None, self.account.seconds)
             or self.tolerance is None
-            or (self.verdict is None or not self.verdict.met)
+            or (self.verdict is None or not self.verdict.is_met)
         ):
             return True
-        return self.account.at(exposure_time).verdict(self.tolerance).met
+        return self.account.at(exposure_time).verdict(self.tolerance).is_met
 
     def fits(self, light, drift: float | None) -> bool:
         """Whether it is as right for a scene that it serves as it was to be for its own.
@@ -302,7 +310,7 @@ def plan(
     guaranteed: bool = False,
     reach: int | None = None,
     period: tuple[int, int] | None = None,
-    kept: Kept = made_anew,
+    kept: Kept = make_always,
     facts: Facts | None = None,
     exposure_time: float | None = None,
     single: bool = True,
@@ -344,13 +352,13 @@ def plan(
     blurred = question
     if tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
-        blurred = question = question.limited(probes)
+        blurred = question = question.with_limit(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
-        geometry.viewed(question, told(), notes)
-    placed = geometry.interpolated(question, told, notes)
+        geometry.note_view(question, told(), notes)
+    placed = geometry.plan_distortion(question, told, notes)
     by_depth = depth.by_depth(question, told, notes)
     fixed = rounding_of(question, probes, single)
     seen = (
@@ -361,7 +369,7 @@ def plan(
     taps, spare = sampling.taps_of(question, seen.around.spare if seen.around else 0)
     depth.describe(by_depth, notes)
     picture.describe(notes)
-    distortion = geometry.distorted(question, placed, probes, notes)
+    distortion = geometry.choose_distortion(question, placed, probes, notes)
     geometry.describe_calibration(question, notes)
     gains, slope = falloff.falloff_of(question, probes, notes)
     if seen.around:
@@ -437,7 +445,7 @@ class _Seen:
 def _plain(question, blurred, fixed, notes):
     """Without blur. blurred: the question before one was left out, if it was."""
     notes.bounds |= fixed
-    planes, limit = spectral.unblurred(question, notes), None
+    planes, limit = spectral.planes_without_blur(question, notes), None
     if blurred.is_blurred:
         bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
         planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
@@ -458,7 +466,7 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
         fixed,
         lambda around: blur.form_of(question, around, by_depth)[1],
     )
-    option, needed = chosen(found, tolerance), remedy(question, found, arounds, fixed)
+    option, needed = choose_option(found, tolerance), remedy(question, found, arounds, fixed)
     form, folded = blur.form_of(question, option.around, by_depth)
     notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
     planes = option.way.make()

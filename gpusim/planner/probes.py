@@ -297,7 +297,7 @@ def _planes(facts, windows, border):
         planes = (
             taken.planes
             if taken.is_spectral
-            else taken.mixed(taken.entry_spectra.T.astype(np.float32))
+            else taken.mix(taken.entry_spectra.T.astype(np.float32))
         )
     planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
     if border == "zero":

@@ -10,7 +10,7 @@ from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
-from gpusim.domain.distortion import Model, framed
+from gpusim.domain.distortion import Model, fit_to_frame
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
@@ -129,7 +129,7 @@ class Question:
         """Return the same question for a lens that does not blur."""
         return replace(self, camera=replace(self.camera, optics=self.optics.without_blur()))
 
-    def limited(self, probes: Probes) -> "Question":
+    def with_limit(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
         assert self.tolerance is not None
         # in the dark no error breaks it
@@ -144,7 +144,7 @@ class Question:
         return (
             None
             if distortion is None
-            else framed(distortion, self.scene.shape, self.sensor.pixel_pitch)
+            else fit_to_frame(distortion, self.scene.shape, self.sensor.pixel_pitch)
         )
 
     @property

@@ -172,7 +172,7 @@ def remedy(
     )
 
 
-def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
+def choose_option(found: list[Option], tolerance: Tolerance | None) -> Option:
     """The first option that meets the tolerance, or else the cheapest of the most accurate; without one the last.
 
     found: as `options` gives them.

@@ -8,7 +8,7 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.plan_summary import Forecast
-from gpusim.judge.truth import require_truth, seen
+from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.pipeline.report import Error, Report
 from gpusim.pipeline.simulator import Simulator
 from gpusim.plot.canvas import BAR, CHANNELS, QUIET, axes_of, error_map, panels, picture_size
@@ -44,7 +44,7 @@ def error(simulator: Simulator, scene: Scene, ax: Any = None) -> Any:
     if not isinstance(simulator, Simulator):
         raise BadData(f"error: {type(simulator).__name__}, wanted a Simulator")
     require_truth(simulator.camera, checked_scene(scene))
-    mean, truth = seen(simulator, scene, simulator.expose(scene))
+    mean, truth = mean_and_truth(simulator, scene, simulator.expose(scene))
     if mean.ndim == 1:
         raise BadData(
             f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels; the "

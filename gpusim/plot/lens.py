@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.data.lights import light_of
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import product_weights
@@ -242,7 +242,7 @@ def _field(place):
         y, x = (float(one) for one in place)
     except (TypeError, ValueError):
         raise BadData(
-            f"place = {shown(place)}: wanted a field point (y, x), 1 the frame's corner"
+            f"place = {format_value(place)}: wanted a field point (y, x), 1 the frame's corner"
         ) from None
     if not np.hypot(y, x) <= 1 + 1e-9:
         raise OutOfRange("place", (y, x), "up to 1, the frame's corner, from the axis")

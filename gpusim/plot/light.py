@@ -14,7 +14,7 @@ from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, checked_scene
@@ -148,7 +148,7 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
     color = _color(scene, content)
     wavelengths, light = scene.wavelengths, scene.illuminant
     if quantity == "reflectance":
-        values = scene.content.on_host().surfaces.weighted(every, window).mean(axis=(1, 2))
+        values = scene.content.on_host().surfaces.weigh(every, window).mean(axis=(1, 2))
     else:
         from scipy.interpolate import CubicSpline
 
@@ -362,7 +362,7 @@ def _window(scene, place):
         numbers = []
     if len(numbers) not in (2, 4):
         raise BadData(
-            f"at = {shown(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
+            f"at = {format_value(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
             "list of them"
         )
     left, top = numbers[:2]

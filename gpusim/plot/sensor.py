@@ -12,7 +12,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.measure.mosaic import colored, tile
+from gpusim.measure.mosaic import color_mosaic, tile
 from gpusim.measure.photon_transfer import PhotonTransfer
 from gpusim.measure.photon_transfer import photon_transfer as measure_photon_transfer
 from gpusim.measure.snr import snr_curve
@@ -75,7 +75,7 @@ def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
     values = np.clip(
         (np.asarray(raw, np.float32) - np.float32(black)) / np.float32(white - black), 0, 1
     )
-    return colored(sensor, np.uint8(255 * values ** (1 / gamma) + 0.5))
+    return color_mosaic(sensor, np.uint8(255 * values ** (1 / gamma) + 0.5))
 
 
 def snr(

@@ -475,7 +475,7 @@ def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
     inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
     taps = np.bincount(table.layout.groups)
     largest = (np.abs(table.filters) @ taps).max() * (
-        np.abs(code.measured(raw)).max() + code.black_level
+        np.abs(code.encode_raw(raw)).max() + code.black_level
     )
     largest /= min(code.factors.values())
     roundings = len(taps) + 12 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)

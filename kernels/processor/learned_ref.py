@@ -39,12 +39,12 @@ def learned(
     filters, offsets, floor, strengths = (table or bayer_table()).at_noise(code.sigma)
     places = positions(layout, raw.shape, shift)
     factor = np.array([code.factors.get(letter, 1.0) for letter in "".join(layout.mosaic)])
-    codes = code.measured(raw, factor[places])
+    codes = code.encode_raw(raw, factor[places])
     classes, levels = classify(codes, code, layout, floor, strengths)
-    sums = grouped(codes, layout)
+    sums = sum_groups(codes, layout)
     own = np.array([code.factors.get(name, 1.0) for name in layout.outputs])[:, None, None]
     unbiased = code.domain == "root" and noise[0] > 0 and offsets is None
-    power = grouped(np.broadcast_to(factor[places] ** 2, raw.shape), layout)
+    power = sum_groups(np.broadcast_to(factor[places] ** 2, raw.shape), layout)
 
     out, kept = np.zeros((2, len(layout.outputs), *raw.shape))
     for at, weight in hats(levels, layout.levels):
@@ -94,7 +94,7 @@ def extend_plane(plane, layout: Layout, reach):
     return plane
 
 
-def grouped(codes, layout: Layout):
+def sum_groups(codes, layout: Layout):
     """Return sums of the codes of each group of taps, shape (G, rows, cols)."""
     reach = int(abs(layout.taps).max())
     wide = extend_plane(codes, layout, reach)

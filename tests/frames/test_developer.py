@@ -355,7 +355,7 @@ def test_layers_of_stacked_pixels_do_not_meet():
     planes = [
         np.array(
             simulator.device.numpy(
-                developer.demosaicked(
+                developer.demosaic(
                     simulator.device.array(values, np.uint16), known=known, shading=exposure.shading
                 )
             )

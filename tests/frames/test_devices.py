@@ -131,13 +131,13 @@ def test_a_record_that_cannot_be_read_or_written_is_done_without(probed, monkeyp
 
 def test_devices_of_one_make_and_driver_make_the_same_whatever_their_number():
     first = open_device("opencl:pocl")
-    assert probe.made_by(first) == probe.made_by(OpenCLDevice(first.cl_device, "opencl:7"))
+    assert probe.hardware_id(first) == probe.hardware_id(OpenCLDevice(first.cl_device, "opencl:7"))
     assert (
-        first.cl_device.name.strip() in probe.made_by(first)
-        and "opencl:" not in probe.made_by(first)[7:]
+        first.cl_device.name.strip() in probe.hardware_id(first)
+        and "opencl:" not in probe.hardware_id(first)[7:]
     )
     assert (
-        len({probe.made_by(open_device(name)) for name in ("opencl:pocl", "warp:cpu", "numpy")})
+        len({probe.hardware_id(open_device(name)) for name in ("opencl:pocl", "warp:cpu", "numpy")})
         == 3
     )
 
@@ -187,9 +187,9 @@ def test_a_device_that_has_gone_is_not_chosen(probed, monkeypatch):
     )
     assert probe.best()["name"] == "opencl:99"
     del found[0]
-    open_device.__globals__["_opened"].cache_clear()
+    open_device.__globals__["_open"].cache_clear()
     assert open_device("auto").name == "warp:cpu"
-    open_device.__globals__["_opened"].cache_clear()
+    open_device.__globals__["_open"].cache_clear()
 
 
 def test_where_no_opencl_works_one_line_says_so(probed, monkeypatch, caplog):
@@ -486,14 +486,14 @@ def test_a_processors_name_is_set_in_its_own_place_alone():
     for place, name in zip((3, 80, 140, 150), names, strict=True):
         memory[place] = ctypes.addressof(name)
     for _ in range(2):  # the second time it is there
-        assert pocl._renamed(ctypes.addressof(memory), b"znver3", b"skylake-avx512")
+        assert pocl._rename_processor(ctypes.addressof(memory), b"znver3", b"skylake-avx512")
         assert [ctypes.string_at(memory[place]) for place in (3, 80, 140, 150)] == [
             b"other",
             b"skylake-avx512",
             b"znver3",
             b"skylake-avx512",
         ]
-    assert not pocl._renamed(
+    assert not pocl._rename_processor(
         ctypes.addressof((ctypes.c_void_p * 256)()), b"znver3", b"skylake-avx512"
     )
 

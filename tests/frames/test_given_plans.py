@@ -174,7 +174,7 @@ def test_errors_are_those_of_the_scene(tolerance):
         # the planner's own claim, bench/README.md, Triples: predicted errors are within 2.5 of the true ones
         assert 1 / 2.5 < report.prediction_ratio < 2.5, str(report)
         assert report.verdict.state in ("met", "not met")
-        assert report.meets_tolerance or not report.verdict.met
+        assert report.meets_tolerance or not report.verdict.is_met
     own = simulator.plan(scene)
     again = simulator(
         replace(scene), plan=own
@@ -195,11 +195,11 @@ def test_a_plan_that_does_not_do_is_not_met():
     )
     simulator = gs.Simulator(PHONE, device="numpy", tolerance="video")
     plan = simulator.plan(calm)
-    assert plan.verdict.met and plan.mix is None
+    assert plan.verdict.is_met and plan.mix is None
     report = simulator(steep, verify=True, plan=plan).report
     assert report.verdict.state == "not met" and not report.meets_tolerance, str(report)
     program = simulator.program(calm, plan=plan)
-    assert program.frame().report.verdict.met
+    assert program.frame().report.verdict.is_met
     assert program.update(scene=steep).frame().report.verdict.state == "not met"
     strict = gs.Simulator(PHONE, device="numpy", tolerance="video", strict=True)
     for way in (
@@ -209,7 +209,7 @@ def test_a_plan_that_does_not_do_is_not_met():
     ):
         with pytest.raises(NotMet, match="steep"):
             way()
-    assert strict(calm, plan=plan).report.verdict.met
+    assert strict(calm, plan=plan).report.verdict.is_met
 
 
 def test_highlights_that_a_plan_does_not_split_cannot_be_judged():
@@ -224,8 +224,8 @@ def test_highlights_that_a_plan_does_not_split_cannot_be_judged():
     plan = simulator.plan(calm)
     assert simulator.plan(spiky).highlights is not None
     verdict = simulator(spiky, plan=plan).report.verdict
-    assert not verdict.met and (verdict.state == "not met" or "highlights" in verdict.unknown), str(
-        verdict
+    assert not verdict.is_met and (verdict.state == "not met" or "highlights" in verdict.unknown), (
+        str(verdict)
     )
 
 
@@ -280,7 +280,7 @@ def test_other_plans_are_refused():
     program = simulator.program(scene, plan=simulator.plan(scene))
     with pytest.raises(BadData, match="f_number"):
         program.update(camera=camera_with(optics={"f_number": 4.0}))
-    assert program.frame().report.verdict.met  # it is as it was
+    assert program.frame().report.verdict.is_met  # it is as it was
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_plans_of_one_scene_alone(what):
         simulator(other, plan=plan)
     assert not gs.Simulator(camera, device="numpy", tolerance="2e-3")(
         scene, plan=plan
-    ).report.verdict.met
+    ).report.verdict.is_met
 
 
 def test_exposures_noise_and_tolerances_may_be_others():
@@ -347,7 +347,7 @@ def test_exposures_noise_and_tolerances_may_be_others():
         scenes[1], plan=exact
     ).report
     assert (
-        report.verdict.met
+        report.verdict.is_met
         and report.account.bounds["border"].rms > 0
         and "planes" not in report.account.bounds
     )

@@ -59,7 +59,7 @@ FORMS = forms()
 
 
 def lit(content, lights, **options):
-    return gs.illuminated(
+    return gs.illuminate(
         gs.Scene(content, white_radiance(illuminant("E"), 100.0), **options), lights
     )
 
@@ -157,7 +157,7 @@ def test_what_the_host_reads_of_a_device(name):
 
 def test_one_light_everywhere_is_that_light():
     chart = gs.chart("colorchecker", size=(64, 48), light="A", luminance=70.0)
-    scene = gs.illuminated(chart, {"A": 70.0})
+    scene = gs.illuminate(chart, {"A": 70.0})
     assert len(scene.content.lights) == 1
     simulator = gs.Simulator(PHONE, device="numpy")
     one, other = (simulator(each, seed=1) for each in (chart, scene))
@@ -175,7 +175,7 @@ def test_halves_of_a_scene_have_their_own_white():
         device="numpy",
     )
     found = simulator.expose(
-        gs.illuminated(flat, {"A": 100 * halves, "D65": 40 * (1 - halves)}), exposure_time=0.01
+        gs.illuminate(flat, {"A": 100 * halves, "D65": 40 * (1 - halves)}), exposure_time=0.01
     )
     for name, luminance, columns in (("A", 100.0, slice(2, 16)), ("D65", 40.0, slice(20, 34))):
         own = simulator.expose(
@@ -274,5 +274,5 @@ def test_views_turn_the_light_with_the_scene():
 )
 def test_bad_light_is_refused_in_one_line(change, error, words):
     with pytest.raises(error, match=words) as refused:
-        gs.illuminated(*change(gs.Scene(FORMS["cube"], white_radiance(illuminant("E"), 100.0))))
+        gs.illuminate(*change(gs.Scene(FORMS["cube"], white_radiance(illuminant("E"), 100.0))))
     assert "\n" not in str(refused.value)

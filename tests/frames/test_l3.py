@@ -10,7 +10,7 @@ import pytest
 
 from gpusim.apps.l3.layout import layout
 from gpusim.apps.l3.scenes import training_scenes
-from gpusim.apps.l3.train import train, training_camera, wanted_colors
+from gpusim.apps.l3.train import ideal_colors, train, training_camera
 from gpusim.cli.main import _parser
 from gpusim.cli.train_l3 import luminances
 from gpusim.data.charts import chart, colorchecker_patches
@@ -73,7 +73,7 @@ def using(camera, table):
 def at_luminance(scene, mean):
     """The scene with this mean luminance [cd m-2]."""
     return dataclasses.replace(
-        scene, illuminant=scene.illuminant.scaled(mean / mean_luminance(scene))
+        scene, illuminant=scene.illuminant.scale(mean / mean_luminance(scene))
     )
 
 
@@ -95,10 +95,10 @@ def test_wanted_colors_are_those_of_the_target_light():
     # The nodes' weights integrate a smooth reflectance times light and observer: for a constant one they are exact to
     # rounding. White in D65 within 400 .. 700 nm: the weights' own white, Y = 1.
     grey = chart("flat", size=(8, 6), light="A", reflectance=0.3)
-    white = wanted_colors(chart("flat", size=(8, 6), light="FL11", reflectance=1.0))[:, 0, 0]
+    white = ideal_colors(chart("flat", size=(8, 6), light="FL11", reflectance=1.0))[:, 0, 0]
     assert white[1] == pytest.approx(1, abs=1e-12)
     np.testing.assert_allclose(
-        wanted_colors(grey), np.broadcast_to(0.3 * white[:, None, None], (3, 6, 8)), rtol=1e-6
+        ideal_colors(grey), np.broadcast_to(0.3 * white[:, None, None], (3, 6, 8)), rtol=1e-6
     )
     # of the table over all wavelengths: 3 parts in 1e3 of D65's XYZ lie beyond 400 .. 700 nm
     true = xyz(illuminant("D65"))
@@ -112,16 +112,16 @@ def test_wanted_colors_of_all_forms_of_a_scene():
     cube = Cube(
         basis.wavelengths, np.tensordot(basis.basis.T, basis.coefficients, 1).astype(np.float32)
     )
-    colors = wanted_colors(Scene(basis, light))
+    colors = ideal_colors(Scene(basis, light))
     # float32 of the cube: 6e-8 of values below 1, summed over some 30 bands
-    np.testing.assert_allclose(wanted_colors(Scene(cube, light)), colors, atol=1e-6)
+    np.testing.assert_allclose(ideal_colors(Scene(cube, light)), colors, atol=1e-6)
     materials = Materials(
         basis.wavelengths,
         np.arange(120, dtype=np.uint8).reshape(10, 12),
         np.ones((10, 12), np.float32),
         cube.values.reshape(len(basis.wavelengths), -1).T,
     )
-    np.testing.assert_allclose(wanted_colors(Scene(materials, light)), colors, atol=1e-6)
+    np.testing.assert_allclose(ideal_colors(Scene(materials, light)), colors, atol=1e-6)
 
 
 @pytest.mark.parametrize("samples_per_pixel", [1, 2, 2.5])
@@ -145,7 +145,7 @@ def test_wanted_colors_lie_where_the_pixels_are(samples_per_pixel):
     rows, cols = exposure.mean.shape
     seen = exposure.mean / np.tile(white, (rows // 2 + 1, cols // 2 + 1))[:rows, :cols]
     np.testing.assert_allclose(
-        wanted_colors(scene)[1], seen, rtol=1e-6
+        ideal_colors(scene)[1], seen, rtol=1e-6
     )  # float32 samples, float64 sums
 
 
@@ -190,7 +190,7 @@ def patch_differences(camera, table):
     middles = np.array(
         [[(part.start + part.stop) // 2 for part in patch] for patch in colorchecker_patches(size)]
     ).T
-    wanted = wanted_colors(chart("colorchecker", size=size))[:, *middles].T
+    wanted = ideal_colors(chart("colorchecker", size=size))[:, *middles].T
     shown = np.linalg.solve(camera.display.rgb_from_xyz, frame.linear[*middles].T).T
     return colour.delta_E(
         *(colour.XYZ_to_Lab(one, [0.3127, 0.3290]) for one in (shown, wanted)), method="CIE 2000"
@@ -228,7 +228,7 @@ def column_means(table):
     frame = Simulator(using(camera, table))(ramp, seed=4)
     saturated = (frame.mean[1::2, ::2] >= camera.sensor.saturation).mean(axis=0)
     assert saturated[20] == 0 and saturated[-20] == 1
-    luminance = (frame.linear @ [0.2126, 0.7152, 0.0722])[8:-8, 8:-8] / wanted_colors(ramp)[
+    luminance = (frame.linear @ [0.2126, 0.7152, 0.0722])[8:-8, 8:-8] / ideal_colors(ramp)[
         1, 8:-8, 8:-8
     ]
     # neighbouring rows share noise: those as far apart as the filters reach count as independent
@@ -313,7 +313,7 @@ def test_better_than_interpolation_in_the_dark(rgbw_table):
     scene = at_luminance(
         chart("deadleaves", size=(128, 96), surfaces="colorchecker-sg", smallest=6, seed=3), 1.0
     )
-    wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
+    wanted = np.moveaxis(ideal_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
     plain, learned = (
         cpsnr(Simulator(one)(scene, seed=8).linear, wanted)
         for one in (camera, using(camera, rgbw_table))
@@ -462,7 +462,7 @@ def test_full_training(name):
             scene = at_luminance(
                 chart("deadleaves", size=(192, 160), surfaces=surfaces, smallest=3, seed=seed), mean
             )
-            wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
+            wanted = np.moveaxis(ideal_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
             plain, learned = (
                 cpsnr(Simulator(one)(scene, seed=8).linear, wanted)
                 for one in (camera, using(camera, table))

@@ -57,7 +57,7 @@ def test_a_step_is_followed_as_its_time_constant_says(lag):
 @pytest.mark.parametrize("made_by", [frames, blurred_frames])
 def test_exposure_follows_in_stops(device, made_by):
     """Light that grows tenfold: the exposure falls by as much along an exponential curve, part of it by the gain."""
-    bright = SCENE.brightened(10)
+    bright = SCENE.brighten(10)
     scenes = Sequence([SCENE] * 4 + [bright] * (COUNT - 4))
     longest = gs.Simulator(PHONE, device=device).expose(SCENE).exposure_time / 4
     automatic = replace(PHONE.sensor.auto_exposure, longest=longest, most_gain=16.0)

@@ -11,7 +11,7 @@ from test_sfr import EVEN, FIVE, figure8, reach, unseen
 from gpusim import Display, Noise, Simulator, chart, open_camera
 from gpusim.color.color import color_matrix
 from gpusim.data.charts import colorchecker_patches
-from gpusim.data.displays import displayed, open_display
+from gpusim.data.displays import display_picture, open_display
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData
@@ -156,7 +156,7 @@ def test_a_picture_of_a_picture():
         "phone"
     )  # without blur: diffraction would add 0.5 % of the white half to the grey one
     camera = replace(camera, optics=replace(camera.optics, model="none"))
-    frame = Simulator(camera, device="opencl")(displayed(codes, open_display("lcd-apple")))
+    frame = Simulator(camera, device="opencl")(display_picture(codes, open_display("lcd-apple")))
     bright, dark = (
         frame.linear[12:36, cols].mean(axis=(0, 1)) for cols in (np.s_[4:28], np.s_[36:60])
     )

@@ -64,7 +64,7 @@ def scene_of(form):
     if form == "illuminated":
         rows, cols = picture.content.shape
         ramp = np.linspace(1, 100, cols, dtype=np.float32) * np.ones((rows, 1), np.float32)
-        return gs.illuminated(picture, {"A": ramp, "D65": ramp[:, ::-1]})
+        return gs.illuminate(picture, {"A": ramp, "D65": ramp[:, ::-1]})
     if form == "picture":
         return gs.picture(np.random.default_rng(1).integers(0, 256, (*SIZE[::-1], 3), np.uint8))
     bands = np.ascontiguousarray(picture.content.bands_at(slice(None)), np.float32)

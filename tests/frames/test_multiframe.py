@@ -463,7 +463,8 @@ def burst(kind, level):
     shifts, full = exposures(kind)
     simulate = simulator()
     shorter = [
-        gs.lengthened(simulate, exposure, level * exposure.exposure_time) for exposure in full
+        gs.change_exposure_time(simulate, exposure, level * exposure.exposure_time)
+        for exposure in full
     ]
     if kind == "still":
         return shifts, list(simulate.shoot(shorter[0], COUNT, seed=7))

@@ -281,12 +281,12 @@ def test_a_camera_looks_at_its_own_pictures():
     """Display codes of a device, on a screen, seen by a camera: they stay on the device."""
     simulator, screen = gs.Simulator(METERED, device="warp:cpu"), gs.open_display("oled-sony")
     codes = simulator.program(gs.picture(frame())).codes(seed=1)
-    scene = gs.displayed(codes, screen)
+    scene = gs.display_picture(codes, screen)
     assert scene.content.codes is codes
     same_bits(
         simulator.device,
         simulator.expose(scene).mean,
-        simulator.expose(gs.displayed(np.array(codes), screen)).mean,
+        simulator.expose(gs.display_picture(np.array(codes), screen)).mean,
     )
 
 

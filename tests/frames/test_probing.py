@@ -68,13 +68,13 @@ def test_an_error_at_a_few_pixels_is_silent_without_probes(device, unprobed):
     unprobed()
     program = made(device).program(even(), SECONDS)
     first, own = program.plan, errs(program)
-    assert first.verdict.met
+    assert first.verdict.is_met
     error = errs(program.update(scene=local()))
     program.judge()
     assert program.plan is first
     assert error.rms < 1.1 * own.rms
     assert error.p999_sigma > TOLERANCE.p999_sigma > 2 * own.p999_sigma
-    assert program.frame().report.verdict.met  # which it is not
+    assert program.frame().report.verdict.is_met  # which it is not
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -104,7 +104,7 @@ def test_between_probes_the_survey_tells_when(device):
         assert program.before.probing.count == 1
         program.update(scene=local())
         if with_report:
-            assert program.frame().report.verdict.met
+            assert program.frame().report.verdict.is_met
             assert program.plan.scene is program.scene
         else:
             program.raw()
@@ -226,13 +226,13 @@ def test_reports_between_probes_say_when_it_was():
     assert later.account.bounds["planes"].p999_sigma == pytest.approx(
         found.account.bounds["planes"].p999_sigma / 2, rel=0.5 * 0.25**2
     )
-    assert later.verdict.met
+    assert later.verdict.is_met
 
 
 def test_what_rises_now_and_then_is_probed_a_few_times():
     """Two kinds of frames in turn, of which one errs more: a probe for the rise, and no more than for one kind."""
     plan, probing, count = made("numpy").plan(even(), None, SECONDS), Probing(), 0
-    probing.planned(plan)
+    probing.set_plan(plan)
     for number in range(1, 1000):
         scene = (
             replace(even(), name=str(number))
@@ -242,7 +242,7 @@ def test_what_rises_now_and_then_is_probed_a_few_times():
         if probing.is_due(plan, scene):
             count += 1
             probing.found(scene, plan.account, True)
-        probing.surveyed(plan, scene, *((1e-4, 1e-3), (1.3e-4, 1e-3), (1e-4, 1.4e-3))[number % 3])
+        probing.add_survey(plan, scene, *((1e-4, 1e-3), (1.3e-4, 1e-3), (1e-4, 1.4e-3))[number % 3])
     assert count < 3 * np.log(1000) / np.log(3)  # the first ones, and after each of two rises
 
 
@@ -275,7 +275,7 @@ def test_what_the_border_breaks_raises_no_planes(device):
     hexagon = replace(CAMERA, optics=replace(CAMERA.optics, pupil=Pupil(blades=6)))
     program = made(device, 1e-6, hexagon).program(scenes[0], SECONDS)
     first = program.plan
-    assert not first.verdict.met and first.verdict.by == "border"
+    assert not first.verdict.is_met and first.verdict.by == "border"
     for number in range(6):
         program.update(scene=scenes[number % 2]).raw()
     program.judge()

@@ -137,7 +137,7 @@ def test_ends_are_what_was_given():
 def test_automatic_exposure_follows_the_light_of_the_frame_before(output):
     """Light that jumps tenfold finds the exposure of the frame before; the next one is set for it."""
     simulator, scene = gs.Simulator(PHONE, device="numpy"), gs.chart("ramp", size=(24, 16))
-    bright = scene.brightened(10)
+    bright = scene.brighten(10)
 
     class Jump(Still):
         is_still = False

@@ -27,8 +27,8 @@ from gpusim.domain.content import Cube
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
-from gpusim.judge.truth import seen
-from gpusim.optics.tables import made_anew
+from gpusim.judge.truth import mean_and_truth
+from gpusim.optics.tables import make_always
 from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan
 
@@ -40,7 +40,7 @@ SECONDS = (
 
 
 def planned(
-    lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, kept=made_anew
+    lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, kept=make_always
 ):
     """Seconds of a plan, in which every warning is an error; a reason takes the place of the plan."""
     more = {} if wavelengths is None else {"wavelengths": wavelengths}
@@ -130,7 +130,7 @@ def verdict_and_truth(camera, scene, tolerance):
     """The verdict of a frame, and whether its float64 truth is within the tolerance."""
     simulator = gs.Simulator(camera, device="numpy", tolerance=tolerance)
     exposure = simulator.expose(scene)
-    mean, true = seen(simulator, scene, exposure)
+    mean, true = mean_and_truth(simulator, scene, exposure)
     return exposure.plan, np.sqrt(np.mean((mean - true) ** 2) / np.mean(true**2))
 
 

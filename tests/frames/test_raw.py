@@ -268,7 +268,7 @@ def test_a_flat_scene_comes_out_flat(device):
     scene = dataclasses.replace(scene, border="edge")
     sensor = sim.camera.sensor
     exposure = sim.expose(scene, 1.0)
-    exposure = gs.lengthened(
+    exposure = gs.change_exposure_time(
         sim, exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max())
     )
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
@@ -345,7 +345,7 @@ def test_a_flat_scene_comes_out_flat_from_binned_pixels(size):
     scene = dataclasses.replace(gs.chart("flat", size=size), border="edge")
     exposure = sim.expose(scene, 1.0)
     output = sim.readout.output
-    exposure = gs.lengthened(
+    exposure = gs.change_exposure_time(
         sim, exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max())
     )
     raw = np.array(sim.device.numpy(sim.draw(exposure)))

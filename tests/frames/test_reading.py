@@ -8,7 +8,7 @@ from devices import ALL_KINDS, KINDS
 from foreign_arrays import Tensor
 
 from gpusim.backends import open_device
-from gpusim.backends.tape import Tape, noted
+from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.foreign import type_of
 from gpusim.pipeline import reading
@@ -149,10 +149,10 @@ def test_what_was_read_stays(name, read):
     """It is no view of the device's memory, to which a step that is made again writes."""
     device, cube, tape = open_device(name), FORMS["cube"], Tape()
     brighter = replace(cube, values=2 * cube.values)
-    with noted(tape):
+    with recording(tape):
         found = read(Reading(device, cube, store(device, cube)))
     before = found.copy()
-    with noted(tape):
+    with recording(tape):
         again = read(Reading(device, brighter, store(device, brighter)))
     np.testing.assert_array_equal(again, 2 * before)
     np.testing.assert_array_equal(found, before)

@@ -413,7 +413,7 @@ def test_lengthened_is_exposed_anew():
     simulate = simulator(
         MOSAICS["rgbw"], noise, optics=dataclasses.replace(OPTICS, model="diffraction")
     )
-    longer = gs.lengthened(simulate, simulate.expose(scene, 0.01), 0.04)
+    longer = gs.change_exposure_time(simulate, simulate.expose(scene, 0.01), 0.04)
     anew = simulate.expose(scene, 0.04)
     assert longer.exposure_time == anew.exposure_time == 0.04
     for name in ("mean", "chip_mean"):
@@ -438,7 +438,7 @@ def test_bracket_has_times_numbers_and_frames_of_its_own():
     once = simulate.expose(scene)
     for number, frame in enumerate(frames):
         (again,) = simulate.shoot(
-            gs.lengthened(simulate, once, frame.exposure_time), seed=3, first=7 + number
+            gs.change_exposure_time(simulate, once, frame.exposure_time), seed=3, first=7 + number
         )
         np.testing.assert_array_equal(frame.raw, again.raw)
     # all are rendered alike: brighter by the exposure, so in equal display values but for noise and saturation
@@ -908,7 +908,7 @@ def test_exposures_of_zero_or_less_are_refused_before_any_work(monkeypatch, time
             expose()
     assert not calls
     with pytest.raises(OutOfRange, match="exposure_time"):
-        gs.lengthened(simulate, simulate.expose(scene), time)
+        gs.change_exposure_time(simulate, simulate.expose(scene), time)
 
 
 def test_other_shapes_and_stops_are_refused():

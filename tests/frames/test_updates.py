@@ -316,7 +316,7 @@ def test_mistakes_are_said_in_one_line():
         lambda: next(simulator.shoot(exposure, 1.5)),
         lambda: next(simulator.stream([scene], first="a")),
         lambda: gs.average(simulator, exposure, "2"),
-        lambda: gs.lengthened(simulator, exposure, None),
+        lambda: gs.change_exposure_time(simulator, exposure, None),
         lambda: gs.picture(codes, luminance="a"),
         lambda: simulator.batch(True),
     ):

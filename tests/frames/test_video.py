@@ -19,7 +19,7 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.apps.video.codecs import CODECS, Encoder
-from gpusim.apps.video.manifest import kept
+from gpusim.apps.video.manifest import keep_manifest
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.segments import Shard, segments_of
 from gpusim.apps.video.video import within_period
@@ -446,7 +446,10 @@ def test_a_manifest_of_a_faster_shard_is_not_written_over(tmp_path, monkeypatch)
         raise FileExistsError
 
     monkeypatch.setattr("gpusim.apps.video.manifest.os.link", faster)
-    with pytest.raises(BadFile, match="other seed"), kept(path, {"seed": 2}, "it", lambda: True):
+    with (
+        pytest.raises(BadFile, match="other seed"),
+        keep_manifest(path, {"seed": 2}, "it", lambda: True),
+    ):
         pass
     assert path.read_text() == '{"seed": 1}' and list(tmp_path.iterdir()) == [path]
 

@@ -98,7 +98,7 @@ def test_what_interpolation_errs_is_predicted(name, tolerance):
         assert error / 2.5 < bound < 2.5 * error, (view, error, bound)
         if tolerance:
             verdict = exposure.plan.verdict
-            assert not verdict.met and verdict.by == "view" and "drawn finer" in str(verdict)
+            assert not verdict.is_met and verdict.by == "view" and "drawn finer" in str(verdict)
 
 
 def stars(form, size=61):

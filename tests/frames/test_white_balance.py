@@ -94,8 +94,8 @@ def test_balanced_channels_come_nearer_to_a_sensor_without_mosaic(method, light)
     developer, raw = Shots(simulator, exposure).developer, simulator.draw(exposure)
     errors = []
     for white in (None, exposure.rendering.neutral):
-        planes = developer.demosaicked(raw, white=white, blur=exposure.blur)
-        shown = simulator.device.numpy(developer.colored(planes, exposure.rendering))
+        planes = developer.demosaic(raw, white=white, blur=exposure.blur)
+        shown = simulator.device.numpy(developer.apply_color(planes, exposure.rendering))
         errors.append(np.mean((np.clip(shown, 0, 1) - np.clip(wanted, 0, 1))[:, 8:-8, 8:-8] ** 2))
     assert 10 * np.log10(errors[0] / errors[1]) > {"D65": 0.1, "A": 1.0}[light] * (
         0.8 if method == "best" else 1
@@ -111,7 +111,7 @@ def test_bilinear_and_other_mosaics_take_no_notice():
         planes = [
             np.array(
                 simulator.device.numpy(
-                    Shots(simulator, exposure).developer.demosaicked(raw, white=white)
+                    Shots(simulator, exposure).developer.demosaic(raw, white=white)
                 )
             )
             for white in (None, exposure.rendering.neutral)

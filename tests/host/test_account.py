@@ -43,7 +43,7 @@ def test_errors_of_independent_causes_add_in_the_mean_square():
 def test_a_verdict_names_the_figure_that_binds_and_the_cause(tolerance, met, unit):
     account = Account({"border": Bound(3e-4, 0.3, 1.0), "planes": Bound(4e-4, 0.4, 2.0)})
     verdict = account.verdict(tolerance, "more would")
-    assert verdict.met is met and verdict.by == "planes"
+    assert verdict.is_met is met and verdict.by == "planes"
     assert f"{unit}, predicted" in str(verdict) and str(verdict).startswith(
         "met" if met else "NOT met: "
     )
@@ -149,7 +149,7 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
             assert cost <= most
         else:  # the exact frame breaks this tolerance at its border: the same with a world without end does not
             assert cost <= min(_cost(replace(plan, mix=exact.mix)), WIDER * most)
-        if plan.verdict.met:  # what is not met is as accurate as it can be
+        if plan.verdict.is_met:  # what is not met is as accurate as it can be
             assert cost <= before
             before = cost
 
@@ -189,7 +189,7 @@ def test_strict_refuses_in_one_line_what_is_not_met(tmp_path, capsys):
         gs.Simulator(hexagon, device="numpy", tolerance=1e-5, strict=True)(scene)
     assert gs.Simulator(PHONE, device="numpy", tolerance=1e-2, strict=True)(
         scene
-    ).report.verdict.met
+    ).report.verdict.is_met
     asked = [
         "slanted-edge",
         "--size",
@@ -250,7 +250,7 @@ def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_jud
     made = plan(gs.chart("colorchecker", size=(320, 200)), PHONE, tolerance=tolerance)
     before = len(judged)
     good = [one for one in made.front if HEADROOM * SAFETY * one.error.ratio(tolerance) <= 1]
-    assert made.verdict.met and before <= 1 < len(judged)
+    assert made.verdict.is_met and before <= 1 < len(judged)
     assert (good[0].planes, good[0].tiling, good[0].period) == (
         made.count,
         made.tiling,
@@ -272,7 +272,7 @@ def test_a_lens_that_varies_over_a_small_frame_is_not_vouched_for():
         .plan(gs.chart("colorchecker", size=(96, 64)))
         .verdict
     )
-    assert not verdict.met and "varies over a frame of less than 400" in str(verdict)
+    assert not verdict.is_met and "varies over a frame of less than 400" in str(verdict)
 
 
 def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
@@ -295,10 +295,10 @@ def test_what_float32_cannot_hold_float64_does():
     tolerance = Tolerance(rms=1e-7)  # 2^-24 / 3^(1/2) is what storing leaves
     verdict = plan(flat, PHONE, tolerance=tolerance).verdict
     assert (
-        not verdict.met
+        not verdict.is_met
         and verdict.by in ("rounding", "transforms")
         and "device numpy" in verdict.remedy
     )
-    assert plan(flat, PHONE, tolerance=tolerance, single=False).verdict.met
+    assert plan(flat, PHONE, tolerance=tolerance, single=False).verdict.is_met
     frame = gs.Simulator(PHONE, device="numpy", tolerance=tolerance)(flat, verify=True)
-    assert frame.report.verdict.met and frame.report.meets_tolerance
+    assert frame.report.verdict.is_met and frame.report.meets_tolerance

@@ -394,7 +394,7 @@ def scenes(count: int) -> Iterator[gs.Scene]:
     random = np.random.default_rng(1)
     yield gs.scene_from(random.random((31, 48, 64)), np.linspace(400, 700, 31), light="D65")
     yield gs.scene_from(random.integers(0, 256, (48, 64, 3), np.uint8))
-    yield gs.illuminated(gs.chart("flat", size=(64, 48)), {"A": 30.0, "D65": 70.0})
+    yield gs.illuminate(gs.chart("flat", size=(64, 48)), {"A": 30.0, "D65": 70.0})
     yield from (gs.open_scene("colorchecker", size=(64, 48)) for _ in range(count))
 
 

@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 import gpusim as gs
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.lens import open_lens
-from gpusim.optics.outside import at_samples, unseen
+from gpusim.optics.outside import at_samples, unseen_light
 
 SIDE, REACH, FARTHEST, Q = 64, 24, 224, 2.0
 
@@ -44,7 +44,9 @@ def test_what_is_not_seen_comes_along_the_normals(blades, border):
     rows = np.arange(SIDE)
 
     def wrong(**along):
-        coarse = unseen(image, (period, period), border, REACH / 12, tail.strength * Q, **along)
+        coarse = unseen_light(
+            image, (period, period), border, REACH / 12, tail.strength * Q, **along
+        )
         found = at_samples(coarse, image.shape, (period, period), rows, rows)
         return np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2))
 

@@ -99,7 +99,7 @@ def test_a_colorimeter_is_inverted_exactly(method):
 def test_scales_of_light_and_efficiency_cancel():
     base = color_matrix(some_camera(3), A, reflectances("munsell")).matrix
     scaled = color_matrix(
-        Spectrum(WAVELENGTHS, 1e-3 * some_camera(3).values), A.scaled(1e20), reflectances("munsell")
+        Spectrum(WAVELENGTHS, 1e-3 * some_camera(3).values), A.scale(1e20), reflectances("munsell")
     )
     np.testing.assert_allclose(scaled.matrix, base, rtol=1e-11)  # condition ~1e3 times 2^-52
 

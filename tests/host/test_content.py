@@ -51,10 +51,10 @@ def test_spectra_and_sums(content):
     close(content.bands_at(np.array([1, 4])), TRUTH[:, [1, 4]])
     close(content.mean_spectrum(), TRUTH.mean(axis=(1, 2)))
     window = (slice(1, 4), slice(2, 6))
-    close(content.weighted(weights, window), np.tensordot(weights, TRUTH[:, 1:4, 2:6], 1))
+    close(content.weigh(weights, window), np.tensordot(weights, TRUTH[:, 1:4, 2:6], 1))
     close(content.brightness(weights[0] ** 2), np.tensordot(weights[0] ** 2, TRUTH, 1))
     rates = weights @ content.entry_spectra.T
-    close(content.mixed(rates, np.array([0, 3])), np.tensordot(weights, TRUTH[:, [0, 3]], 1))
+    close(content.mix(rates, np.array([0, 3])), np.tensordot(weights, TRUTH[:, [0, 3]], 1))
     close(content.used(np.array([0, 3])) @ content.entry_spectra, TRUTH[:, [0, 3]].sum(axis=(1, 2)))
 
 
@@ -67,9 +67,9 @@ def test_points(content):
 def test_other_samples_and_other_light(content):
     rows, cols = np.array([[0, 2]]), np.array([[5, 1]])
     close(cube(content.take(rows, cols)), TRUTH[:, [0, 2], [5, 1]][:, None])
-    close(cube(content.scaled(2.5)), 2.5 * TRUTH)
+    close(cube(content.scale(2.5)), 2.5 * TRUTH)
     light = np.linspace(1, 3, 7)
-    close(cube(content.divided(light)), TRUTH / light[:, None, None])
+    close(cube(content.divide_by(light)), TRUTH / light[:, None, None])
     mask = RANDOM.random((5, 6)) < 0.5
     front = content.take(*np.meshgrid(np.arange(5)[::-1], np.arange(6), indexing="ij"))
     close(cube(content.behind(front, mask)), np.where(mask, TRUTH[:, ::-1], TRUTH))

@@ -12,7 +12,7 @@ import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.loops import Lags, Loops
-from gpusim.apps.video.manifest import Plans, kept
+from gpusim.apps.video.manifest import Plans, keep_manifest
 from gpusim.domain.errors import BadData, BadFile, GpusimError
 
 SHEET = {
@@ -87,14 +87,14 @@ def test_settings_far_beyond_a_slider_are_refused_at_once(control, value):
 def test_damaged_manifests(text, tmp_path):
     path = tmp_path / "video.json"
     path.write_text(text)
-    assert Loops.kept_in(path, Lags(exposure=1.0), 2) is None
+    assert Loops.read_manifest(path, Lags(exposure=1.0), 2) is None
     with (
         refused(error=BadFile),
-        kept(path, {"loops": {"seconds": [1.0, 2.0]}}, "the rest", lambda: False),
+        keep_manifest(path, {"loops": {"seconds": [1.0, 2.0]}}, "the rest", lambda: False),
     ):
         pass
     path.write_text(json.dumps({"loops": {"seconds": [1.0, 2.0]}}))
-    assert Loops.kept_in(path, Lags(exposure=1.0), 2) == Loops(seconds=[1.0, 2.0])
+    assert Loops.read_manifest(path, Lags(exposure=1.0), 2) == Loops(seconds=[1.0, 2.0])
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_manifests_with_other_things_for_plans(plans, tmp_path):
     path.write_text(json.dumps({"frames": 2, "plans": plans}))
     with (
         refused("not a manifest", error=BadFile),
-        kept(path, {"frames": 2}, "the rest", lambda: False),
+        keep_manifest(path, {"frames": 2}, "the rest", lambda: False),
     ):
         pass
     Plans(path).write()  # of a run that had begun: what was damaged since is not its fault

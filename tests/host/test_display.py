@@ -5,7 +5,7 @@ import pytest
 
 from gpusim.color.encoding import decoding
 from gpusim.data.colorimetry import xyz
-from gpusim.data.displays import display_names, displayed, open_display
+from gpusim.data.displays import display_names, display_picture, open_display
 from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName
@@ -75,7 +75,7 @@ def test_the_screen_radiates_what_the_display_model_says(name):
     """
     display = open_display(name)
     codes = np.random.default_rng(1).integers(0, 256, (3, 4, 3)).astype(np.uint8)
-    scene = displayed(codes, display)
+    scene = display_picture(codes, display)
     content = scene.content
     nodes = content.wavelengths
     for y in range(3):
@@ -94,10 +94,10 @@ def test_the_screen_radiates_what_the_display_model_says(name):
 def test_displayed_refuses():
     picture = np.zeros((2, 2, 3), np.uint8)
     with pytest.raises(BadData, match="no spectra"):
-        displayed(picture, open_display("display-p3"))
+        display_picture(picture, open_display("display-p3"))
     for wrong in (picture[..., :2], picture.astype(float), picture[0]):
         with pytest.raises(BadData, match=r"wanted (uint8|\(rows, cols, 3\))"):
-            displayed(wrong, open_display("srgb"))
+            display_picture(wrong, open_display("srgb"))
     with pytest.raises(UnknownName, match="did you mean 'lcd-apple'"):
         open_display("lcd-aple")
     assert {"srgb", "display-p3", "oled-sony"} <= {*display_names()}

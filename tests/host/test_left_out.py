@@ -55,7 +55,7 @@ def test_states_of_a_verdict(bounds, doubt, state):
     account = Account(bounds, doubt=doubt)
     for one in (account, account.at(0.5), account.at(2.0)):
         verdict = one.verdict(WHITE, "more would")
-        assert verdict.state == state and verdict.met == (state == "met")
+        assert verdict.state == state and verdict.is_met == (state == "met")
     verdict = account.verdict(WHITE, "more would")
     assert str(verdict).startswith(
         {"met": "met: ", "not met": "NOT met: ", "not judged": "cannot be judged: "}[state]
@@ -117,7 +117,7 @@ def test_depth_in_focus_next_to_a_real_lens_is_met():
     plan = gs.Simulator(camera_with("calibration"), device="numpy", tolerance=1e-2).plan(
         scene_with_depth(2.0, 2.0)
     )
-    assert plan.verdict.met, str(plan.verdict)
+    assert plan.verdict.is_met, str(plan.verdict)
 
 
 def test_the_bound_of_depth_holds():
@@ -251,4 +251,4 @@ def test_light_behind_the_edges_of_layers_is_in_the_account(size):
     error = np.asarray(layered.mean) - np.asarray(flat.mean, np.float64)
     true = np.sqrt(np.mean(error**2) / np.mean(np.square(flat.mean, dtype=np.float64)))
     predicted = layered.plan.account.total.rms
-    assert true / 1.5 < predicted < 4 * true and not layered.plan.verdict.met
+    assert true / 1.5 < predicted < 4 * true and not layered.plan.verdict.is_met

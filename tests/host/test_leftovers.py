@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusim.apps.video.manifest import kept
+from gpusim.apps.video.manifest import keep_manifest
 from gpusim.domain import leftovers
 from gpusim.domain.leftovers import remove_leftovers, temporary_name
 from gpusim.io.atomic import atomic_path, check_output
@@ -44,7 +44,7 @@ def write(folder):
 
 
 def begin_a_set(folder):
-    with kept(folder / "set.json", {}, "it", lambda: False):
+    with keep_manifest(folder / "set.json", {}, "it", lambda: False):
         pass
 
 

@@ -79,7 +79,7 @@ def test_ciede2000_of_published_pairs():
 
 
 def seen_by_colour(light, shown):
-    """XYZ of the ColorChecker in a light, adapted (Bradford) to `shown`: by colour-science, 1 nm, (24, 3)."""
+    """XYZ of the ColorChecker in a light, adapted (Bradford) to `format_value`: by colour-science, 1 nm, (24, 3)."""
     import colour
 
     table = reflectances("colorchecker")

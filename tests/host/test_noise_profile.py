@@ -144,7 +144,7 @@ def test_a_profile_that_exiftool_wrote(tmp_path):
 )
 def test_raw_values_have_the_variance_of_the_profile(profile):
     """Frames drawn at six levels: variance within 5 of its own standard errors, sqrt(2 / n), and the mean alike."""
-    sensor = profile.applied(PHONE.sensor)
+    sensor = profile.apply_to(PHONE.sensor)
     readout, levels = gs.Readout(bare(sensor), "numpy"), np.array([0.0, 0.02, 0.1, 0.3, 0.6, 0.8])
     size = profile.white_level - profile.black_level
     for number, level in enumerate(levels):

@@ -15,7 +15,7 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, Missing, OutOfRange, UnknownName
 from gpusim.judge.plan_summary import Forecast
 from gpusim.measure import sfr
-from gpusim.measure.mosaic import colored
+from gpusim.measure.mosaic import color_mosaic
 
 matplotlib = pytest.importorskip("matplotlib", reason="plots are of matplotlib")
 matplotlib.use("Agg")
@@ -195,14 +195,14 @@ def test_raw_is_in_its_filters_colours():
 
 def test_mosaics_of_other_letters_are_seen():
     sensor = replace(PHONE.sensor, channels=("R", "W", "K"), cfa=("RW", "WK"))
-    codes = colored(sensor, np.full((4, 4), 100, np.uint8))
+    codes = color_mosaic(sensor, np.full((4, 4), 100, np.uint8))
     assert (
         codes[0, 0].tolist() == [100, 0, 0]
         and codes[0, 1].tolist() == [100] * 3 == codes[1, 1].tolist()
     )
     layers = np.arange(48, dtype=np.uint8).reshape(3, 4, 4)
     stacked = replace(PHONE.sensor, stacked=True)
-    np.testing.assert_array_equal(colored(stacked, layers), np.moveaxis(layers, 0, -1))
+    np.testing.assert_array_equal(color_mosaic(stacked, layers), np.moveaxis(layers, 0, -1))
 
 
 # --------------------------------------------------------------------------------------------------- light, pictures

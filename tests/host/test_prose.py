@@ -197,7 +197,7 @@ def is_participle(word):
 def is_bare_participle(name):
     """Return whether a function's name is a participle without a verb phrase.
 
-    `made`, `lens_told` and `made_by` are; `is_made`, `light_is_known`, `checked_size` (a noun) and `read` are not.
+    `made`, `lens_told` and `hardware_id` are; `is_made`, `light_is_known`, `check_size` (a noun) and `read` are not.
     """
     parts = [part for part in name.strip("_").lower().split("_") if part]
     if not parts or name.startswith("__"):

@@ -25,7 +25,7 @@ def objects():
     frame, exposure = SIMULATE(CHECKER, seed=1), SIMULATE.expose(CHECKER)
     picture = gs.picture(np.zeros((6, 8, 3), np.uint8))
     spread = gs.PointSpread(NODES, np.ones((31, 9, 9)), 1e-6)
-    lit = gs.illuminated(gs.chart("flat", size=(8, 6)), {"A": 30.0, "D65": 70.0})
+    lit = gs.illuminate(gs.chart("flat", size=(8, 6)), {"A": 30.0, "D65": 70.0})
     layers = (gs.Layer(CUBE.content, ALPHA, 0.5),)
     deep = dataclasses.replace(CUBE, depth=np.ones((6, 8)), layers=layers, name=300 * "n")
     edge = SIMULATE(gs.chart("slanted-edge", size=(100, 60))).raw[::2, ::2].astype(float)

@@ -8,7 +8,7 @@ import pytest
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.lens import open_lens
-from gpusim.optics.tables import made_anew
+from gpusim.optics.tables import make_always
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs.farfield import waves
 from gpusim.planner.question import Question
@@ -41,7 +41,7 @@ def test_rings_are_those_of_the_pupil(q, hole, w040):
         guaranteed=False,
         reach=None,
         period=None,
-        kept=made_anew,
+        kept=make_always,
     )
     y, x = np.indices((SIDE, SIDE), float)
     r = np.maximum(np.hypot(y, x), 1)

@@ -144,9 +144,7 @@ def test_undershoot_of_a_basis_is_dark(tmp_path):
 
 def test_light_that_varies(tmp_path):
     smooth = gs.Basis(WAVES, RANDOM.random((1, 70, 9), np.float32), np.ones((1, 5)))
-    lamps = gs.illuminated(
-        scene(smooth), {"A": np.linspace(1, 50, 630).reshape(70, 9), "D65": 20.0}
-    )
+    lamps = gs.illuminate(scene(smooth), {"A": np.linspace(1, 50, 630).reshape(70, 9), "D65": 20.0})
     gs.save_scene(lamps, tmp_path / "a.npz")
     np.testing.assert_array_equal(
         gs.open_scene(tmp_path / "a.npz").content.maps, lamps.content.maps
@@ -177,7 +175,7 @@ def test_light_that_varies(tmp_path):
         ({}, "a.npz", {"half": True}, OutOfRange, r"for \.exr only"),
         ({}, "none/a.exr", {}, BadFile, "does not exist"),
         (
-            {"illuminant": LIGHT.scaled(1e30)},
+            {"illuminant": LIGHT.scale(1e30)},
             "a.exr",
             {"radiance": True},
             GpusimError,

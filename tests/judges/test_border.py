@@ -201,11 +201,11 @@ def test_a_tolerance_says_which_surroundings_it_wants(border):
     wanted = re.match(
         r"reach = (\d+) pixels would meet it, at about .* times the cost", verdict.remedy
     )
-    assert not verdict.met and verdict.by == "border" and wanted
+    assert not verdict.is_met and verdict.by == "border" and wanted
     simulator = gs.Simulator(camera, device="numpy", tolerance=3e-5, reach=int(wanted[1]))
     report = simulator(scene, verify=True).report
     assert (
-        report.verdict.met and report.meets_tolerance and report.error.rms > 1e-6
+        report.verdict.is_met and report.meets_tolerance and report.error.rms > 1e-6
     )  # the border is in it
     assert 1 / 2.5 < report.prediction_ratio < 2.5
     assert "tolerance: met: " in str(report) and " of 3e-05 rms" in str(report)

@@ -73,7 +73,9 @@ def test_every_pixel_looks_where_opencv_says(model):
     random, fisheye, seen = np.random.default_rng(5), model == "fisheye", 0
     for _ in range(12):
         size, matrix, coefficients = random_camera(random, fisheye, 4 if fisheye else model)
-        lens = gs.Calibration.of(matrix, coefficients, size, fisheye).framed(size[::-1], PITCH)
+        lens = gs.Calibration.of(matrix, coefficients, size, fisheye).fit_to_frame(
+            size[::-1], PITCH
+        )
         try:
             grid = distortion_grid(lens, size[::-1], PITCH)
         except OutOfRange as error:
@@ -96,7 +98,7 @@ def test_what_is_refused_cannot_be_undone():
         height = np.hypot(*(projected(line, matrix, [k1, 0, 0, 0], False) - matrix[:2, 2]).T)
         end = height[: int(np.argmax(np.diff(height) < 0)) + 1].max()
         assert (end < 400) == folds  # pixels from the middle to the corner
-        lens = gs.Calibration.of(matrix, [k1, 0, 0, 0], (640, 480)).framed((480, 640), PITCH)
+        lens = gs.Calibration.of(matrix, [k1, 0, 0, 0], (640, 480)).fit_to_frame((480, 640), PITCH)
         if folds:
             with refused(
                 f"with the image at {end / 300:.4f}"[:-1], "corner, 1.33", error=OutOfRange
@@ -223,12 +225,12 @@ def test_flux_and_cos4_follow_the_calibration(lens):
     frame = exposed(
         "numpy", np.ones(SIZE[::-1]), gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye)
     )
-    lens = gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye).framed(SIZE[::-1], 1.0)
+    lens = gs.Calibration.of(MATRIX, coefficients, SIZE, fisheye).fit_to_frame(SIZE[::-1], 1.0)
 
     def rays(x, y):
         """Tangents whose image OpenCV puts at (x, y): found here, judged by it."""
         offset = (x - (SIZE[0] - 1) / 2) / lens.radius, (y - (SIZE[1] - 1) / 2) / lens.radius
-        found = np.stack(lens.normalised(*ideal(lens, *offset)), -1)
+        found = np.stack(lens.normalise(*ideal(lens, *offset)), -1)
         pixels = (found * MATRIX[[0, 1], [0, 1]] + MATRIX[:2, 2]).reshape(-1, 2)
         wanted = np.stack([x, y], -1).reshape(-1, 2)
         assert np.abs(projected(pixels, MATRIX, coefficients, fisheye) - wanted).max() < 1e-9
@@ -249,7 +251,7 @@ def test_flux_and_cos4_follow_the_calibration(lens):
 def test_a_frame_of_another_shape_is_refused():
     calibration = gs.Calibration.of(MATRIX, None, SIZE)
     for size in ((480, 360), (160, 120), (81, 61)):
-        assert calibration.framed(size[::-1], PITCH).radius == pytest.approx(
+        assert calibration.fit_to_frame(size[::-1], PITCH).radius == pytest.approx(
             210 * size[0] / 240 * PITCH, rel=1e-12
         )
     with refused("320 x 180", "240 x 180", error=OutOfRange):
@@ -516,10 +518,10 @@ def test_a_calibration_that_cv2_made(tmp_path):
     _, found, distortion, _, _ = cv2.calibrateCamera(
         [board] * 8, [view.astype(np.float32) for view in views], size, None, None
     )
-    lens = gs.Calibration.of(found, distortion, size).framed(size[::-1], PITCH)
+    lens = gs.Calibration.of(found, distortion, size).fit_to_frame(size[::-1], PITCH)
     pixels = random.uniform(0.3, 0.7, (50, 2)) * size
     x, y = ((pixels - (np.array(size) - 1) / 2) * PITCH / lens.radius).T
-    rays = np.column_stack([*lens.normalised(*ideal(lens, x, y)), np.ones(50)])
+    rays = np.column_stack([*lens.normalise(*ideal(lens, x, y)), np.ones(50)])
     assert (
         np.abs(cv2.projectPoints(rays, HERE, HERE, found, distortion)[0][:, 0] - pixels).max()
         < 1e-9

@@ -20,7 +20,7 @@ from scipy.signal import fftconvolve
 import gpusim as gs
 from gpusim.domain.pupil import Wavefront
 from gpusim.judge.hard.truth import whole
-from gpusim.judge.truth import seen
+from gpusim.judge.truth import mean_and_truth
 
 sys.path.append(str(Path(__file__).parents[2] / "bench"))
 
@@ -230,6 +230,6 @@ def test_the_truth_of_a_varying_lens_is_that_of_the_brute_force():
     )
     simulator = gs.Simulator(camera, device="numpy", tolerance=1e-1)
     exposure = simulator.expose(scene, 0.01)
-    _, true = seen(simulator, scene, exposure)
+    _, true = mean_and_truth(simulator, scene, exposure)
     (own,) = outside.answers(scene, camera, 0.01).means
     assert np.abs(true - own).max() < 2e-4 * np.sqrt(np.mean(true**2))

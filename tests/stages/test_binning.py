@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from devices import ALL, ALL_KINDS, DEVICES
 
-from gpusim.domain.binning import binned, shortest_period
+from gpusim.domain.binning import bin_mosaic, shortest_period
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.bin import bin, binned_shape
 
@@ -45,7 +45,7 @@ def test_cells_of_one_colour_become_pixels_of_the_coarse_mosaic():
         (np.zeros((2, 2), int), (3, 3), MONO),
         (STRIPES, (4, 1), STRIPES),
     ):
-        stride, new = binned(cfa, binning)
+        stride, new = bin_mosaic(cfa, binning)
         assert stride == (1, 1)
         assert new.tolist() == coarse.tolist()
 
@@ -60,7 +60,7 @@ def test_other_mosaics_stay_and_their_period_is_the_stride():
         (STRIPES, (2, 2), (1, 3)),
         (np.tile(BAYER, (2, 4)), (2, 2), (2, 2)),
     ):
-        found, new = binned(cfa, binning)
+        found, new = bin_mosaic(cfa, binning)
         assert found == stride
         assert new.tolist() == shortest_period(cfa).tolist()
 
@@ -70,7 +70,7 @@ def test_other_mosaics_stay_and_their_period_is_the_stride():
 def test_a_binned_pixel_holds_the_light_of_its_own_colour_alone(name, binning):
     """Every pixel has a number for its colour: any other colour in a sum would change it."""
     cfa = MOSAICS[name]
-    stride, new = binned(cfa, binning)
+    stride, new = bin_mosaic(cfa, binning)
     rows, cols = (3 * factor * step - 1 for factor, step in zip(binning, stride, strict=True))
     colors = 7.0 ** painted(cfa, rows, cols)
     result = bin(colors.astype(np.float32), binning=binning, stride=stride, device="numpy")

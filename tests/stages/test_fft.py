@@ -10,7 +10,7 @@ from devices import GPUS
 import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.native import native_kernel
-from gpusim.backends.warp import started_warp
+from gpusim.backends.warp import start_warp
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS, extend
@@ -182,10 +182,10 @@ class Compiler:
         key = kernel, ranks, *sorted(defines.items())
         if key in self.compiled:
             return
-        module = native_kernel(started_warp(), stage, kernel, defines, ranks).module
+        module = native_kernel(start_warp(), stage, kernel, defines, ranks).module
         module.options["block_dim"] = group[0]
         folder = self.folder / f"{kernel}{len(self.compiled)}"
-        (self.compiled[key],) = started_warp().compile_aot_module(
+        (self.compiled[key],) = start_warp().compile_aot_module(
             module, arch=self.arch, module_dir=folder, use_ptx=self.use_ptx
         )
 

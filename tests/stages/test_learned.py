@@ -6,16 +6,23 @@ import numpy as np
 import pytest
 from devices import ALL_KINDS
 
-from gpusim.apps.l3.fit import NormalEquations, flat_sums, shared, symmetries
+from gpusim.apps.l3.fit import NormalEquations, flat_sums, share_mirrored, symmetries
 from gpusim.apps.l3.layout import layout
-from gpusim.apps.l3.photographs import blurred, decoded, encoded, equations, sampled, table
+from gpusim.apps.l3.photographs import (
+    blur_planes,
+    decode_srgb,
+    encode_srgb,
+    equations,
+    sample_mosaic,
+    table,
+)
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.learned import Code, FilterTable, Layout
 from gpusim.io.camera.learned import bayer_table, read_table, write_table
 from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.learned import X_TRANS, learned
-from gpusim.kernels.processor.learned_ref import classify, extend_plane, grouped, positions
+from gpusim.kernels.processor.learned_ref import classify, extend_plane, positions, sum_groups
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.*scipy.ndimage.filters:DeprecationWarning"
@@ -202,14 +209,14 @@ def test_training_recovers_a_known_linear_filter(mosaic):
     truth = np.broadcast_to(
         random.normal(0, 0.3, (1, made.positions, 1, 2, made.shape[-1])), made.shape[1:]
     ).copy()
-    truth = shared(truth, symmetries(made), "og")[0, :, 0]
+    truth = share_mirrored(truth, symmetries(made), "og")[0, :, 0]
     found = NormalEquations(made)
     for _ in range(3):
         raw = random.integers(0, 4096, (60, 72)).astype(np.uint16)
         chosen = truth[positions(made, raw.shape)]
         found.add(
             raw,
-            np.einsum("yxog,gyx->oyx", chosen, grouped(raw / 4095, made)),
+            np.einsum("yxog,gyx->oyx", chosen, sum_groups(raw / 4095, made)),
             Code("linear", 0.0, 1 / 4095),
         )
     # Exact data: 2^-53 times 10^4 terms of a sum, times the condition of white noise about its mean (below 10^3), and
@@ -418,8 +425,8 @@ def cpsnr(estimate, image):
 
 def of_encoded(image, blur, filters=None):
     """PSNR of learned and bilinear [dB] on an encoded picture, blurred in linear light by `blur` pixels."""
-    soft = encoded(blurred(decoded(np.moveaxis(image, 2, 0) / 255), blur))
-    raw = np.round(255 * sampled(soft)).astype(np.uint16)
+    soft = encode_srgb(blur_planes(decode_srgb(np.moveaxis(image, 2, 0) / 255), blur))
+    raw = np.round(255 * sample_mosaic(soft)).astype(np.uint16)
     options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / 255, "device": "opencl"}
     return [
         cpsnr(255 * picture, 255 * soft)
@@ -436,9 +443,11 @@ def of_electrons(image, mean, filters=None, read=2.0, seed=1):
     Bilinear is the better one of itself and of itself on variance-stabilised roots.
     """
     random = np.random.default_rng(seed)
-    light = decoded(np.moveaxis(image, 2, 0) / 255)
+    light = decode_srgb(np.moveaxis(image, 2, 0) / 255)
     white = mean / light.mean()
-    electrons = random.poisson(sampled(light) * white) + random.normal(0, read, light.shape[1:])
+    electrons = random.poisson(sample_mosaic(light) * white) + random.normal(
+        0, read, light.shape[1:]
+    )
     gain = min(16.0, 50000 / (white + 6 * np.sqrt(white)))
     raw = np.clip(np.round(500 + gain * electrons), 0, 65535).astype(np.uint16)
     options = {
@@ -463,7 +472,7 @@ def of_electrons(image, mean, filters=None, read=2.0, seed=1):
         (rooted.astype(float) ** 2 - code.offset) * options["scale"],
     )
     ours, *theirs = (
-        cpsnr(255 * encoded(np.clip(picture, 0, 1)), np.moveaxis(image, 2, 0))
+        cpsnr(255 * encode_srgb(np.clip(picture, 0, 1)), np.moveaxis(image, 2, 0))
         for picture in pictures
     )
     return [ours, max(theirs)]
@@ -520,7 +529,9 @@ def test_quality_against_published_methods(shared_data, folder, trained):
     for number, image in enumerate(photographs(shared_data / folder)):
         filters = None if trained == "shipped" else table_without(shared_data, number % 2)
         menon = cpsnr(
-            np.moveaxis(demosaicing_CFA_Bayer_Menon2007(sampled(np.moveaxis(image, 2, 0))), 2, 0),
+            np.moveaxis(
+                demosaicing_CFA_Bayer_Menon2007(sample_mosaic(np.moveaxis(image, 2, 0))), 2, 0
+            ),
             np.moveaxis(image, 2, 0),
         )
         dark, light = (

@@ -7,7 +7,7 @@ import pytest
 from devices import KINDS
 
 from gpusim.backends.select import open_device
-from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
+from gpusim.backends.tape import SMALL, OwnTape, Tape, recording
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.sensor.bin import bin as binned
 from gpusim.kernels.sensor.chip import chip
@@ -58,7 +58,7 @@ def test_made_again_is_made_anew(device):
         (cube(device), 0, 0.1, BAYER, False),
     ):
         made = content, tables[table], seconds, cfa, twice
-        with noted(tape):
+        with recording(tape):
             found = values_after(device, lambda made=made: chain(device, *made))
         np.testing.assert_array_equal(found, values(device, chain(device, *made)))
 
@@ -69,7 +69,7 @@ def test_tapes_that_share_an_array_keep_it_apart(device):
     tapes = Tape(), Tape()
 
     def found(tape, array):
-        with noted(tape):
+        with recording(tape):
             return values_after(
                 device, lambda: collect(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device)
             )
@@ -86,7 +86,7 @@ def test_tapes_that_share_an_array_keep_it_apart(device):
 def values_after(device, make):
     """What a computation gives, read outside of its tape."""
     array = make()
-    with noted(None):
+    with recording(None):
         return values(device, array)
 
 
@@ -94,7 +94,7 @@ def test_replayed_it_takes_the_contents_that_are_there(device):
     tape, table, content = Tape(), RANDOM.random((3, 5), np.float32), cube(device)
     source = cube(device)
     for _ in range(2):
-        with noted(tape):
+        with recording(tape):
             result = chain(device, content, table, 0.2)
     assert tape.is_replayable
     before = values(device, result)
@@ -117,7 +117,7 @@ def test_copies_read_what_takes_an_arrays_place(device):
     )
 
     def made(content):
-        with noted(tape):
+        with recording(tape):
             return device.stack(
                 [
                     device.part(integrate(content, device.array(table), device=device), 1),
@@ -127,7 +127,7 @@ def test_copies_read_what_takes_an_arrays_place(device):
 
     for _ in range(2):
         found = made(first)
-    assert tape.replaced([(first, second)])
+    assert tape.replace_arrays([(first, second)])
     tape.replay()
     expected = values(
         device,
@@ -155,7 +155,7 @@ def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device)
     planes, rows, cols = first.shape
 
     def made(content):
-        with noted(tape):
+        with recording(tape):
             own = integrate(content, device.array(table), device=device)
             turned = integrate(
                 device.reshape(content, (planes, cols, rows)), device.array(table), device=device
@@ -164,7 +164,7 @@ def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device)
 
     for _ in range(2):
         made(first)
-    assert tape.is_replayable and not tape.replaced([(first, second)])
+    assert tape.is_replayable and not tape.replace_arrays([(first, second)])
     tape.replay()
     again = made(first)
     np.testing.assert_array_equal(
@@ -181,27 +181,27 @@ def overwrite(device, target, source):
 def test_nothing_is_allocated_or_built_again(device, monkeypatch):
     tape, content, table = Tape(), cube(device), RANDOM.random((3, 5), np.float32)
     for _ in range(2):
-        with noted(tape):
+        with recording(tape):
             chain(device, content, table, 0.2)
     for name in ("_empty", "_array", "_command", "_launch"):
         monkeypatch.setattr(device, name, lambda *_, name=name: pytest.fail(f"{name} was called"))
-    with noted(tape):
+    with recording(tape):
         chain(device, content, table, 0.7)
     tape.replay()
 
 
 def test_reads_and_work_on_the_host_are_noted(device):
     tape, content = Tape(), cube(device)
-    with noted(tape):
+    with recording(tape):
         device.numpy(content)
     assert tape.reads == ["between the stages"]
     assert not tape.is_replayable
-    with noted(tape), device.host_work():
+    with recording(tape), device.host_work():
         device.numpy(content)
     assert tape.reads == []
     assert len(tape.host_work) == 1
     assert not tape.is_replayable
-    with noted(tape):
+    with recording(tape):
         binned(device.reshape(content, (170, 46)), binning=(2, 2), stride=(1, 1), device=device)
     assert tape.is_replayable
 
@@ -213,7 +213,7 @@ def test_large_constants_are_given_again(device):
         constant = np.zeros(size, np.float32)
         for number in range(3):
             constant[-1] = number
-            with noted(tape):
+            with recording(tape):
                 array = device.array(constant)
             assert values(device, array)[-1] == number
 
@@ -232,7 +232,7 @@ def test_another_frame_is_drawn_by_the_launches_of_one(device):
         }
         numbers = {"dark_electrons": 1.0, "read_noise": 2.0, "gain": 0.5, "black_level": 64.0}
         tape = Tape()
-        with noted(tape):
+        with recording(tape):
             raw = noise(expected, traps, traps, seed=1, frame=0, **numbers, **sensor)
         for seed, frame, other in (
             (1, 1, {}),
@@ -257,9 +257,9 @@ def test_another_time_is_set_in_the_launches_of_one(device):
         device.array(RANDOM.random((34, 46), np.float32)),
         (Tape(), Tape()),
     )
-    with noted(tapes[0]):
+    with recording(tapes[0]):
         mean = collect(rates, BAYER, 0.1, 1e-3, device=device)
-    with noted(tapes[1]):
+    with recording(tapes[1]):
         expected = chip(mean, None, dark, dark_time=0.1, device=device)
     assert tapes[0].renumber({"exposure_time": 0.7})
     assert tapes[1].renumber({"dark_time": 2.5})
@@ -278,7 +278,7 @@ def test_results_on_a_tape_of_ones_own_are_kept(device):
     own, content, table = OwnTape(), cube(device), RANDOM.random((3, 5), np.float32)
     results = []
     for number in range(1, 5):
-        with noted(own.tape):
+        with recording(own.tape):
             results.append(chain(device, content, table, 0.1 * number))
     for number, result in enumerate(results, 1):
         np.testing.assert_array_equal(
@@ -288,11 +288,11 @@ def test_results_on_a_tape_of_ones_own_are_kept(device):
 
 def test_a_computation_that_fails_leaves_no_trace(device):
     tape, content, table = Tape(), cube(device), RANDOM.random((3, 5), np.float32)
-    with noted(tape):
+    with recording(tape):
         chain(device, content, table, 0.2)
-    with pytest.raises(ZeroDivisionError), noted(tape):
+    with pytest.raises(ZeroDivisionError), recording(tape):
         chain(device, content, table, 1 / 0)
-    with noted(tape):
+    with recording(tape):
         result = chain(device, content, table, 0.4)
     np.testing.assert_array_equal(
         values(device, result), values(device, chain(device, content, table, 0.4))

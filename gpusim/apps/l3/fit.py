@@ -11,7 +11,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.learned import Code, FilterTable, Layout
-from gpusim.kernels.processor.learned_ref import classify, grouped, hats, positions
+from gpusim.kernels.processor.learned_ref import classify, hats, positions, sum_groups
 
 
 class NormalEquations:
@@ -57,12 +57,12 @@ class NormalEquations:
                 f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}"
             )
         shift = (0, 0) if phase is None else layout.shift(phase)
-        codes = code.measured(raw)
+        codes = code.encode_raw(raw)
         classes, levels = classify(
             codes, code, layout, layout.floor[number], layout.strengths[number]
         )
         inside = np.s_[border : raw.shape[0] - border, border : raw.shape[1] - border]
-        s = grouped(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
+        s = sum_groups(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
         if self.constant:
             s = np.vstack([s, np.ones((1, s.shape[1]))])
         t = code.encode(wanted[:, *inside] / code.scale).reshape(len(wanted), -1) / code.white
@@ -142,14 +142,14 @@ class NormalEquations:
                     f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
                 )
             a, b, c = (
-                shared(part, maps, axes, self.constant)
+                share_mirrored(part, maps, axes, self.constant)
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
             )
             filters[number] = self._solve_position(a, b, c, ridge, preserve, constraints, number)
         filters = (
             np.rint(filters * 2.0**40) / 2.0**40
         )  # makes sums over mirror images exact, and equal
-        filters = np.stack([shared(some, maps, "og", self.constant) for some in filters])
+        filters = np.stack([share_mirrored(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
         return FilterTable(
             layout,
@@ -276,7 +276,7 @@ def symmetries(layout: Layout, exchanges=()):
     return found
 
 
-def shared(values, maps, axes, constant=False):
+def share_mirrored(values, maps, axes, constant=False):
     """Return the mean of values and of all their mirror images, turned back.
 
     values: shape (.., P, K, *axes) with one axis before; axes: "g" for groups (and the constant),

@@ -47,16 +47,16 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     random = np.random.default_rng(seed)
     for picture in photographs:
-        light = decoded(np.moveaxis(np.asarray(picture, float), 2, 0) / 255)
+        light = decode_srgb(np.moveaxis(np.asarray(picture, float), 2, 0) / 255)
         for blur in blurs:
             for number, sigma in enumerate(SIGMAS):
-                soft = blurred(light, blur)
+                soft = blur_planes(light, blur)
                 if sigma == 0:
-                    code, wanted = Code("linear", 0.0, 1 / 255), encoded(soft)
-                    raw = sampled(255 * wanted)
+                    code, wanted = Code("linear", 0.0, 1 / 255), encode_srgb(soft)
+                    raw = sample_mosaic(255 * wanted)
                 elif blur in NOISY_BLURS:
                     code, wanted = electron_code(sigma), soft
-                    raw = random.poisson(sampled(wanted) / code.scale) + random.normal(
+                    raw = random.poisson(sample_mosaic(wanted) / code.scale) + random.normal(
                         0, READ, wanted.shape[1:]
                     )
                 else:
@@ -116,26 +116,26 @@ def electron_code(sigma):
     return Code("root", 0.0, 1 / white, (1.0, READ))
 
 
-def sampled(planes):
+def sample_mosaic(planes):
     """Planes (3, rows, cols) seen through the mosaic, (rows, cols)."""
     raw = planes[1].copy()
     raw[::2, ::2], raw[1::2, 1::2] = planes[0, ::2, ::2], planes[2, 1::2, 1::2]
     return raw
 
 
-def decoded(code):
+def decode_srgb(code):
     """Linear light of sRGB (IEC 61966-2-1), both 0 .. 1."""
     return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
-def encoded(light):
+def encode_srgb(light):
     """Encode linear light as sRGB, both 0 .. 1."""
     return np.where(
         light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055
     )
 
 
-def blurred(planes, sigma):
+def blur_planes(planes, sigma):
     """Planes convolved with a Gaussian, mirrored at the borders."""
     if sigma == 0:
         return planes

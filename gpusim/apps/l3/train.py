@@ -103,7 +103,7 @@ def train(
     equations = NormalEquations(chosen, constant=True)
     reach = int(abs(chosen.taps).max())
     for pair in progress(
-        simulated_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)
+        simulate_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)
     ):
         equations.add(pair.raw, pair.wanted, code, border=reach)
     optics, sensor = camera.optics, camera.sensor
@@ -152,7 +152,7 @@ class Pair:
     white: float
 
 
-def simulated_pairs(
+def simulate_pairs(
     camera: Camera, scenes, strengths, letters, matrix, *, seed: int = 0, device="auto"
 ) -> Iterator[Pair]:
     """Yield every scene at every strength of light, each with independent noise.
@@ -167,7 +167,7 @@ def simulated_pairs(
     random = np.random.default_rng((seed, 1))
     steps = strengths.shape[1]
     for number, scene in enumerate(scenes):
-        wanted = np.tensordot(matrix, wanted_colors(scene, camera.processor.target), 1)
+        wanted = np.tensordot(matrix, ideal_colors(scene, camera.processor.target), 1)
         exposure = simulator.expose(scene, time)
         electrons = np.asarray(simulator.device.numpy(exposure.mean), np.float64)
         rates = exposure.plan.white_rate
@@ -190,7 +190,7 @@ def simulated_pairs(
             yield Pair(raw, wanted[:, *part] * white, white)
 
 
-def wanted_colors(scene: Scene, target: str = "D65") -> np.ndarray:
+def ideal_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     """Return CIE XYZ of every pixel of a scene lit by `target`, white Y = 1; shape (3, rows, cols).
 
     A pixel is the mean over its square of the scene as it is in front of the lens: filters sharpen
@@ -302,7 +302,7 @@ def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
 
 
 def _strengths(camera, light, luminances, scenes, seed):
-    """Lowest, highest, and strengths of light (scenes, steps) as `simulated_pairs` wants them."""
+    """Lowest, highest, and strengths of light (scenes, steps) as `simulate_pairs` wants them."""
     sensor, time = camera.sensor, camera.sensor.exposure_time
     # electrons per second of white at 1 cd m-2
     white = chart("flat", size=(8, 8), light=light, luminance=1.0, reflectance=1.0)
@@ -350,4 +350,4 @@ def _check_scenes(scenes):
                 f"at least {SMALLEST}x{SMALLEST}",
             )
         if not scene.light_is_known:
-            wanted_colors(scene)  # says why not
+            ideal_colors(scene)  # says why not

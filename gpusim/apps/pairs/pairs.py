@@ -92,7 +92,7 @@ class Pairs:
         raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, frame=number)))
         sensor = exposure.camera.sensor
         light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
-        pair = {"raw": exposure.layered(raw), "clean": light + np.float32(sensor.dark_level)}
+        pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
             pair["rgb"] = np.array(
                 simulator.device.numpy(program.codes(seed=self._seed, frame=number))

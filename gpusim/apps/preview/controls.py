@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from gpusim.domain.errors import BadData, OutOfRange, shown
+from gpusim.domain.errors import BadData, OutOfRange, format_value
 from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
 
 PLACES = 1000  # of a slider
@@ -79,14 +79,14 @@ class Control:
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
                 raise BadData(
-                    f"{self.label} = {shown(value)}: wanted one of {', '.join(map(str, self.choices))}"
+                    f"{self.label} = {format_value(value)}: wanted one of {', '.join(map(str, self.choices))}"
                 )
             return
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
         if type(value) not in (int, float):
             raise BadData(
-                f"{self.label} = {shown(value)}: wanted a number"
+                f"{self.label} = {format_value(value)}: wanted a number"
                 + (f", or {self.off}" if self.off is not None else "")
             )
         low, high = (
@@ -96,7 +96,7 @@ class Control:
         )
         if not low <= value <= high:
             raise OutOfRange(
-                self.label, f"{shown(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}"
+                self.label, f"{format_value(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}"
             )
 
 

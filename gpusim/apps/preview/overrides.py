@@ -11,7 +11,7 @@ from gpusim.domain.errors import BadData
 
 @dataclass(frozen=True)
 class Given(State):
-    """A State that overrides some fields of the camera `given` and leaves the rest unchanged."""
+    """A State that overrides some fields of the camera `adopt_plan` and leaves the rest unchanged."""
 
     given: Camera | None = None
 
@@ -25,7 +25,9 @@ class Given(State):
         """Return the camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
-        table = self.changed({"optics": {"zernike_waves": _lists(camera.optics.wavefront.zernike)}})
+        table = self.apply_changes(
+            {"optics": {"zernike_waves": _lists(camera.optics.wavefront.zernike)}}
+        )
         optics, sensor, noise, processor = (
             section_fields(camera.name, table, section)
             for section in ("optics", "sensor", "noise", "processor")

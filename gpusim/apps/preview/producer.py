@@ -15,10 +15,10 @@ from gpusim.apps.video.scenes import Scenes
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.io.scene.scenes import relit
-from gpusim.judge.truth import require_truth, seen
+from gpusim.io.scene.scenes import relight
+from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.checker import checker_of
-from gpusim.measure.mosaic import colored
+from gpusim.measure.mosaic import color_mosaic
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
@@ -119,7 +119,7 @@ class Producer:
         exposure = replace(exposure, mean=self._on_host(exposure.mean))
 
         def compare():
-            mean, truth = seen(simulator, scene, exposure)
+            mean, truth = mean_and_truth(simulator, scene, exposure)
             if mean.ndim == 1:
                 raise BadData(
                     "error map: the frame is too large for the reference of a blur that varies over "
@@ -145,7 +145,7 @@ class Producer:
         """
         program = self._update(state, number, drafts=True)
         exposure = program.exposure
-        found = light(program, exposure.layered(self._on_host(exposure.mean)), at)
+        found = light(program, exposure.split_layers(self._on_host(exposure.mean)), at)
         scene = program.scene
         if self._checker[0] is not scene:
             self._checker = scene, checker_of(scene)
@@ -209,7 +209,7 @@ class Producer:
             return own
         light, luminance, last, scene = self._lit
         if last is not own or (light, luminance) != (state.light, state.luminance):
-            scene = relit(own.name, own, state.light, state.luminance)
+            scene = relight(own.name, own, state.light, state.luminance)
             self._lit = state.light, state.luminance, own, scene
         return scene
 
@@ -225,21 +225,21 @@ class Producer:
         shown = np.clip(
             (raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1
         )
-        return colored(
-            sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
+        return color_mosaic(
+            sensor, program.exposure.split_layers(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
         )
 
     def _electrons(self, program, seed, number):
-        mean = program.exposure.layered(self._on_host(program.exposure.mean))
+        mean = program.exposure.split_layers(self._on_host(program.exposure.mean))
         sensor = program.exposure.camera.sensor
-        return colored(
+        return color_mosaic(
             sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
         )
 
     def _noise(self, program, seed, number):
         exposure, sensor = program.exposure, program.exposure.camera.sensor
-        raw = exposure.layered(self._on_host(program.raw(seed=seed, frame=number)))
-        mean = exposure.layered(self._on_host(exposure.mean))
+        raw = exposure.split_layers(self._on_host(program.raw(seed=seed, frame=number)))
+        mean = exposure.split_layers(self._on_host(exposure.mean))
         expected = np.minimum(
             mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
         )

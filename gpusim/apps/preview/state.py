@@ -11,7 +11,7 @@ from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
 from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.io.camera.cameras import anchored, camera_of, camera_table
+from gpusim.io.camera.cameras import anchor_paths, camera_of, camera_table
 
 MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
 LONGEST_LINK = 8192  # [character]
@@ -64,9 +64,9 @@ class State:
 
         Raises BadFile, UnknownName.
         """
-        return self.changed(anchored(*camera_table(self.camera)))
+        return self.apply_changes(anchor_paths(*camera_table(self.camera)))
 
-    def changed(self, table: dict) -> dict:
+    def apply_changes(self, table: dict) -> dict:
         """Return a camera file's table with the changes.
 
         Raises BadData or OutOfRange for a value.

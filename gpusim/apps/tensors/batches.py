@@ -16,9 +16,9 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import described, to_host, type_of
+from gpusim.domain.foreign import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.short_repr import shortened
+from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.scene.scenes import LIGHT, LUMINANCE
 from gpusim.pipeline.batch import one_each
@@ -87,7 +87,7 @@ class Batch:
         self._batches: OrderedDict = OrderedDict()
 
     def __repr__(self):
-        return shortened(f"Batch({self.output}, {self.simulator!r})")
+        return shorten_repr(f"Batch({self.output}, {self.simulator!r})")
 
     def __call__(
         self,
@@ -119,7 +119,7 @@ class Batch:
             BadData: If the pictures have another shape or type, or negative values.
             GpusimError: As `Simulator.frames` does.
         """
-        values = described(pictures, "pictures")
+        values = describe_array(pictures, "pictures")
         shape, channels = (
             tuple(values.shape),
             (1, 3) if self.wavelengths is None else (len(self.wavelengths),),

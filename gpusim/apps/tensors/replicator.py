@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.apps.tensors.batches import PICTURES, Batch, move_axis
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import described
+from gpusim.domain.foreign import describe_array
 
 COLOUR = "HdrColor"
 
@@ -82,7 +82,7 @@ def channels_first(frame):
 
     Raises BadData.
     """
-    values = described(frame, COLOUR)
+    values = describe_array(frame, COLOUR)
     if len(values.shape) != 3 or values.shape[2] not in (3, 4):
         raise BadData(f"{COLOUR}: {tuple(values.shape)}, wanted (rows, cols, 4) or (rows, cols, 3)")
     if hasattr(values, "permute"):  # torch's

@@ -107,7 +107,7 @@ class Loops:
     focus: list[float] | None = None
 
     @classmethod
-    def kept_in(cls, manifest: Path, lags: Lags, count: int) -> "Loops | None":
+    def read_manifest(cls, manifest: Path, lags: Lags, count: int) -> "Loops | None":
         """Return the loops of a manifest, or None if it has none for these lags and `count` frames.
 
         Other errors of the manifest are found when the run checks it.

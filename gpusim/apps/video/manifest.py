@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim import __version__
-from gpusim.backends.probe import made_by
+from gpusim.backends.probe import hardware_id
 from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadFile
 from gpusim.domain.leftovers import remove_leftovers
@@ -36,7 +36,7 @@ ENDS = 2**16  # [byte] at each end of a file that its digest covers
 
 
 @contextmanager
-def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
+def keep_manifest(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
     """Write the manifest of a run, or check the existing one, while the run works.
 
     Temporary files that killed processes left in the folder are removed.
@@ -221,5 +221,5 @@ def describe_run(
         **others,
         "contents of files": [file_digest(name) for name in files],
         "options": options,
-        "device": made_by(simulator.device),
+        "device": hardware_id(simulator.device),
     }

@@ -64,4 +64,4 @@ class Ramps:
     def scene(self, scene: "Scene", part: float) -> "Scene":
         """Return the scene in the light at a part of the video."""
         factor = self.at(part).get("light")
-        return scene if factor is None else scene.brightened(factor)
+        return scene if factor is None else scene.brighten(factor)

@@ -65,7 +65,7 @@ class Files:
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `Scenes`."""
         for path in islice(self._paths, first, end):
-            yield checked_size(self._opened(path), self._shape, path, self._paths[0])
+            yield check_size(self._opened(path), self._shape, path, self._paths[0])
 
 
 class First:
@@ -125,7 +125,7 @@ class Moving:
             )
 
 
-def checked_size(scene: Scene, shape, name, first) -> Scene:
+def check_size(scene: Scene, shape, name, first) -> Scene:
     """Return a scene unchanged. Raises BadData if its frame has another size than the first one."""
     if scene.shape != shape:
         raise BadData(

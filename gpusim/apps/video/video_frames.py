@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.apps.video.codecs import EXACT, converter, pyav
-from gpusim.apps.video.scenes import checked_size
+from gpusim.apps.video.scenes import check_size
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES, Display
 from gpusim.domain.errors import BadFile, UnknownName
 from gpusim.domain.scene import Scene
@@ -188,7 +188,7 @@ class Film:
                     self.path, f"ends before its frame {number} of {self.count}: it is truncated"
                 )
         scene = self._lift(codes)
-        return checked_size(
+        return check_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
         )
 

@@ -4,7 +4,7 @@ import re
 from os import PathLike
 
 from gpusim.domain.calibration import Calibration
-from gpusim.domain.errors import BadData, BadFile, UnknownName, shown
+from gpusim.domain.errors import BadData, BadFile, UnknownName, format_value
 from gpusim.io.files import name_in_errors, read_text, reading
 
 # [byte]; real files have two thousand, and Python's parser takes a second for this many
@@ -121,7 +121,7 @@ def _kalibr(table):
             "again with --models pinhole-radtan or pinhole-equi"
         )
     if model != "pinhole":
-        raise BadData(f"camera_model: {shown(model)}: wanted pinhole")
+        raise BadData(f"camera_model: {format_value(model)}: wanted pinhole")
     intrinsics = _numbers(table, "intrinsics", 4)
     size = _numbers(table, "resolution", 2)
     key = "distortion_coeffs" if "distortion_coeffs" in table else "distortion_coefficients"
@@ -135,7 +135,9 @@ def _matrix_file(table):
         raise BadData("no camera_matrix (or K) of ROS or OpenCV, and no intrinsics of Kalibr")
     matrix = _numbers(table, key, 9)
     if matrix[1] or matrix[3] or matrix[6:] != [0, 0, 1]:
-        raise BadData(f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {shown(matrix)}")
+        raise BadData(
+            f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {format_value(matrix)}"
+        )
     sizes = next((pair for pair in SIZES if set(pair) <= table.keys()), None)
     if sizes is None:
         raise BadData(
@@ -161,13 +163,15 @@ def _require_whole_frame(table):
         raise BadData("roi: wanted the whole frame, a region of 0 x 0")
     for key in ("binning_x", "binning_y"):
         if table.get(key) not in (None, 0, 1):
-            raise BadData(f"{key}: {shown(table[key])}: wanted pixels that are not binned, 0 or 1")
+            raise BadData(
+                f"{key}: {format_value(table[key])}: wanted pixels that are not binned, 0 or 1"
+            )
 
 
 def _calibration_of(size, intrinsics, coefficients, model):
     """Return a calibration from numbers and the file's name of its model."""
     if type(model) is not str or model not in MODELS:
-        raise BadData(f"distortion_model: {shown(model)}: wanted one of {', '.join(MODELS)}")
+        raise BadData(f"distortion_model: {format_value(model)}: wanted one of {', '.join(MODELS)}")
     if model == "none" and any(coefficients):
         raise BadData("distortion_model: none, with coefficients: wanted one or the other")
     width, height = (int(item) if item == int(item) else item for item in size)
@@ -188,7 +192,7 @@ def _numbers(table, key, count=None):
     if type(value) is not list or not all(
         type(item) in (int, float) and abs(item) < 1e300 for item in value
     ):
-        raise BadData(f"{key}: {shown(value)}: wanted numbers")
+        raise BadData(f"{key}: {format_value(value)}: wanted numbers")
     if count is not None and len(value) != count:
         raise BadData(f"{key}: {len(value)} numbers, wanted {count}")
     return [float(item) for item in value]
@@ -197,5 +201,5 @@ def _numbers(table, key, count=None):
 def _number(table, key):
     value = table[key]
     if type(value) not in (int, float) or not abs(value) < 1e300:
-        raise BadData(f"{key}: {shown(value)}: wanted a number")
+        raise BadData(f"{key}: {format_value(value)}: wanted a number")
     return value

@@ -26,9 +26,9 @@ from gpusim.domain.errors import (
     GpusimError,
     OutOfRange,
     UnknownName,
+    format_value,
     near,
     one_line,
-    shown,
 )
 from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
@@ -111,7 +111,7 @@ def camera_table(name_or_path) -> tuple[Path, dict]:
     (path, table), *bases = _chain(name_or_path)
     name = table.pop("name", path.stem)
     for file, below in bases:
-        table = _merge_keys(anchored(file, below), table)
+        table = _merge_keys(anchor_paths(file, below), table)
     return path, {**table, "name": name}
 
 
@@ -129,22 +129,22 @@ def _chain(name_or_path):
             else None
         )
         if place is None:
-            raise BadFile(files[-1], f"base = {shown(base)}: wanted a camera's name or file")
+            raise BadFile(files[-1], f"base = {format_value(base)}: wanted a camera's name or file")
         if type(place) is not str and not os.path.exists(place):
             raise BadFile(
                 files[-1],
-                f"base = {shown(base)}: no such camera or file; cameras are "
+                f"base = {format_value(base)}: no such camera or file; cameras are "
                 f"{', '.join(camera_names())}",
             )
         path, table = _file_table(place)
         if path.resolve() in files:
-            raise BadFile(files[-1], f"base = {shown(base)}: the bases form a loop")
+            raise BadFile(files[-1], f"base = {format_value(base)}: the bases form a loop")
         files.append(path.resolve())
         base = table.pop("base", None)
         yield path, table
 
 
-def anchored(path: Path, table: dict) -> dict:
+def anchor_paths(path: Path, table: dict) -> dict:
     """Return a table with absolute paths for files next to the camera's file `path`."""
     return {
         section: {
@@ -234,7 +234,7 @@ def _require_short_integers(path, value):
 def _camera(path, table):
     name = table.pop("name", path.stem)
     if type(name) is not str:
-        raise BadFile(path, f"name = {shown(name)}: wanted a text")
+        raise BadFile(path, f"name = {format_value(name)}: wanted a text")
     for section in table:
         if section not in SECTIONS:
             raise BadFile(
@@ -282,7 +282,7 @@ def _display(path, fields):
     if name in display_names():
         raise BadFile(
             path,
-            f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
+            f"[display] name = {format_value(name)} is a known display; leave out {', '.join(fields)}, or "
             "use another name",
         )
     return Display(name or path.stem, **fields)
@@ -396,7 +396,7 @@ def _efficiency(path, sensor):
     elif ends is not None:
         raise BadFile(
             path,
-            f'[sensor] qe_ends = {shown(ends)}: wanted "zero" (no light outside the table) or leave it out',
+            f'[sensor] qe_ends = {format_value(ends)}: wanted "zero" (no light outside the table) or leave it out',
         )
     return product, channels
 
@@ -442,7 +442,7 @@ def _curves(path, label, value):
     if type(value) is not str:
         raise BadFile(
             path,
-            f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
+            f"{label} = {format_value(value)}: wanted a curve's name, a .csv file or a table of "
             "wavelengths_nm and values",
         )
     if value.endswith(".csv"):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from gpusim.domain.errors import BadData, OutOfRange, shown
+from gpusim.domain.errors import BadData, OutOfRange, format_value
 from gpusim.domain.noise import Noise
 from gpusim.domain.raw_noise import ROUNDING
 from gpusim.domain.sensor import Sensor
@@ -215,7 +215,7 @@ def _check_figures(figures):
         if value is None and name in _OPTIONAL:
             continue
         if not isinstance(value, Real) or isinstance(value, bool):
-            raise BadData(f"{name} = {shown(value)}: wanted a number")
+            raise BadData(f"{name} = {format_value(value)}: wanted a number")
         unit, low, high = _LIMITS.get(name, ("", -LARGEST, LARGEST))
         if not low <= value <= high:
             raise OutOfRange(
@@ -225,7 +225,7 @@ def _check_figures(figures):
 
 def _number_text(value):
     """Return a number for a message; integers may exceed the range of floats."""
-    return shown(value) if isinstance(value, int) else f"{float(value):.6g}"
+    return format_value(value) if isinstance(value, int) else f"{float(value):.6g}"
 
 
 def _efficiency(quantum_efficiency, wavelength, response):
@@ -235,15 +235,15 @@ def _efficiency(quantum_efficiency, wavelength, response):
     ):
         raise OutOfRange(
             "wavelength",
-            f"{shown(wavelength)} nm",
+            f"{format_value(wavelength)} nm",
             f"a number, {10 + HALF_BAND:g} < wavelength < 99975",
         )
     if response is not None and not isinstance(response, Spectrum):
-        raise BadData(f"response = {shown(response)}: wanted a gpusim.Spectrum")
+        raise BadData(f"response = {format_value(response)}: wanted a gpusim.Spectrum")
     if not isinstance(quantum_efficiency, Spectrum):
         if not isinstance(quantum_efficiency, Real) or isinstance(quantum_efficiency, bool):
             raise BadData(
-                f"quantum_efficiency = {shown(quantum_efficiency)}: wanted a number or a Spectrum"
+                f"quantum_efficiency = {format_value(quantum_efficiency)}: wanted a number or a Spectrum"
             )
         if not 0 < quantum_efficiency <= 1:
             raise OutOfRange(
@@ -260,7 +260,7 @@ def _efficiency(quantum_efficiency, wavelength, response):
             response = Spectrum(band, np.ones(2), "quantum efficiency at one wavelength")
         if response.values.ndim != 1 or not response.at([wavelength])[0] > 0:
             raise BadData(f"response: wanted one curve, above 0 at {wavelength:g} nm")
-        quantum_efficiency = response.scaled(quantum_efficiency / response.at([wavelength])[0])
+        quantum_efficiency = response.scale(quantum_efficiency / response.at([wavelength])[0])
     elif response is not None:
         raise BadData("response and quantum_efficiency as a curve: wanted one of them")
     curves = Spectrum(

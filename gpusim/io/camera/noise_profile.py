@@ -71,7 +71,7 @@ class NoiseProfile:
         rounding = ROUNDING / (self.white_level - self.black_level) ** 2
         return math.sqrt(max(self.offset - rounding, 0.0)) / self.scale
 
-    def applied(self, sensor: Sensor) -> Sensor:
+    def apply_to(self, sensor: Sensor) -> Sensor:
         """Return the sensor with this gain, these levels, this saturation and this read noise.
 
         `read` replaces all noise of reading. Fixed patterns, dark current and the rest stay,

@@ -6,7 +6,7 @@ from os import PathLike
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, shown
+from gpusim.domain.errors import BadData, format_value
 from gpusim.domain.psf import PointSpread
 from gpusim.io.camera.traced import Traced, spread_of
 from gpusim.io.files import name_in_errors, read_text, reading
@@ -115,7 +115,7 @@ def _match(pattern, head, what):
 def _parse_length(what, number, unit, limits):
     """Return a length [m] within plausible limits."""
     if unit.lower().rstrip(".") not in UNITS:
-        raise BadData(f"unit {shown(unit)}: wanted one of {', '.join(UNITS)}")
+        raise BadData(f"unit {format_value(unit)}: wanted one of {', '.join(UNITS)}")
     length, (low, high) = float(number) * UNITS[unit.lower().rstrip(".")], limits
     if not low <= length <= high:
         raise BadData(f"{what}: {number} {unit}, wanted {low:g} .. {high:g} m")
@@ -130,7 +130,9 @@ def _parse_values(path, text, rows, cols):
         raise BadData(f"{len(words)} values instead of {rows} x {cols}; is it truncated?")
     # all numbers of OpticStudio have the same length
     if not text[-1].isspace() and len(set(map(len, words))) > 1:
-        raise BadData(f"no line ends after the last value, {shown(words[-1])}; is it truncated?")
+        raise BadData(
+            f"no line ends after the last value, {format_value(words[-1])}; is it truncated?"
+        )
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():

@@ -9,7 +9,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import NUMBERS, Cube
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.domain.foreign import described, to_host, type_of
+from gpusim.domain.foreign import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.scene.photo import lift
@@ -57,7 +57,7 @@ def scene_from(
         UnknownName: if the unit or the light is unknown.
         OutOfRange: if an option is out of range.
     """
-    array = described(array if hasattr(array, "shape") else np.asarray(array), name)
+    array = describe_array(array if hasattr(array, "shape") else np.asarray(array), name)
     kind = type_of(array)
     if kind is None or kind.kind not in NUMBERS:
         raise BadData(f"{name}: array of type {kind or array.dtype}, wanted real numbers")

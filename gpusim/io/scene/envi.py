@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, OutOfRange, shown
+from gpusim.domain.errors import BadFile, OutOfRange, format_value
 from gpusim.io.files import file_size, open_file, read_text, reading
 from gpusim.io.scene.stacks import SAY_SCALE, check_reflectances, read_planes
 
@@ -80,7 +80,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     factor = header.scale(kind, dtype, gains is not None) if scale is None else scale
     interleave = header.text("interleave").lower()
     if interleave not in AXES:
-        raise BadFile(path, f"interleave = {shown(interleave)}: wanted bsq, bil or bip")
+        raise BadFile(path, f"interleave = {format_value(interleave)}: wanted bsq, bil or bip")
     axes = AXES[interleave]
     shape = [0, 0, 0]
     for axis, length in zip(axes, (bands, rows, cols), strict=True):
@@ -157,13 +157,13 @@ class _Header:
                     if line_after is None:
                         raise BadFile(
                             path,
-                            f"{shown(key)} has no end: a brace is not closed; is it truncated?",
+                            f"{format_value(key)} has no end: a brace is not closed; is it truncated?",
                         )
                     if not line_after.startswith(";"):
                         parts.append(line_after)
                 value = " ".join(parts)
             if self.fields.get(key, value) != value:
-                raise BadFile(path, f"has two different values for {shown(key)}")
+                raise BadFile(path, f"has two different values for {format_value(key)}")
             self.fields[key] = value
 
     def text(self, key, default=None) -> str:
@@ -179,7 +179,7 @@ class _Header:
         text = self.text(key, None if default is None else str(default))
         if not re.fullmatch(r"\d{1,15}", text) or int(text) < least:
             raise BadFile(
-                self.path, f"{key} = {shown(text)}: wanted a whole number, {least} or more"
+                self.path, f"{key} = {format_value(text)}: wanted a whole number, {least} or more"
             )
         return int(text)
 
@@ -188,7 +188,9 @@ class _Header:
         try:
             return float(self.text(key))
         except ValueError:
-            raise BadFile(self.path, f"{key} = {shown(self.text(key))}: wanted a number") from None
+            raise BadFile(
+                self.path, f"{key} = {format_value(self.text(key))}: wanted a number"
+            ) from None
 
     def numbers(self, key, count) -> np.ndarray:
         """Return a field as a list of finite numbers, float64 (count,)."""
@@ -313,7 +315,7 @@ def _wavelengths(header, own, count):
         elif unit not in UNSAID:
             raise BadFile(
                 path,
-                f"wavelength units = {shown(unit)}: wanted Nanometers or Micrometers; or "
+                f"wavelength units = {format_value(unit)}: wanted Nanometers or Micrometers; or "
                 f"{SAY_WAVELENGTHS}",
             )
         elif nm.max() < LONGEST_UM:

@@ -120,7 +120,7 @@ class _File:
         distances = None
         if kind == OPTICAL_IMAGE:
             content, light = (
-                content.scaled(self.per_irradiance(value)),
+                content.scale(self.per_irradiance(value)),
                 unit_light(content.wavelengths),
             )
         else:
@@ -315,7 +315,7 @@ class _File:
         light = photons_from_energy(light) if in_energy else light
         at = light.at(content.wavelengths)
         if (at > 0).all() and (light.values >= 0).all():
-            return content.divided(at), light
+            return content.divide_by(at), light
         self.notes.append(f"the illuminant is dark at {(at <= 0).sum()} of {len(at)} wavelengths")
         return None
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.domain.content import Basis, Cube, Materials
-from gpusim.domain.errors import BadFile, shown
+from gpusim.domain.errors import BadFile, format_value
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
@@ -122,7 +122,7 @@ class _Archive:
             OverflowError,
         ):  # not a number, or infinite for a whole number
             raise BadFile(
-                self.path, f"{key}: wanted one {type(default).__name__}, got {shown(value)}"
+                self.path, f"{key}: wanted one {type(default).__name__}, got {format_value(value)}"
             ) from None
 
     def scene(self, white):
@@ -194,7 +194,7 @@ class _Archive:
         if "illuminant_photons" in self.stored:
             light = self.array("illuminant_photons", len(wavelengths)).astype(np.float64)
             if (light > 0).all():  # else the radiance is kept: a dark band has no reflectance
-                return content.divided(light), Spectrum(wavelengths, light, "illuminant")
+                return content.divide_by(light), Spectrum(wavelengths, light, "illuminant")
         kind = self.single("kind", "radiance")
         if kind not in ("radiance", "reflectance"):
             raise BadFile(self.path, f'kind: {kind!r}, wanted "radiance" or "reflectance"')

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.domain.content import Cube
-from gpusim.domain.errors import LONGEST_PATH, BadFile, OutOfRange, UnknownName, one_line, shown
+from gpusim.domain.errors import (
+    LONGEST_PATH,
+    BadFile,
+    OutOfRange,
+    UnknownName,
+    format_value,
+    one_line,
+)
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.exr import read_exr
@@ -55,7 +62,7 @@ def select_options(name, options: tuple[str, ...], given: dict) -> dict:
             takers = (["charts"] if option in CHARTS_TAKE else []) + [
                 suffix for suffix, reader in READERS.items() if option in reader.options
             ]
-            key, value = ("depth", '"ray"') if option == "ray" else (option, shown(value))
+            key, value = ("depth", '"ray"') if option == "ray" else (option, format_value(value))
             raise OutOfRange(
                 key, value, f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}"
             )
@@ -125,7 +132,9 @@ def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
         )
     if size is not None:
         raise OutOfRange(
-            "size", shown(size), f"for charts and libraries of spectra; {path} has its own size"
+            "size",
+            format_value(size),
+            f"for charts and libraries of spectra; {path} has its own size",
         )
     return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 

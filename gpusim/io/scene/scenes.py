@@ -17,7 +17,7 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
-from gpusim.domain.foreign import described, type_of
+from gpusim.domain.foreign import describe_array, type_of
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
@@ -117,7 +117,7 @@ def open_scene(
         white = white_radiance(
             illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance
         )
-        scene = relit(path, read_scene(path, white, given), light, luminance)
+        scene = relight(path, read_scene(path, white, given), light, luminance)
     else:
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):
@@ -204,7 +204,7 @@ def picture(
         OutOfRange: if an option is out of range.
         UnknownName: if the light is unknown.
     """
-    codes = described(codes, "picture codes")
+    codes = describe_array(codes, "picture codes")
     primaries = srgb_primaries()
     if curve is None:
         curve = DISPLAYS["srgb"].table(type_of(codes))
@@ -222,7 +222,7 @@ def _white(light, luminance):
     return white_radiance(illuminant(light), luminance)
 
 
-def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
+def relight(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
     """Return the scene in another light or at another luminance, see `open_scene`.
 
     light: name of an `illuminant`, None keeps the scene's. luminance: [cd m-2], None keeps the
@@ -251,7 +251,7 @@ def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Sce
         raise BadFile(
             path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
         )
-    return dataclasses.replace(scene, content=scene.content.scaled(luminance / mean))
+    return dataclasses.replace(scene, content=scene.content.scale(luminance / mean))
 
 
 def mean_luminance(scene: Scene) -> float:

@@ -102,7 +102,7 @@ def _colour_of(shape, f_number, device):
         [_pixel_electrons(values, camera, program.plan.weights[0], place) for place in places]
     )
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
-    if not frame.report.verdict.met:
+    if not frame.report.verdict.is_met:
         return Found(
             0.0, 1e-3, f"{words}: the report says {frame.report.verdict}; error {error:.1e}"
         )

@@ -268,10 +268,10 @@ def _outside_of_the_likely(device):
         report = frame.report
         error = truth.relative(frame.mean.astype(float), exact)
         reported = report.account.total.rms
-        shown = max(1e-3, 2.5 * reported) if report.verdict.met else np.inf
+        shown = max(1e-3, 2.5 * reported) if report.verdict.is_met else np.inf
         yield Found(
             error / shown,
             1.0,
             f"lines {words}: error {error:.1e} over the reported {reported:.1e}"
-            + ("" if report.verdict.met else ", NOT met"),
+            + ("" if report.verdict.is_met else ", NOT met"),
         )

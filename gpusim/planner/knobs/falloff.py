@@ -110,5 +110,5 @@ def _tangent(question, slope):
     )
     x, y = ideal(distortion, x, y[:, None])
     if isinstance(distortion, Framed):
-        return np.hypot(*distortion.normalised(x, y))
+        return np.hypot(*distortion.normalise(x, y))
     return np.hypot(x, y) * distortion.radius / pitch * slope

@@ -16,7 +16,7 @@ from gpusim.planner.question import Notes, Question
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 
-def viewed(question: Question, probes: Probes, notes: Notes):
+def note_view(question: Question, probes: Probes, notes: Notes):
     """Note that the frame is a view of the scene, with the error of its interpolation."""
     notes.bounds["view"] = _with_rim(
         question, probes, lambda seen: seen.resampling_error(question.scene.view, question.ratio)
@@ -27,7 +27,7 @@ def viewed(question: Question, probes: Probes, notes: Notes):
     )
 
 
-def interpolated(
+def plan_distortion(
     question: Question, told: Callable[[], Probes], notes: Notes
 ) -> DistortionGrid | None:
     """Return the lens's distortion of the samples, and note the error of its interpolation; None without distortion.
@@ -84,7 +84,9 @@ def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
     )
 
 
-def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
+def choose_distortion(
+    question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes
+):
     """Return the distortion that the frame gets: `made`, or None if it may be left out.
 
     probes: of the scene, if there is a tolerance.

@@ -63,7 +63,7 @@ class Planes:
             )
 
 
-def unblurred(question: Question, notes: Notes) -> Planes:
+def planes_without_blur(question: Question, notes: Notes) -> Planes:
     """Channels straight from the content."""
     content, weights = question.content, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
