@@ -113,8 +113,8 @@ MUTATE = {
     "listing": instrument_files.listing,
     "fields": json_mutations.fields,
     "manifest": json_mutations.manifest,
-    "link": json_mutations.apply_changes,
-    "sheet": json_mutations.apply_changes,
+    "link": json_mutations.changed,
+    "sheet": json_mutations.changed,
 }  # others see Inputs.make
 INSTRUMENTS = {
     "envi": instrument_files.envi_files,

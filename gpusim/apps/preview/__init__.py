@@ -6,13 +6,26 @@ package.
 
 import sys
 from types import ModuleType
-from typing import cast
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from gpusim.apps.preview.notebook import Preview
+    from gpusim.backends import Device
+    from gpusim.domain.camera import Camera
+    from gpusim.domain.scene import Scene
 
 
 class _Function(ModuleType):
     """A package that can be called."""
 
-    def __call__(self, scene, camera, *, device="auto", tolerance: str | None = "1e-3"):
+    def __call__(
+        self,
+        scene: "Scene | str",
+        camera: "Camera | str",
+        *,
+        device: "Device | str" = "auto",
+        tolerance: str | None = "1e-3",
+    ) -> "Preview":
         """Return a widget for Jupyter: sliders, and a picture of the scene that follows them.
 
         Args:
