@@ -137,9 +137,8 @@ def _public_signature(function):
             "device", inspect.Parameter.KEYWORD_ONLY, default="auto", annotation=Device | str
         ),
     ]
-    return inner.replace(
-        parameters=sorted(parameters, key=lambda parameter: parameter.kind)
-    )  # **kwargs stay last
+    # **kwargs stay last
+    return inner.replace(parameters=sorted(parameters, key=lambda parameter: parameter.kind))
 
 
 def _require_arguments(name, signature, args, kwargs):

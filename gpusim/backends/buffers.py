@@ -6,9 +6,8 @@ import numpy as np
 
 from gpusim.domain.foreign import CPU
 
-FREE_BLOCKS = (
-    32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
-)
+# kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
+FREE_BLOCKS = 32
 VECTOR = 16  # [byte] alignment of host memory that kernels use in place
 
 
@@ -150,9 +149,8 @@ class Block:
     def __init__(self, free, nbytes, buffer, host):
         self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host
         if host is not None:
-            self.__array_interface__ = (
-                host.__array_interface__
-            )  # np.asarray(block) keeps the block alive
+            # np.asarray(block) keeps the block alive
+            self.__array_interface__ = host.__array_interface__
 
     def __del__(self):
         if sum(map(len, list(self.free.values()))) < FREE_BLOCKS:  # a list: threads add sizes

@@ -20,10 +20,8 @@ from pathlib import Path
 from gpusim.domain.errors import DeviceError
 from gpusim.domain.leftovers import PREFIX, remove_leftovers, temporary_name
 
-ELF_TABLE = (
-    slice(40, 48),
-    slice(58, 62),
-)  # of the header: start of the section table; size and count of its entries
+# of the header: start of the section table; size and count of its entries
+ELF_TABLE = (slice(40, 48), slice(58, 62))
 ROOM = 2**25  # [byte] that must be free: kernels for a few cameras take half of it
 LARGEST = 2**21  # [byte] that quotas and limits must allow for one file
 SUMS = "gpusim-sums.json"  # next to the files of a program
@@ -74,15 +72,13 @@ def prepare_opencl():
     folder = pocl_folder()
     if folder is None:  # no home folder: PoCL takes the system's folder for temporary files
         return
-    strays = [
-        path for path in folder.glob("??") if not path.is_dir()
-    ]  # files in the place of folders of programs
+    # files in the place of folders of programs
+    strays = [path for path in folder.glob("??") if not path.is_dir()]
     if not has_room(folder) or not keep_sound([*strays, *folder.glob("*/*")]):
         os.environ["POCL_CACHE_DIR"] = str(lent_folder())
         return
-    weakref.finalize(
-        log, lambda: [note(program) for program in folder.glob("*/*")]
-    )  # after the devices have ended
+    # after the devices have ended
+    weakref.finalize(log, lambda: [note(program) for program in folder.glob("*/*")])
 
 
 def pocl_folder() -> Path | None:
@@ -172,9 +168,8 @@ def _files(program):
     found = {}
     for folder, _, names in os.walk(program, onerror=_raise):
         for name in names:
-            if not name.startswith(CHANGING) and not name.endswith(
-                ".temp"
-            ):  # another process is writing it
+            # another process is writing it
+            if not name.startswith(CHANGING) and not name.endswith(".temp"):
                 path = os.path.join(folder, name)
                 state = os.stat(path)
                 found[os.path.relpath(path, program)] = [

@@ -297,9 +297,8 @@ def refuse_fork(name):
 
 def kernel_folder() -> Path:
     """Return the folder of the kernels' files. Raise ImportError if there is none."""
-    spec = find_spec(
-        "gpusim.kernels.common"
-    )  # next to the package in a checkout, inside an installed package
+    # next to the package in a checkout, inside an installed package
+    spec = find_spec("gpusim.kernels.common")
     if spec is None or not spec.submodule_search_locations:
         raise ImportError("no kernels")
     return Path(spec.submodule_search_locations[0]).parent

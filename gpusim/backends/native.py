@@ -89,12 +89,8 @@ def native_kernel(wp, stage, kernel, defines, ranks):
         + f"    native({', '.join(names)})\n"
     )
     file = f"<{stage} {kernel} {hash(snippet)}>"
-    linecache.cache[file] = (
-        len(source),
-        None,
-        source.splitlines(keepends=True),
-        file,
-    )  # Warp reads its kernels' source
+    # Warp reads its kernels' source
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     namespace = {"wp": wp, "snippet": snippet, "__name__": f"{__name__}.{kernel}"}
     exec(compile(source, file, "exec"), namespace)
     return namespace[kernel]

@@ -60,9 +60,8 @@ class OpenCLDevice(Taped):
             cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE),
         )
         self.queue, self._timing = self._queues[0], 0
-        self._copies = (
-            None if self.on_host else cl.CommandQueue(self.context)
-        )  # parallel to kernels
+        # parallel to kernels
+        self._copies = None if self.on_host else cl.CommandQueue(self.context)
         self._kernels: dict = {}
         self._spare: defaultdict = defaultdict(list)  # kernels without a command
         self._programs: dict = {}
@@ -151,9 +150,8 @@ class OpenCLDevice(Taped):
             max(prod(shape) * dtype.itemsize, 1),
         )
         both = self._cl.map_flags.READ | self._cl.map_flags.WRITE
-        values, _ = self._cl.enqueue_map_buffer(
-            self.queue, buffer, both, 0, tuple(shape), dtype
-        )  # it keeps the buffer
+        # it keeps the buffer
+        values, _ = self._cl.enqueue_map_buffer(self.queue, buffer, both, 0, tuple(shape), dtype)
         return values.view(Pinned)
 
     @refusable(of_values)
@@ -301,9 +299,8 @@ class OpenCLDevice(Taped):
                 for arg in args
             ]
             self._kernels[key] = entry = self._entry(stage, program, kernel)
-            entry.set_scalar_arg_dtypes(
-                kinds
-            )  # typed once, a launch costs microseconds instead of hundreds of them
+            # typed once, a launch costs microseconds instead of hundreds of them
+            entry.set_scalar_arg_dtypes(kinds)
         return self._kernels[key]
 
     def _entry(self, stage, program, kernel):

@@ -187,9 +187,8 @@ class Taped(Device):
         values = np.ascontiguousarray(values, dtype)
         if values.nbytes > SMALL:
             return self._array(values, dtype)
-        return tape.constant(
-            values, lambda: self._array(values.copy(), dtype)
-        )  # the array may share the copy's memory
+        # the array may share the copy's memory
+        return tape.constant(values, lambda: self._array(values.copy(), dtype))
 
     @refusable(of_values)
     def samples(self, values, dtype):

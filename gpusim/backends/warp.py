@@ -49,9 +49,8 @@ def start_warp():
 
 
 log = logging.getLogger(__name__)
-_building = (
-    threading.RLock()
-)  # Warp's modules are shared by all devices, and built by one thread at a time
+# Warp's modules are shared by all devices, and built by one thread at a time
+_building = threading.RLock()
 REFUSALS = "Failed to allocate", "out of memory"  # refused memory, in Warp's words and CUDA's
 
 
@@ -186,19 +185,16 @@ class WarpDevice(Taped):
                 f"CUDA stream: {name_of(stream)}, wanted an address, or an object with `__cuda_stream__`, "
                 "`cuda_stream` or `ptr`"
             )
-        of = getattr(
-            stream, "device_index", getattr(stream, "device_id", None)
-        )  # PyTorch's, CuPy's
+        # PyTorch's, CuPy's
+        of = getattr(stream, "device_index", getattr(stream, "device_id", None))
         if isinstance(of, int) and of not in (-1, self.wp_device.ordinal):
             raise BadData(
                 f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, which does the work"
             )
         device = self.wp_device
         with device.context_guard:  # the default stream is that of this device
-            own, before = (
-                self._wp.Stream(device, cuda_stream=given or None),
-                device.stream,
-            )  # 0: CUDA's default stream
+            # 0: CUDA's default stream
+            own, before = (self._wp.Stream(device, cuda_stream=given or None), device.stream)
             device.set_stream(own, True)  # in turn with our own
             try:
                 yield

@@ -51,9 +51,8 @@ def array_class(wp):
                     )
                 key = slice(start, stop, step)
             elif hasattr(key, "__index__"):
-                if (
-                    not -len(self) <= key.__index__() < len(self)
-                ):  # the error also ends a loop over the array
+                # the error also ends a loop over the array
+                if not -len(self) <= key.__index__() < len(self):
                     raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
                 key = key.__index__()
             return as_shown(super().__getitem__(key))

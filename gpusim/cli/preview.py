@@ -9,9 +9,8 @@ from gpusim.cli.moving import MovingRequest
 from gpusim.cli.options import option, whole
 from gpusim.domain.errors import Missing, OutOfRange, UnknownName
 
-TOLERANCE = (
-    "1e-3"  # relative to the light, so that one plan serves all exposures and noise settings
-)
+# relative to the light, so that one plan serves all exposures and noise settings
+TOLERANCE = "1e-3"
 TEXTS = {"help": "a page on this machine: move a slider, see the picture change"}
 
 

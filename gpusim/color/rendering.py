@@ -272,9 +272,8 @@ def _show_channels(letters, neutral):
     Red, green and blue are shown as such, and so are any three channels. Others are added to a
     grey.
     """
-    balance = np.divide(
-        1, neutral, out=np.zeros_like(neutral), where=neutral > 0
-    )  # 0: blind to this light
+    # 0: blind to this light
+    balance = np.divide(1, neutral, out=np.zeros_like(neutral), where=neutral > 0)
     if {*"RGB"} <= {*letters}:
         chosen = [letters.index(letter) for letter in "RGB"]
     elif len(letters) == 3:

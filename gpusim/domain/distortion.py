@@ -53,9 +53,8 @@ class RadialPolynomial:
         """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         r = np.hypot(x, y)
         factor = 1 + self.k1 * r + self.k2 * r * r
-        over_r = (
-            np.divide(self.k1, r, out=np.zeros_like(r), where=r > 0) + 2 * self.k2
-        )  # (d factor / dr) / r
+        # (d factor / dr) / r
+        over_r = np.divide(self.k1, r, out=np.zeros_like(r), where=r > 0) + 2 * self.k2
         return tuple(
             self.scale * term
             for term in (

@@ -66,9 +66,8 @@ def type_of(values) -> np.dtype | None:
     if isinstance(kind, np.dtype):
         return kind
     try:
-        return np.dtype(
-            getattr(kind, "__name__", None) or str(kind).rpartition(".")[2]
-        )  # torch.float32, say
+        # torch.float32, say
+        return np.dtype(getattr(kind, "__name__", None) or str(kind).rpartition(".")[2])
     except TypeError:
         return None
 

@@ -118,9 +118,8 @@ class Optics:
                     f"optics.defocus: wanted one function of wavelength, got {len(defocus.values)}"
                 )
             defocus = np.abs(defocus.values).max()
-        if (
-            not abs(defocus) < self.image_distance / 2
-        ):  # the formulas are first order in defocus / image distance
+        # the formulas are first order in defocus / image distance
+        if not abs(defocus) < self.image_distance / 2:
             raise OutOfRange(
                 "optics.defocus",
                 f"{defocus:.6g} m",

@@ -13,9 +13,8 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
 
-LONGEST_WAVEFRONT = (
-    40.0  # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
-)
+# [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
+LONGEST_WAVEFRONT = 40.0
 
 
 @dataclass(frozen=True)
@@ -232,9 +231,8 @@ def noll(j) -> np.ndarray:
     m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1
     table = np.zeros((n + 1, n + 1))
     norm = np.sqrt((n + 1) * (2 if m else 1))
-    for s in range(
-        (n - m) // 2 + 1
-    ):  # R = sum of c r^(n - 2 s); r^m cos m t = Re (x + i y)^m, sine = Im
+    # R = sum of c r^(n - 2 s); r^m cos m t = Re (x + i y)^m, sine = Im
+    for s in range((n - m) // 2 + 1):
         c = (
             (-1) ** s
             * factorial(n - s)
@@ -242,9 +240,8 @@ def noll(j) -> np.ndarray:
         )
         radial = disc_power((n - m) // 2 - s)
         for k in range(m + 1):
-            if (k % 2 == 1) == (
-                m > 0 and j % 2 == 1
-            ):  # even j: cosine (even powers of y), odd j: sine
+            # even j: cosine (even powers of y), odd j: sine
+            if (k % 2 == 1) == (m > 0 and j % 2 == 1):
                 sign = (-1) ** (k // 2)
                 for a, b in zip(*np.nonzero(radial), strict=True):
                     table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]

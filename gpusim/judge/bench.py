@@ -14,15 +14,17 @@ from gpusim.domain.errors import DeviceError
 from gpusim.judge.verify import verify
 from gpusim.kernels.stage import public_function, stage_module, stage_names
 
+# the reference of a full frame takes minutes; errors are measured on this size
 ERROR_SIZE = (
     270,
     480,
-)  # the reference of a full frame takes minutes; errors are measured on this size
+)
+# of `fma_gflops`; enough steps to hide launch times
 CHAINS, CPU_STEPS, GPU_STEPS = (
     10,
     100_000,
     16_384,
-)  # of `fma_gflops`; enough steps to hide launch times
+)
 
 
 def ceilings(device: Device) -> dict:

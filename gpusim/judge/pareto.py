@@ -27,12 +27,13 @@ from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, None)
+# stages that are not part of the mean electrons
 LATER = (
     "spectral.survey",
     "sensor.meter",
     "sensor.pattern",
     "sensor.chip",
-)  # stages that are not part of the mean electrons
+)
 REPEATS, SECONDS = 5, 2.0  # frames per point, at least, and time for more [s]
 
 

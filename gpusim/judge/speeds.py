@@ -90,9 +90,8 @@ class Speeds:
 
         with recording(tape if self.device.is_gpu else None):
             run()  # builds the kernels
-        if (
-            self.device.is_gpu and tape.is_replayable
-        ):  # as in the frames of a program, which copy no small arrays again
+        # as in the frames of a program, which copy no small arrays again
+        if self.device.is_gpu and tape.is_replayable:
             run = tape.replay
         warm = time.perf_counter() + SECONDS / 4
         while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:

@@ -24,11 +24,12 @@ LEAST_PLACES, LEAST_WAVELENGTHS = 13, 5  # along an axis, and of a scene, to beg
 ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may err half-way between places
 ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
 MOST_BYTES = 2**30  # of the differences at all places
+# [sample] of the differences, at least; rings of the diffraction; radii of rays
 LEAST_REACH, RINGS, RADII = (
     48,
     16,
     2,
-)  # [sample] of the differences, at least; rings of the diffraction; radii of rays
+)
 
 
 def require_truth(camera, scene):
@@ -118,9 +119,8 @@ def _measured(spread, wavelength, pitch):
             np.exp(-2j * np.pi * step * np.outer(f, at))
             for f, at in zip((fy, fx), along, strict=True)
         )
-        if (
-            not spread.integrated
-        ):  # a frequency of exactly half the rate counts half for either sign
+        # a frequency of exactly half the rate counts half for either sign
+        if not spread.integrated:
             to_y, to_x = (
                 to * _passed(np.abs(f) * step)[:, None]
                 for to, f in zip((to_y, to_x), (fy, fx), strict=True)

@@ -18,23 +18,24 @@ from gpusim.optics.geometry import microlens_gain, relative_illumination, vignet
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
 TAPS = 10
-SHAPE = np.pi * np.sqrt(
-    (TAPS / 2) ** 2 * 2.25 - 0.8
-)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
+# Beatty, Nishimura and Pauly, same journal 24 (2005) 799
+SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)
 MODES: dict[str, Any] = {
     "zero": "constant",
     "edge": "edge",
     "scene": "edge",
     "reflect": "symmetric",
 }
+# [sample] around the scene in the series: beyond the displaced places, and at most
 RIM, FARTHEST = (
     32,
     512,
-)  # [sample] around the scene in the series: beyond the displaced places, and at most
+)
+# if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 FINER, PARTS = (
     2.0,
     4,
-)  # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
+)
 
 
 def axis_of(camera, shape) -> tuple[float, float]:

@@ -227,9 +227,8 @@ def plan_depth(
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
-    present, place = np.unique(
-        np.searchsorted(cuts, confusion), return_inverse=True
-    )  # some may have no pixel
+    # some may have no pixel
+    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)
     layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
     if layered:
         model = f"{count} layers by depth; {span}"

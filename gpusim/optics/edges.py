@@ -158,9 +158,8 @@ class Edges:
             best = int(np.argmax(gain))
             if not gain[best] > 0:
                 break
-            same = np.flatnonzero(
-                gain < gain[best] * (1 - 1e-9)
-            )  # the middle of all that are as good
+            # the middle of all that are as good
+            same = np.flatnonzero(gain < gain[best] * (1 - 1e-9))
             best = (best + min((i for i in same if i > best), default=count) - 1) // 2
             cut |= (first < best) & (last >= best)
             found.append(best)

@@ -32,13 +32,8 @@ PROBES = 48  # places for the comparison of a model with the lens
 SPACING = 8  # [pixel] between them, at least
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
-GRIDS = (
-    (3, 5),
-    (8, 13),
-    (15, 25),
-    (29, 49),
-    (57, 97),
-)  # each holds the places of those before and of SAMPLES
+# each holds the places of those before and of SAMPLES
+GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))
 
 Kernels = Callable[[np.ndarray], np.ndarray]
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
@@ -301,9 +296,8 @@ def eigen_kernels(
     vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
     probes, wanted = _truth(lens, shape, truth)
     at_probes = _interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
-    basis = np.einsum(
-        "nk,npij->kpij", vectors, differences
-    )  # U (U^T D): sums of differences, so their sums are zero
+    # U (U^T D): sums of differences, so their sums are zero
+    basis = np.einsum("nk,npij->kpij", vectors, differences)
 
     def error(count):
         return image_error(
@@ -388,9 +382,8 @@ class FlatField:
     def error(self, kernels, coefficients) -> float:
         """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
         moments = _moments(kernels)
-        wrong = (
-            np.tensordot(moments, coefficients, (0, 0)) - self.moments
-        )  # (planes, 5, rows, cols)
+        # (planes, 5, rows, cols)
+        wrong = np.tensordot(moments, coefficients, (0, 0)) - self.moments
         if min(wrong.shape[2:]) < 3:
             return 0.0
         down, across = (
@@ -418,9 +411,8 @@ def image_error(kernels, wanted) -> tuple[float, float]:
     largest of them; planes have equal weights.
     """
     wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
-    scene = np.square(
-        _weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])
-    ).sum()  # of a point: only the weight
+    # of a point: only the weight
+    scene = np.square(_weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])).sum()
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
 

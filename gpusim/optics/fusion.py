@@ -17,12 +17,10 @@ import numpy as np
 
 from gpusim.domain.content import Content, Cube
 
-RIDGE = (
-    0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
-)
-SMALLEST_TAIL = (
-    1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
-)
+# of the mean variance of a wavelength, white: spectra outside the prior are not amplified
+RIDGE = 0.02
+# predicted relative error below which float32 transforms are the limit: no rank beyond it
+SMALLEST_TAIL = 1e-6
 SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
 MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted

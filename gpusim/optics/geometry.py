@@ -12,10 +12,11 @@ from gpusim.domain.sensor import Microlens
 from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
+# error of places and fluxes that is small enough; cells along an axis for it, at most
 AIM, MOST_CELLS = (
     1e-4,
     128,
-)  # error of places and fluxes that is small enough; cells along an axis for it, at most
+)
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis; its largest errors are in the worst part
@@ -98,18 +99,15 @@ def distortion_grid(
         squares, twice = a * a + b * b + c * c + d * d, 2 / flux
         s1 = (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
         ratio = pitch / source_pitch
-        return values, (
-            ratio / s1.max(),
-            ratio * (flux * s1).max(),
-        )  # 1/s1 the smallest, 1/s2 = flux s1 the largest
+        # 1/s1 the smallest, 1/s2 = flux s1 the largest
+        return values, (ratio / s1.max(), ratio * (flux * s1).max())
 
     for step in STEPS:
         cells = [max(3, -(-n // step)) for n in shape]
         edges = [np.linspace(0, n, count + 1) - 0.5 for n, count in zip(shape, cells, strict=True)]
         values, ratio = places(*edges)
-        between, _ = places(
-            *((edge[1:] + edge[:-1]) / 2 for edge in edges)
-        )  # about where cubics err most
+        # about where cubics err most
+        between, _ = places(*((edge[1:] + edge[:-1]) / 2 for edge in edges))
         middle = np.einsum("yi,xj,ijk->yxk", *map(_half_way, cells), values, optimize=True)
         moved = np.hypot(middle[..., 0] - between[..., 0], middle[..., 1] - between[..., 1])
         wrong = moved, np.abs(middle[..., 2] / between[..., 2] - 1)
@@ -208,12 +206,8 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
         room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
     share = np.ones(light.shape[1:], np.float32)
     inside = share[3:-3, 3:-3]
-    edges = [
-        (0, 1),
-        (0, 2),
-        (3, 1),
-        (3, 2),
-    ]  # offsets of the cells in which a sample has a negative weight
+    # offsets of the cells in which a sample has a negative weight
+    edges = [(0, 1), (0, 2), (3, 1), (3, 2)]
     for y, x in edges + [pair[::-1] for pair in edges]:
         np.minimum(inside, room[y : y + inside.shape[0], x : x + inside.shape[1]], out=inside)
     return share

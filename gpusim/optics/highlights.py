@@ -93,9 +93,8 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     level = brightness[rows, cols].astype(np.float64)
     keep = (median / level).astype(np.float32)
     spectra, light, strength = content.points(rows, cols)
-    planes = content.planes.astype(
-        np.promote_types(content.planes.dtype, np.float32)
-    )  # a copy; the rest is exact
+    # a copy; the rest is exact
+    planes = content.planes.astype(np.promote_types(content.planes.dtype, np.float32))
     rest = content.with_planes(planes)
     stored = planes[..., rows, cols].astype(np.float64)
     planes[..., rows, cols] *= keep

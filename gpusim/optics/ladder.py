@@ -27,11 +27,8 @@ LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
 REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what is left of the lens has ended
 WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
 POWERS = (3, 5, 7)  # of the tail
-LIMITS = {
-    "edge": 1,
-    "zero": 2,
-    "reflect": np.inf,
-}  # powers of sigma with which a Gaussian approaches its limit
+# powers of sigma with which a Gaussian approaches its limit
+LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf}
 
 
 def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:

@@ -410,9 +410,8 @@ class PupilLens(_OnGrid):
         optics, (y, x) = self.optics, place
         wavelengths = np.asarray(wavelengths, np.float64)
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        colour = (
-            optics.lateral_color_at(wavelengths) * self.corner
-        )  # shift per unit of field height [pixel]
+        # shift per unit of field height [pixel]
+        colour = optics.lateral_color_at(wavelengths) * self.corner
         out = np.empty((len(wavelengths), size, size))
         for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
             kernel[:] = self._kernel(

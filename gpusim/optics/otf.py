@@ -26,9 +26,8 @@ CHUNK = 2**15  # points whose phases are in the processor's cache at a time
 PART = 128  # frequencies that share numbers of nodes
 PROBES = 8  # of these, which have to converge in a fast integration
 EXACT, FAST = 1e-10, 1e-7  # errors of the integral; fast: of sines and cosines in float32
-UNTHREADED = (
-    2**18
-)  # products up to which OpenBLAS starts no threads, which would compete with the pool's
+# products up to which OpenBLAS starts no threads, which would compete with the pool's
+UNTHREADED = 2**18
 LEAST = {True: 8, False: 20}  # nodes where nothing turns, fast and exact
 # foreseen of all integrals of one table: at 13 (Z45) to 23 (Z28) million a second and core of Zen 4, 55 to 95 s of two
 MOST_POINTS = 2.5e9
@@ -85,9 +84,8 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
     form = separate(waves)
     inside = np.flatnonzero(s < 1)
-    inside = inside[
-        np.argsort(s[inside], kind="stable")
-    ]  # the phase turns equally fast at frequencies of one length
+    # the phase turns equally fast at frequencies of one length
+    inside = inside[np.argsort(s[inside], kind="stable")]
     parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
     out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
 

@@ -27,10 +27,11 @@ BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the 
 # Most samples of a transform that is made longer for a tolerance: this number, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
+# of the coarse grid along a reach, and a period: keep the predicted error to a tenth
 CELLS, LEAST_CELLS = (
     4,
     64,
-)  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
+)
 PROBED = 128  # samples along an axis at which it is predicted
 # A world that repeats itself after some periods differs from an endless one by powers of its width: light of a picture
 # that continues is equal on both sides of a pixel but for its place between them; light on black falls as r^-3
@@ -39,15 +40,15 @@ POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 # neighbours are less similar: mean product over mean square
 SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
 FARTHEST = 8  # times the distance from which light counts as far: its end
+# their number; samples of a side, and of a side of the part that represents others
 WINDOWS, WINDOW, INNER = (
     12,
     128,
     48,
-)  # their number; samples of a side, and of a side of the part that represents others
-FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
-GEOMETRIC = (
-    0.7  # part of the reach from which on a disc of light takes the place of the tail's series
 )
+FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
+# part of the reach from which on a disc of light takes the place of the tail's series
+GEOMETRIC = 0.7
 
 
 def rule_of(border: str) -> str:
@@ -382,9 +383,8 @@ class Outside:
         power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
         power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
         inside = _inside(self.image, self.margin)
-        some = inside[
-            :: max(1, round(inside.size / MOST_STEPS))
-        ]  # `level` is of the light behind a lens
+        # `level` is of the light behind a lens
+        some = inside[:: max(1, round(inside.size / MOST_STEPS))]
         return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
 
     @cached_property

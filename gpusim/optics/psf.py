@@ -102,9 +102,8 @@ def _sample_transform(frequencies, count, ratio, aperture, integrated, displacem
     total = np.zeros((len(frequencies), count), complex)
     for a in range(-reach, reach + 1):
         f = frequencies + a
-        beyond = (
-            np.abs(f) * ratio - 0.5
-        )  # at exactly half the rate a sample counts half for either sign
+        # at exactly half the rate a sample counts half for either sign
+        beyond = np.abs(f) * ratio - 0.5
         share = np.where(beyond < -1e-12, 1.0, np.where(beyond < 1e-12, 0.5, 0.0))
         total += (share * np.sinc(aperture * f))[:, None] * np.exp(
             -2j * np.pi * np.outer(f, places)

@@ -108,9 +108,8 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
     rays = np.arange(len(turn) - 1)
-    if symmetric(
-        Pupil(), waves
-    ):  # the polygon's mirror lines are two sectors apart: one part makes all
+    # the polygon's mirror lines are two sectors apart: one part makes all
+    if symmetric(Pupil(), waves):
         rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
     own = np.arange(rays.max() + 1)
     require_points(outline, waves, len(own) * len(s))

@@ -20,9 +20,8 @@ from gpusim.optics.tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative integral, smooth by a blur
 AREA = 2  # of a polynomial that takes the picture as constant over each cell
-SPARE = (
-    NODES // 2
-)  # [sample] around the frame that let its outermost pixels interpolate as all others do
+# [sample] around the frame that let its outermost pixels interpolate as all others do
+SPARE = NODES // 2
 SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
 RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
 WIDEST = 8  # [cycle/sample] of these frequencies at most
@@ -70,9 +69,8 @@ def pixel_taps(
     count = int((last - first).max()) + below.shape[1] - 1
     at = first[:, None] + np.arange(count)
     weights = (_behind(at, last, above) - _behind(at, first, below)) / (ratio * aperture)
-    begin = np.clip(
-        first, 0, max(samples - count, 0)
-    )  # all have as many taps, and none reaches outside
+    # all have as many taps, and none reaches outside
+    begin = np.clip(first, 0, max(samples - count, 0))
     kept = np.zeros((pixels, min(count, samples)))
     for row, values, shift in zip(kept, weights, first - begin, strict=True):
         row[shift:] = values[: len(row) - shift]
@@ -95,9 +93,8 @@ def _cumulative(edges, samples, nodes):
     """First node and Lagrange weights of the cumulative at `edges`, from the nearest `nodes` of 0 .. samples."""
     nodes = min(nodes, samples + 1)
     near = np.rint(edges)
-    edges = np.clip(
-        np.where(np.abs(edges - near) < 1e-9 * samples, near, edges), 0, samples
-    )  # rounding of places
+    # rounding of places
+    edges = np.clip(np.where(np.abs(edges - near) < 1e-9 * samples, near, edges), 0, samples)
     first = np.clip(np.floor(edges).astype(int) - (nodes // 2 - 1), 0, samples + 1 - nodes)
     place, other = np.arange(nodes), ~np.eye(nodes, dtype=bool)
     distance = (edges - first)[:, None] - place

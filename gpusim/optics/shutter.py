@@ -73,12 +73,10 @@ def shutter_weights(
         weights[:, :-1] += light - later
         weights[:, 1:] += later
         return np.maximum(weights, 0)  # of rounding
-    length = np.maximum(
-        high - low, 0
-    )  # of the exposure that falls between two instants, (rows, n - 1)
-    share = ((low + high) / 2 - before) / (
-        after - before
-    )  # of the later one: linear, so its mean is the middle's
+    # of the exposure that falls between two instants, (rows, n - 1)
+    length = np.maximum(high - low, 0)
+    # of the later one: linear, so its mean is the middle's
+    share = ((low + high) / 2 - before) / (after - before)
     weights[:, :-1] += length * (1 - share)
     weights[:, 1:] += length * share
     return weights * (exposure_time / weights.sum(axis=1, keepdims=True))

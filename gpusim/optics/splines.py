@@ -28,9 +28,8 @@ MANY = 48  # spacings of both axes from which on there are three levels, and not
 SPACINGS = 2.8  # of the first level in the standard deviation of the narrowest Gaussian, by default: to 1e-7 of a scene
 LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
-MASK = np.convolve(
-    TWICE, np.insert(TWICE, slice(1, None), 0)
-)  # of a level's splines in the splines of the level before
+# of a level's splines in the splines of the level before
+MASK = np.convolve(TWICE, np.insert(TWICE, slice(1, None), 0))
 SPREAD = 5.0  # standard deviations at which a filter ends
 SMALLEST = 1e-9  # of a row's largest entry, below which an entry is none
 REPLICAS = 4  # of the grid's frequencies on each side, beyond which sinc^8 is below 1e-10
@@ -72,9 +71,8 @@ class Bands:
             count[number, there] = column[ends[1:][there] - 1] + 1 - start[number, there]
             entries.append((row, column, value))
         most = max(int(count.max(initial=1)), 1)
-        first = np.minimum(
-            start, columns - most
-        )  # `most` entries from there on are within the matrix
+        # `most` entries from there on are within the matrix
+        first = np.minimum(start, columns - most)
         start, count = first, start + count - first
         values = np.zeros((len(matrices), rows, most), np.float32)
         for own, begin, (row, column, value) in zip(values, start, entries, strict=True):

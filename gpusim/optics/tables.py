@@ -23,10 +23,11 @@ from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
 SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth
+# error of cubics through the table; splines, which are smooth, err by a tenth of that
 TABLE, POLYGON = (
     1e-6,
     1.5e-5,
-)  # error of cubics through the table; splines, which are smooth, err by a tenth of that
+)
 
 
 def transfer_tables(
@@ -283,9 +284,8 @@ def _spline_radial(outline, wave):
         values = np.real(found(s, np.zeros_like(s)))
         rest = np.abs(scipy.interpolate.CubicSpline(t[::2], values[::2])(t) - values).max()
     spline = scipy.interpolate.CubicSpline(t, values)
-    return lambda sx, sy: spline(
-        0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3)
-    )  # the cubic's inverse
+    # the cubic's inverse
+    return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))
 
 
 def _spline_polar(outline, wave):

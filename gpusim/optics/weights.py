@@ -40,10 +40,8 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
         nodes if len(nodes) > 1 else np.array(band),
         *(factor.wavelengths for factor in factors),
     ]
-    low, high = (
-        max(table[0] for table in tables),
-        min(table[-1] for table in tables),
-    )  # beyond, a factor is zero
+    # beyond, a factor is zero
+    low, high = (max(table[0] for table in tables), min(table[-1] for table in tables))
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
     grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]

@@ -192,9 +192,8 @@ def _require_pure(name, function):
             f"{name}: {function.__qualname__} is bound to an object; pass the object as an argument"
         )
     if isinstance(function, FunctionType) and function.__closure__:
-        inner = getattr(
-            function, "__wrapped__", None
-        )  # a stage's public form closes over its own name
+        # a stage's public form closes over its own name
+        inner = getattr(function, "__wrapped__", None)
         if inner is None:
             raise TypeError(
                 f"{name}: {function.__qualname__} has a closure; pass what it uses as arguments"

@@ -561,9 +561,8 @@ class _Steps:
             values += (count + channels) * high * wide
             if device.on_host:  # results between the two axes
                 values += 2 * channels * high * wide * len(plan.far.sigmas[down.of_level(level)])
-            if (
-                device.on_host and level < last
-            ):  # intermediate results between two levels, both ways
+            # intermediate results between two levels, both ways
+            if device.on_host and level < last:
                 values += (count + channels) * high * across.splines(level + 1)
         if device.on_host:
             values += count * down.splines(0) * shape[1]

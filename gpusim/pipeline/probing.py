@@ -33,9 +33,8 @@ class Probing:
     def __init__(self):
         self.count = 0
         self._least: dict[tuple, int] = {}
-        self._missed: tuple[int, str] | None = (
-            None  # number of planes of the plan that missed, and words
-        )
+        # number of planes of the plan that missed, and words
+        self._missed: tuple[int, str] | None = None
         self._interval = 1
         self._begin(None)
 

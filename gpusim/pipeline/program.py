@@ -299,9 +299,8 @@ class Program:
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
-        is_metered = (
-            not (self.meters_late and automatic) or self._frame_exposure is not None
-        )  # for this frame
+        # for this frame
+        is_metered = not (self.meters_late and automatic) or self._frame_exposure is not None
         if self._last is not None and self._pending is None and is_metered and self.before.plan:
             exposure, *made_for = self._last
             now = self.before.plan[0], self.scene, *settings
@@ -354,9 +353,8 @@ class Program:
         if seconds is not None:
             return float(seconds), float(self._gain)
         if self._frame_exposure is not None:
-            return (
-                self._frame_exposure
-            )  # also for a repeated frame: its own light sets the next one
+            # also for a repeated frame: its own light sets the next one
+            return self._frame_exposure
         if self.meters_late and self._last_metered:
             found = self._last_metered
         else:
@@ -390,10 +388,8 @@ class Program:
             return
         light = check.light()
         if light[4]:
-            self.before.checked, self._last = (
-                (),
-                None,
-            )  # so the next frame of this scene raises again
+            # so the next frame of this scene raises again
+            self.before.checked, self._last = ((), None)
             raise BadData(
                 f"{check.scene.name}: {light[4]:.0f} of {check.pixels} pixels have NaN or infinite light"
             )

@@ -14,9 +14,8 @@ from gpusim.optics.depth import flatten
 from gpusim.optics.fusion import Spectra, row_pairs
 from gpusim.optics.sampling import Moments, moments
 
-MUCH = (
-    16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
-)
+# times the mean of all pairs' light from which on a pair of rows is looked at for certain
+MUCH = 16
 MOST_BRIGHT = 32  # such pairs
 
 
@@ -97,9 +96,8 @@ class Facts:
             layers = tuple(
                 replace(layer, content=layer.content.on_host()) for layer in scene.layers
             )
-            scene = replace(
-                scene, content=scene.content.on_host(), layers=layers
-            )  # which looks at the values
+            # which looks at the values
+            scene = replace(scene, content=scene.content.on_host(), layers=layers)
         return cls(*flatten(scene))
 
     @cached_property
@@ -228,9 +226,8 @@ class Operation:
             try:
                 automatic, brightest = sensor.auto_exposure, float(looked.max())
                 if automatic.method == "highlights" and brightest > 0:
-                    top = (
-                        rates.max() * highest / brightest
-                    )  # the frame's brightest need not be among these samples
+                    # the frame's brightest need not be among these samples
+                    top = rates.max() * highest / brightest
                     rates = np.append(np.minimum(rates, top), top)
                 seconds = automatic.choose(rates + dark, sensor.saturation)[0]
                 if automatic.method == "full" and highest > 0:

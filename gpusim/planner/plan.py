@@ -46,9 +46,8 @@ from gpusim.planner.search import (
     remedy,
 )
 
-STORED = (
-    2.0**-24 / 3**0.5
-)  # relative RMS of electrons stored as float32: evenly up to half of the last bit
+# relative RMS of electrons stored as float32: evenly up to half of the last bit
+STORED = 2.0**-24 / 3**0.5
 LETTERS = 12  # of a plan's name
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
 
@@ -477,9 +476,8 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     limit = None
     if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
-        own = (
-            HEADROOM * total((Bound(rest), option.way.bound)).rms
-        )  # what is missed already may be missed as much
+        # what is missed already may be missed as much
+        own = HEADROOM * total((Bound(rest), option.way.bound)).rms
         limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
     return _Seen(
         planes,

@@ -20,16 +20,18 @@ from gpusim.optics.outside import border_indices
 from gpusim.optics.windows import Windows, quantile
 from gpusim.planner.facts import Facts
 
+# of a window, and of its rim on each side, which does not count [sample]
 SIDE, RIM = (
     SAMPLED_PERIOD,
     12,
-)  # of a window, and of its rim on each side, which does not count [sample]
+)
 INNER = SIDE - 2 * RIM
 UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
+# windows of 31 wavelengths; of more there are fewer, but not below these
 COUNT, LEAST_WINDOWS = (
     12,
     4,
-)  # windows of 31 wavelengths; of more there are fewer, but not below these
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +123,8 @@ class Probes:
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
         rms = np.sqrt(squares) / self._size
-        if (
-            self.channels is not None
-        ):  # few pixels hold the error, which then depends on their channels
+        # few pixels hold the error, which then depends on their channels
+        if self.channels is not None:
             own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
             even = self.windows.weight @ _mean_squares(self.signal) @ self.share
             if size > 0 and own * even > UNEVEN * squares * size:

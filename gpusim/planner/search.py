@@ -15,9 +15,8 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.spectral import Way
 from gpusim.planner.question import Question
 
-FLOP_PER_BYTE = (
-    0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
-)
+# that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
+FLOP_PER_BYTE = 0.5
 CACHED = (
     2**21
 )  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
@@ -25,9 +24,8 @@ CACHED = (
 # the far field; both measured against transforms of frames on two cores, and on an H200
 TILE_COST, GPU_TILE_COST = 0.6, 1.4
 FAR_COST, GPU_FAR_COST = 3.5, 21.0
-WIDER = (
-    2.0  # times the exact way's samples that transforms may have, for a world without end beyond
-)
+# times the exact way's samples that transforms may have, for a world without end beyond
+WIDER = 2.0
 HEADROOM = 1.1  # that a choice leaves: sigmas are for an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are equivalent, if none is good enough
 
@@ -95,9 +93,8 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
         area = float(around.tiling.samples(question.scene.samples))
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
-    products = (
-        8 * count * back * area / 2
-    )  # of complex numbers, and their sums, at the frequencies of a half spectrum
+    # of complex numbers, and their sums, at the frequencies of a half spectrum
+    products = 8 * count * back * area / 2
     far = 0.0
     if around.far is not None:
         far = multiplied * multiplications(

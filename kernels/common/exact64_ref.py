@@ -98,9 +98,8 @@ def log(x):
     exponent = (bits - SQRT_HALF_BITS) >> np.int64(52)
     f = (bits - (exponent << np.int64(52))).view(np.float64) - 1.0  # exact
     n = exponent.astype(np.float64)
-    s = f / (
-        f + 2.0
-    )  # log(1 + f) = 2 artanh s = f - f^2/2 + s (f^2/2 + R), R = 2 (s^2/3 + s^4/5 + ...)
+    # log(1 + f) = 2 artanh s = f - f^2/2 + s (f^2/2 + R), R = 2 (s^2/3 + s^4/5 + ...)
+    s = f / (f + 2.0)
     half, square = 0.5 * f * f, s * s
     rest = square * horner(square, [2.0 / (2 * k + 3) for k in range(LOG_TERMS)])
     return n * LN2_HIGH - ((half - (s * (half + rest) + n * LN2_LOW)) - f)

@@ -52,9 +52,8 @@ def log(x):
     """Return the natural logarithm of positive normal float32 numbers."""
     bits = np.asarray(x, f32).view(np.int32)
     exponent = (bits - SQRT_HALF_BITS) >> np.int32(23)
-    f = (bits - (exponent << np.int32(23))).view(f32) - f32(
-        1
-    )  # exact: x / 2^exponent is in [sqrt(1/2), sqrt(2))
+    # exact: x / 2^exponent is in [sqrt(1/2), sqrt(2))
+    f = (bits - (exponent << np.int32(23))).view(f32) - f32(1)
     n = exponent.astype(f32)
     square = f * f
     rest = (f * square) * horner(f, LOG) - f32(0.5) * square

@@ -20,9 +20,8 @@ from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.optics.lengths import LENGTHS
 
 GROUP = 512  # work-items at most
-REGISTERS = (
-    65536 // GROUP
-)  # of a work-item at most: a group must be able to start; fewer spill (measured on an H200)
+# of a work-item at most: a group must be able to start; fewer spill (measured on an H200)
+REGISTERS = 65536 // GROUP
 RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 SECTOR = 4  # complex values that memory moves at once, 32 bytes
 

@@ -7,10 +7,8 @@ Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3
 import numpy as np
 
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-WEYL = (
-    np.uint32(0x9E3779B9),
-    np.uint32(0xBB67AE85),
-)  # golden ratio and sqrt(3) - 1: increments of the key each round
+# golden ratio and sqrt(3) - 1: increments of the key each round
+WEYL = (np.uint32(0x9E3779B9), np.uint32(0xBB67AE85))
 ROUNDS = 10
 
 
@@ -26,9 +24,8 @@ def philox(counter, key):
         Four uint32 arrays of the broadcast shape.
     """
     c0, c1, c2, c3 = np.broadcast_arrays(*(np.asarray(word, np.uint32) for word in counter))
-    k0, k1 = (
-        np.atleast_1d(np.asarray(word, np.uint32)) for word in key
-    )  # scalars would warn when they wrap around
+    # scalars would warn when they wrap around
+    k0, k1 = (np.atleast_1d(np.asarray(word, np.uint32)) for word in key)
     for _ in range(ROUNDS):
         first, second = MULTIPLIERS[0] * c0, MULTIPLIERS[1] * c2
         c0, c1, c2, c3 = (

@@ -10,9 +10,8 @@ import numpy as np
 from gpusim.kernels.common import exact64_ref
 from gpusim.kernels.common.exact_ref import exp_negative, f32, horner
 
-SEARCH_BELOW = f32(
-    9
-)  # mean [e-]; above it the expansion is within 1e-4 of Poisson in total variation (5.2e-5 there)
+# mean [e-]; above it the expansion is within 1e-4 of Poisson in total variation (5.2e-5 there)
+SEARCH_BELOW = f32(9)
 MOST_BY_SEARCH = 40  # P(k > 40) < 1e-14 at mean 9
 EXACT_SEARCH_BELOW = f32(24)  # the same for 1e-6 (2.4e-7 there)
 EXACT_MOST_BY_SEARCH = 96  # P(k > 96) < 1e-26 at mean 24

@@ -129,9 +129,8 @@ class CodeTable:
             named = bits >> shift
             if (np.diff(named) > 0).all():
                 break
-        first = (
-            bits[0] - 1
-        ) >> shift  # values clamped to the first bin's start are below the first threshold
+        # values clamped to the first bin's start are below the first threshold
+        first = (bits[0] - 1) >> shift
         if named[-1] - first >= MOST_BINS:
             code = int(np.argmin(np.diff(edges) / edges[1:])) + 1
             raise BadData(

@@ -138,9 +138,8 @@ def cases():
             tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(
                 np.float64
             )
-            for i in (
-                (0, period[0] // 2) if period[0] % 2 == 0 else (0,)
-            ):  # a frequency that is its own opposite has a real value
+            # a frequency that is its own opposite has a real value
+            for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):
                 for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))

@@ -45,9 +45,8 @@ def composite(
     """
     count, channels, rows, cols = lights.shape
     layers = checked_layers(layers, count)
-    ends = np.append(layers[1:] != layers[:-1], False).astype(
-        np.float32
-    )  # the last layer is laid down after the loop
+    # the last layer is laid down after the loop
+    ends = np.append(layers[1:] != layers[:-1], False).astype(np.float32)
     lights, alphas = device.array(lights), device.array(alphas)
     own = int(alphas.shape[1] > 1)
     out = device.empty((channels, rows, cols))
@@ -91,9 +90,8 @@ def cases():
         shares = np.bincount(layers)[list(layers)][:, None, None, None]
         alphas = random.random((len(layers), channels if own else 1, rows, cols)) / shares
         last = np.array(layers) == layers[-1]
-        alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[
-            last
-        ]  # 0.5 .. 1.5 in all: it covers everything
+        # 0.5 .. 1.5 in all: it covers everything
+        alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[last]
         lights = 10.0 ** random.uniform(-3, 4, (len(layers), channels, rows, cols))
         bound = 2 * 4 * len(layers) * 2.0**-24 * lights.sum(axis=0).max()
         yield Case(

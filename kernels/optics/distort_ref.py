@@ -74,9 +74,8 @@ def _clip(polygons, axis, low):
     dp, dq = (sign * (side[..., axis] - low[..., None]) for side in (p, q))
     crosses = (dp < 0) != (dq < 0)
     t = np.divide(dp, dp - dq, out=np.zeros_like(dp), where=crosses)[..., None]
-    points = np.stack([p, p + t * (q - p)], axis=-2).reshape(
-        *p.shape[:-2], -1, 2
-    )  # t = 0 repeats p
+    # t = 0 repeats p
+    points = np.stack([p, p + t * (q - p)], axis=-2).reshape(*p.shape[:-2], -1, 2)
     limit = sign * low[..., None]
     points[..., axis] = sign * np.maximum(sign * points[..., axis], limit)
     return points
@@ -123,25 +122,16 @@ def _share(light, border):
     for plane in np.pad(
         np.asarray(light, np.float64), [(0, 0), (3, 3), (3, 3)], mode=MODES[border]
     ):
-        near = np.lib.stride_tricks.sliding_window_view(
-            np.maximum(plane, 0), (4, 4)
-        )  # of every cell
+        # of every cell
+        near = np.lib.stride_tricks.sliding_window_view(np.maximum(plane, 0), (4, 4))
         parts = np.einsum("vi,uj,yxij->yxvuij", weights, weights, near)
         above, below = (np.clip(sign * parts, 0, None).sum(axis=(4, 5)) for sign in (1, -1))
         ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(
             axis=(2, 3)
         )
         room = np.minimum(room, np.clip(2 * ratio - 1, 0, 1))
-    around = (
-        (0, 1),
-        (0, 2),
-        (3, 1),
-        (3, 2),
-        (1, 0),
-        (2, 0),
-        (1, 3),
-        (2, 3),
-    )  # cells with negative weights
+    # cells with negative weights
+    around = ((0, 1), (0, 2), (3, 1), (3, 2), (1, 0), (2, 0), (1, 3), (2, 3))
     return np.min([room[y : y + rows, x : x + cols] for y, x in around], axis=0)
 
 

@@ -27,10 +27,11 @@ LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 
 BLOCK = 4  # rows of a matrix that a CPU makes at once: most of their entries have the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
+# its work-items at a time, whose results fill whole lines of the cache when they are turned
 GROUP = (
     4,
     16,
-)  # its work-items at a time, whose results fill whole lines of the cache when they are turned
+)
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
 WIDE, LINES = 32, 8  # columns of a work-group's result on a GPU, and its lines of work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
@@ -110,9 +111,8 @@ class _Chain:
     def coefficients(self, planes, weights):
         """Return the far field as splines of the first level, (channels, rows, cols)."""
         own = self._product(planes, self._matrices(self.down, "analysis"), turned=True)
-        own = self._product(
-            own, self._matrices(self.across, "analysis")
-        )  # (planes, cols, rows) of splines
+        # (planes, cols, rows) of splines
+        own = self._product(own, self._matrices(self.across, "analysis"))
         return self._of_level(own, weights, 0)
 
     def _of_level(self, own, weights, level):

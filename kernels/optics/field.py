@@ -26,9 +26,8 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import fft_length
 
-BATCH_BYTES = (
-    2**22
-)  # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
+# of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
+BATCH_BYTES = 2**22
 HOST_TILES = 16  # from here on, a CPU has a thread to each tile
 BIN = 32  # [pixel] highlights are listed per square of this side
 NEVER = float(np.finfo(np.float32).max)

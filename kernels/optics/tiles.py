@@ -25,17 +25,19 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import LANES, LONGEST, Tiling
 
+# the kernels of CPUs and of GPUs
 LANES_STAGE, GROUPS_STAGE = (
     "optics.tiles_lanes",
     "optics.tiles_groups",
-)  # the kernels of CPUs and of GPUs
+)
 MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
+# of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
 REGISTERS = (
     80,
     128,
-)  # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
+)
 FEW = 32
 PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
 RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
@@ -97,9 +99,8 @@ def tiles(
     shape = rows - 2 * margin, cols - 2 * margin
     images = len(mix) if cfa is None else 1
     out = device.empty((images, *shape))
-    outputs = (
-        np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
-    )  # from a tile's corner
+    # from a tile's corner
+    outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
     count = tuple(-(-n // made.valid) for n in shape)
     if device.on_host:
         make = _by_lanes if device.kind == "opencl" else _by_batches

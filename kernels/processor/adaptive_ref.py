@@ -46,9 +46,8 @@ def adaptive(
     difference = c - np.pad(green, 2, mode="reflect")
     planes = {"G": green}
     for color in "RB":
-        near = _views(
-            difference, 1
-        )  # on the frame and a rim of one pixel, which the second step needs
+        # on the frame and a rim of one pixel, which the second step needs
+        near = _views(difference, 1)
         diagonal = _blend(near(-1, -1), near(1, 1), near(-1, 1), near(1, -1), t)
         near = _views(np.where(letters[1:-1, 1:-1] == color, near(0, 0), diagonal), 1)
         axial = _blend(near(0, -1), near(0, 1), near(-1, 0), near(1, 0), t)

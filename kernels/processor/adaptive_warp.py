@@ -5,9 +5,8 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 
 from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
 
-wp.set_module_options(
-    {"enable_backward": False, "fuse_fp": False}
-)  # mirrored mosaic, mirrored picture
+# mirrored mosaic, mirrored picture
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.func

@@ -3,12 +3,8 @@
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.kernels.stage import dtype_name
 
-RED = {
-    "RGGB": (0, 0),
-    "GRBG": (0, 1),
-    "GBRG": (1, 0),
-    "BGGR": (1, 1),
-}  # row and column of the first red pixel
+# row and column of the first red pixel
+RED = {"RGGB": (0, 0), "GRBG": (0, 1), "GBRG": (1, 0), "BGGR": (1, 1)}
 
 
 def red_pixel(phase: str) -> tuple[int, int]:

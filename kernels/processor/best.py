@@ -115,9 +115,8 @@ def best(
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
     if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
-        half = (
-            -(-(columns + MARGIN + 7) // 8) * 8
-        )  # and room for a vector that starts at the last pixel
+        # and room for a vector that starts at the last pixel
+        half = -(-(columns + MARGIN + 7) // 8) * 8
         height = max(-(-rows // (STRIPS * device.cl_device.max_compute_units)), LOWEST)
         ring = 32 if noisy else 16
         strips = -(-rows // height)
@@ -204,9 +203,8 @@ def gain_prior(blur):
     return 20 / 255**2 / (1 + (2.5 * blur) ** 4)
 
 
-WORST_CONDITION = (
-    150  # of the cases, error out over error in; high if pairs of neighbours agree by chance
-)
+# of the cases, error out over error in; high if pairs of neighbours agree by chance
+WORST_CONDITION = 150
 
 
 def cases():

@@ -42,10 +42,11 @@ from gpusim.kernels.processor.levels import root_loss
 
 EDGE, DARK, ALIKE = 5 / 255, 10 / 255, 2 / 255  # E, K, D
 COLORED = 0.3  # T
+# of the variance: in interpolated red and blue, and in green before shrinkage
 KEPT_FOUND, KEPT_GREEN = (
     0.34,
     0.45,
-)  # of the variance: in interpolated red and blue, and in green before shrinkage
+)
 RIM = 14
 
 
@@ -64,9 +65,8 @@ def best(
     offset, constant, slope = 0.0, read**2, gain
     if domain == "root":
         if noisy:
-            gain = max(
-                gain, read / 20
-            )  # r^2 / g would grow beyond all light if shot noise vanishes
+            # r^2 / g would grow beyond all light if shot noise vanishes
+            gain = max(gain, read / 20)
             offset = 0.375 * gain + read**2 / gain
         constant, slope = gain / 4, 0.0
     factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))

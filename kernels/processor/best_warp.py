@@ -6,9 +6,8 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
 from gpusim.kernels.processor.adaptive_warp import blend, encode
 
-wp.set_module_options(
-    {"enable_backward": False, "fuse_fp": False}
-)  # mirrored mosaic, mirrored picture
+# mirrored mosaic, mirrored picture
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MARGIN = wp.constant(14)
 EDGE = wp.constant(5.0 / 255.0)
@@ -20,9 +19,8 @@ KEPT_REACH = wp.constant(3.0)
 GREEN_REACH = wp.constant(3.5)
 KEPT_FOUND = wp.constant(0.34)
 KEPT_GREEN = wp.constant(0.45)
-PLANE = wp.array[
-    float
-]  # rows of `width`, one after the other: pixel c has neighbours at c +- 1 and c +- width
+# rows of `width`, one after the other: pixel c has neighbours at c +- 1 and c +- width
+PLANE = wp.array[float]
 
 
 @wp.func
@@ -500,9 +498,8 @@ def diagonals(
     c = y * width + low + 2 * j + own
     level = green[c]
     noise = noise_of(level, 1.0, variance, shot)
-    factor = wp.where(
-        own_plane(y - MARGIN, red_row) == 0, blue, red
-    )  # of the colour that this row lacks
+    # of the colour that this row lacks
+    factor = wp.where(own_plane(y - MARGIN, red_row) == 0, blue, red)
     limit = ALIKE + 2.0 * wp.sqrt(noise_of(level, factor, variance, shot))
     gain = gain_of(
         sites_around(product, c, width), sites_around(square, c, width), 16.0, noise, prior
@@ -555,9 +552,8 @@ def colors(
     column = 2 * pair + own
     c = (row + low) * width + column + low
     if column < cols:
-        value = (
-            float(raw[row, column]) - black_level
-        ) * scale  # exactly the measured sample, not a squared root
+        # exactly the measured sample, not a squared root
+        value = (float(raw[row, column]) - black_level) * scale
         if noisy == 1:
             value = decode(
                 draw(

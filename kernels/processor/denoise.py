@@ -47,14 +47,14 @@ from gpusim.kernels.stage import Array, Case, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
-MOST_TWIN = (
-    2.0  # flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
-)
+# flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
+MOST_TWIN = 2.0
 BAND = 4  # rows of a work-item (denoise_warp.py too): they share the squares of their differences
+# columns of a CPU's work-item, and columns beyond that it reads: four are needed
 CHUNK, SPARE = (
     64,
     8,
-)  # columns of a CPU's work-item, and columns beyond that it reads: four are needed
+)
 
 
 @stage

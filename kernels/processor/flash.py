@@ -35,9 +35,8 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.stage import Array, Case, stage
 
-BETTER = (
-    2.0  # least gain in squared signal over noise by the flash; it counts in full at twice this
-)
+# least gain in squared signal over noise by the flash; it counts in full at twice this
+BETTER = 2.0
 HIGHLIGHT = 8.0  # inverse of the part of the window whose fullness makes a highlight
 MOST_RADIUS = 12
 

@@ -80,9 +80,8 @@ def fit(sampled, phase, half):
     while len(places):
         root = np.sqrt((1 - abs(places) / half).prod(axis=1))
         design = np.column_stack([np.ones(len(places)), places])
-        row = (
-            np.linalg.pinv(root[:, None] * design, rcond=1e-6)[0] * root
-        )  # value at 0 of the weighted least squares
+        # value at 0 of the weighted least squares
+        row = np.linalg.pinv(root[:, None] * design, rcond=1e-6)[0] * root
         if row.min() > -1e-9:
             for (dy, dx), weight in zip(places, row, strict=True):
                 weights[dy + half[0] - 1, dx + half[1] - 1] = weight if weight > 1e-9 else 0

@@ -93,9 +93,8 @@ def learned(
     unit = STEPS[code.domain] * code.white * pixels
     from_black = float(code.offset - code.black_level), zero, prepared.factors
     decoding = zero, float(code.offset), float(scale), code.black_level
-    black = (
-        0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))
-    )  # where whole codes start
+    # where whole codes start
+    black = 0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))
     measures = prepared.least, float(1 / unit), float(black * pixels / unit)
     raw = device.array(raw, np.uint16)
     out = device.empty((len(layout.outputs), rows, cols))
@@ -121,9 +120,8 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     """Make one pass over tiles, on GPUs."""
     rows, cols = raw.shape
     span, (period_y, period_x) = 2 * layout.box + 1, layout.period
-    high = (
-        span + 1
-    )  # low tiles: more groups run at a time, though they compute more of their rims twice
+    # low tiles: more groups run at a time, though they compute more of their rims twice
+    high = span + 1
     run = 2 if high % 2 == 0 and prepared.terms == 16 else 1
     terms = max(5 * span, 21 + 4 * len(layout.outputs))
     wide = 2 * prepared.reach

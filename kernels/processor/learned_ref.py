@@ -48,9 +48,8 @@ def learned(
 
     out, kept = np.zeros((2, len(layout.outputs), *raw.shape))
     for at, weight in hats(levels, layout.levels):
-        chosen = filters.astype(np.float32).astype(np.float64)[
-            at, places, classes
-        ]  # (rows, cols, outputs, G)
+        # (rows, cols, outputs, G)
+        chosen = filters.astype(np.float32).astype(np.float64)[at, places, classes]
         result = np.einsum("yxog,gyx->oyx", chosen, sums)
         if offsets is not None:
             result += np.moveaxis(

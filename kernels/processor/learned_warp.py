@@ -8,9 +8,8 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 
 from gpusim.kernels.common.bayer_warp import mirror
 
-wp.set_module_options(
-    {"enable_backward": False, "fuse_fp": False}
-)  # mirrored mosaic, mirrored picture
+# mirrored mosaic, mirrored picture
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 GRAIN = 4096.0
 STEPS = 256.0

@@ -91,9 +91,8 @@ def merge(
     full = (table[4] - table[0]) / table[1]
     table[1] = 1 / table[1]
     out = device.empty((rows, cols))
-    rows_alone = (
-        device.kind == "opencl" and not device.is_gpu
-    )  # CPUs do a row per work-item, 8 pixels at once
+    # CPUs do a row per work-item, 8 pixels at once
+    rows_alone = device.kind == "opencl" and not device.is_gpu
     run, width = (cols, 8) if rows_alone else (1, 1)
     device.launch(
         "processor.merge",
@@ -168,9 +167,8 @@ def cases():
         (2, 7, 8, (4, 8)),
     ):
         time = 0.01 * 4.0 ** np.arange(count)
-        light = 2000 * 10 ** random.uniform(
-            -3, 1, (rows, cols)
-        )  # [e- s-1] x 100: the longest frames are full
+        # [e- s-1] x 100: the longest frames are full
+        light = 2000 * 10 ** random.uniform(-3, 1, (rows, cols))
         light = np.where(np.arange(cols) % 7 < 3, light, 1e4)
         gain, dark = np.full(count, 0.3), 64 + 0.3 * time
         raw = 64 + 0.3 * random.normal(light * time[:, None, None] * 10, 4)

@@ -30,9 +30,8 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.stage import Array, Case, dtype_name, stage
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
-CHUNK = (
-    1024  # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
-)
+# columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
+CHUNK = 1024
 
 
 @stage

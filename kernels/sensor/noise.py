@@ -238,9 +238,8 @@ def check(full_well, gain, white_level, photon, switching, black_level, **magnit
         raise OutOfRange("white_level", white_level, "0 < white_level <= 65535 [DN], or None")
     if photon not in PHOTONS:
         raise UnknownName("photon", photon, PHOTONS)
-    if (
-        not SLOWEST_SWITCHING <= switching <= 1
-    ):  # a state is traced back through about the inverse of it
+    # a state is traced back through about the inverse of it
+    if not SLOWEST_SWITCHING <= switching <= 1:
         raise OutOfRange(
             "telegraph_switching", switching, f"{SLOWEST_SWITCHING:g} <= telegraph_switching <= 1"
         )

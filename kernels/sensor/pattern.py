@@ -17,12 +17,13 @@ from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Array, Case, stage
 
+# the plane's number separates their random numbers
 PLANES = (
     "response",
     "offset",
     "dark",
     "telegraph",
-)  # the plane's number separates their random numbers
+)
 
 
 @stage

@@ -88,9 +88,8 @@ def cases():
             why="all terms are positive: a running float32 sum of n products errs by at most about n ulp/2 "
             "relative (Higham 2002, 3.1); the inputs are exact in float32",
         )
-        small = (
-            (content * 2.0**-14).clip(0, 65504).astype(np.float16)
-        )  # half of them below its smallest normal number
+        # half of them below its smallest normal number
+        small = (content * 2.0**-14).clip(0, 65504).astype(np.float16)
         yield Case(
             f"float16, {rows}x{cols}, {bands} bands, {planes} planes",
             {"content": small, "weights": weights.astype(np.float32)},

@@ -70,9 +70,8 @@ def survey(
     if of_table != 1:
         table = device.numpy(table) * np.float32(of_table)
     opencl = device.kind == "opencl"
-    if not (
-        device.is_gpu or opencl
-    ):  # Warp's loops are vectors along the projections: these must be adjacent
+    # Warp's loops are vectors along the projections: these must be adjacent
+    if not (device.is_gpu or opencl):
         table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
     content, table, first = (
         device.array(content),

@@ -51,9 +51,8 @@ def take(
         rows = device.array(
             np.tile(np.arange(height), (count, 1)) if rows is None else rows, np.int32
         )
-        cols = (
-            rows if whole else device.array(cols, np.int32)
-        )  # not read if columns are in their order
+        # not read if columns are in their order
+        cols = rows if whole else device.array(cols, np.int32)
         content = device.reshape(device.array(content, dtype), (planes, height, width))
         # Whole rows are a separate build on OpenCL: PoCL does not vectorise a look-up of columns.
         device.launch(

@@ -20,9 +20,8 @@ class NormalEquations:
     def __init__(self, layout: Layout, constant: bool = False):
         """constant: whether filters may add a number (`FilterTable.offsets`)."""
         self.layout, self.constant = layout, constant
-        self.sums: dict[
-            int, tuple[np.ndarray, np.ndarray, np.ndarray]
-        ] = {}  # of each noise level that has frames
+        # of each noise level that has frames
+        self.sums: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._sizes = layout.shape[-1] + constant, layout.shape[-2]
 
     def add(
@@ -76,9 +75,8 @@ class NormalEquations:
             for k in np.flatnonzero(np.diff(edges)):
                 some = order[edges[k] : edges[k + 1]]
                 if not np.isscalar(hat):
-                    some = some[
-                        hat[some] > 0
-                    ]  # each sample counts for the two levels next to its own
+                    # each sample counts for the two levels next to its own
+                    some = some[hat[some] > 0]
                 left, right = s[:, some], t[:, some]
                 share = np.full(len(some), weight) * (hat if np.isscalar(hat) else hat[some])
                 scaled = left * share
@@ -146,9 +144,8 @@ class NormalEquations:
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
             )
             filters[number] = self._solve_position(a, b, c, ridge, preserve, constraints, number)
-        filters = (
-            np.rint(filters * 2.0**40) / 2.0**40
-        )  # makes sums over mirror images exact, and equal
+        # makes sums over mirror images exact, and equal
+        filters = np.rint(filters * 2.0**40) / 2.0**40
         filters = np.stack([share_mirrored(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
         return FilterTable(

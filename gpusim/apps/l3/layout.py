@@ -44,9 +44,8 @@ def layout(
     largest = int(np.sqrt(LARGEST_SUM / np.abs(contrast[0]).sum()) - 1) // 2
     box = min(max(2, longest // 2), largest) if box is None else box
     sums = np.abs(contrast[0]).sum() / 2
-    gain = (
-        np.sqrt(np.square(contrast[0]).sum()) / sums / (np.sqrt(12) / 4)
-    )  # of noise, in units of Hamilton & Adams'
+    # of noise, in units of Hamilton & Adams'
+    gain = np.sqrt(np.square(contrast[0]).sum()) / sums / (np.sqrt(12) / 4)
     sigma = np.asarray(noise, float)
     floor = np.hypot(0.5 / 255, gain * sigma)
     strengths = np.hypot(CLEAN, np.multiply.outer(gain * sigma, NOISY))

@@ -22,6 +22,7 @@ from gpusim.io.camera.learned import write_table
 from gpusim.io.scene.photo import read_samples
 
 MOSAIC = ("RG", "GB")
+# of the code, relative to white: 15,600 to 12 electrons
 SIGMAS = (
     0.0,
     0.004,
@@ -30,7 +31,7 @@ SIGMAS = (
     0.035,
     0.07,
     0.14,
-)  # of the code, relative to white: 15,600 to 12 electrons
+)
 READ = 2.0  # [e-]
 BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
 NOISY_BLURS = (0.0, 0.8, 2.0)

@@ -217,9 +217,8 @@ class Preview(HBox):
                     field.show(value)
                     continue
                 value = OWN if name == "light" and value is None else value
-                if (
-                    isinstance(field, Dropdown) and value not in field.options
-                ):  # one that the page does not offer
+                # one that the page does not offer
+                if isinstance(field, Dropdown) and value not in field.options:
                     field.options = (*field.options, value)
                 field.value = value
         finally:
@@ -274,9 +273,8 @@ class Number(HBox):
         self._control, ends = control, (control.low, control.high)
         low, high = map(log10, ends) if control.is_log else ends
         kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
-        middle = (
-            10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
-        )  # until there is a value
+        # until there is a value
+        middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
         self.slider = kind(
             middle,
             min=low,

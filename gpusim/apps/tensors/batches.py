@@ -133,9 +133,8 @@ class Batch:
             raise BadData(
                 f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
             )
-        lowest = (
-            values.min().item() if hasattr(values, "min") else 0
-        )  # Warp arrays are not read on the host
+        # Warp arrays are not read on the host
+        lowest = values.min().item() if hasattr(values, "min") else 0
         if not lowest >= 0:
             found = "negative light" if lowest < 0 else "NaN"
             raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")

@@ -69,9 +69,8 @@ class Views:
                     f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}"
                 )
             picture = channels_first(found[name])
-            own = (
-                seed + crc32(name.encode())
-            ) % 2**64  # depends only on the name: other views may come and go
+            # depends only on the name: other views may come and go
+            own = (seed + crc32(name.encode())) % 2**64
             made = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
             frames[name] = move_axis(made, 0, -1) if batch.output in PICTURES else made
         return frames

@@ -90,9 +90,8 @@ class PairSet(Dataset):
             raise BadData(f"vary: {error}") from None
         self._settings = variety, each, seed, pictures, plan
         self._options, self._pairs, self._process = options, None, 0
-        Simulator(
-            camera, device="numpy", tolerance=tolerance
-        )  # raises errors early, without opening a driver
+        # raises errors early, without opening a driver
+        Simulator(camera, device="numpy", tolerance=tolerance)
 
     def __len__(self) -> int:
         return len(self._photographs) * self._settings[1]

@@ -130,9 +130,8 @@ def frames(
                         {} if camera is program.simulator.camera else {"camera": camera}
                     )
                     program.update(scene=scene, **other, **operation)
-                made = _make_frame(
-                    program, number, seed, output
-                )  # even an unwanted one: the next frame meters it
+                # even an unwanted one: the next frame meters it
+                made = _make_frame(program, number, seed, output)
                 if number in wanted:
                     yield made
         if program is not None:

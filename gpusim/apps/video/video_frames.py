@@ -50,13 +50,10 @@ UNTAGGED = (0, 2)
 MATRICES = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 FULL_RANGE = 2
 LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
-GAP, MOST_LATE = (
-    Fraction(3, 2),
-    16,
-)  # frames between neighbours; frames by which storage order may lag behind display order
-STRICT = {
-    "err_detect": "crccheck+explode"
-}  # decoders raise errors for damage instead of concealing it
+# frames between neighbours; frames by which storage order may lag behind display order
+GAP, MOST_LATE = (Fraction(3, 2), 16)
+# decoders raise errors for damage instead of concealing it
+STRICT = {"err_detect": "crccheck+explode"}
 PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # relative to the largest light and the largest code
 
 
@@ -110,9 +107,8 @@ class Film:
             if packet.size:
                 shown.append((packet.pts or 0) * stream.time_base)
                 end = max(end, shown[-1] + (packet.duration or 0) * stream.time_base)
-        length = LENGTH.fullmatch(
-            stream.metadata.get("DURATION", "")
-        )  # of this stream, in Matroska
+        # of this stream, in Matroska
+        length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))
         if length:
             duration = sum(
                 Fraction(part) * unit
@@ -228,9 +224,8 @@ class Film:
             return scene
         to_srgb = DISPLAYS["srgb"].rgb_from_xyz @ Display("film", self._primaries).xyz_from_rgb
         light = np.tensordot(to_srgb.astype(np.float32), np.moveaxis(curve[codes], -1, 0), 1)
-        return replace(
-            scene, content=lift(np.maximum(light, 0))
-        )  # colours outside sRGB are clipped
+        # colours outside sRGB are clipped
+        return replace(scene, content=lift(np.maximum(light, 0)))
 
 
 @cache

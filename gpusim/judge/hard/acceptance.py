@@ -11,16 +11,8 @@ from scipy.special import ndtri
 
 ALPHA = 1e-6
 SIGMAS = float(-ndtri(ALPHA / 2))  # 4.9
-LAGS = (
-    (0, 1),
-    (1, 0),
-    (1, 1),
-    (0, 2),
-    (0, 8),
-    (0, 16),
-    (16, 0),
-    (0, 128),
-)  # across vectors of 8 and groups of 16
+# across vectors of 8 and groups of 16
+LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (0, 8), (0, 16), (16, 0), (0, 128))
 FEW = 20  # a product of two counts of mean m has skewness 1 / (m sqrt n) over n: exp(1) at SIGMAS
 
 
@@ -73,9 +65,8 @@ def p_values(k, mean) -> dict[str, float]:
     for down, right in LAGS:
         first, second = x[down:, right:], x[: x.shape[0] - down, : x.shape[1] - right]
         result[f"lag {down},{right}"] = correlation(first, second, mean)
-    if (
-        n * mean > 1e4
-    ):  # the central limit theorem at SIGMAS; skewness of both below is (n mean)^-1/2
+    # the central limit theorem at SIGMAS; skewness of both below is (n mean)^-1/2
+    if n * mean > 1e4:
         # central moments of Poisson: mu4 = m + 3 m^2, mu6 = m + 25 m^2 + 15 m^3
         square, cube = np.einsum("ij,ij", x, x) / n, np.einsum("ij,ij,ij", x, x, x) / n
         result["dispersion"] = two_sided((square - 1) / np.sqrt((2 + 1 / mean) / n))

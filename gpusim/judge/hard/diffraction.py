@@ -109,9 +109,8 @@ def moved_points(device):
     wrong, at = 0.0, np.arange(size) - size // 2
     for (dy, dx), table in zip(moves, tables, strict=True):
         image = blur(light, table[None, None], np.ones((1, 1)), "zero", period, device=device)[0]
-        exact = truth.in_pixels(
-            lambda radius: truth.airy(radius, q), at - dy, at - dx, 24
-        )  # 7 nodes to a ring
+        # 7 nodes to a ring
+        exact = truth.in_pixels(lambda radius: truth.airy(radius, q), at - dy, at - dx, 24)
         wrong = max(wrong, np.abs(image - exact).max() / exact.max())
     return worst(Found(flux, 1e-4, "flux"), Found(wrong, 1e-3, "kernel, of its peak"))
 
@@ -147,9 +146,8 @@ def wider_than_a_tile(device):
     single = blur(
         np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device
     )
-    seen = (
-        np.abs(single - whole[:, :24, :24]).max() / whole.max()
-    )  # light that a tile misses without its surroundings
+    # light that a tile misses without its surroundings
+    seen = np.abs(single - whole[:, :24, :24]).max() / whole.max()
     return worst(
         Found(
             np.abs(tiled - whole).max() / whole.max(),

@@ -148,9 +148,8 @@ def measured_lens(shape, waves, count, size):
     """
     heights, pitch = np.linspace(0, 1, count), 550e-9 * 2.8 / Q
     values = np.stack([spread(h, 0.0, waves, 199) for h in heights])[:, None]
-    psf = PointSpread(
-        [550.0], np.maximum(values, 0), pitch / 4, heights=heights
-    )  # rounding leaves some at -1e-20
+    # rounding leaves some at -1e-20
+    psf = PointSpread([550.0], np.maximum(values, 0), pitch / 4, heights=heights)
     lens = open_lens(Optics(2.8, 4e-3, model="measured", psf=psf), pitch, 1.0, shape)
     middle, corner, cut = (
         (np.array(shape) - 1) / 2,

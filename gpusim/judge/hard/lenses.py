@@ -5,10 +5,8 @@ import functools
 import numpy as np
 
 Q = 550e-9 * 2.8 / 1.4e-6  # f/2.8, 1.4 um, 550 nm
-MILD, STRONG = (
-    (0.7, 0.5, 0.4),
-    (2.5, 2.0, 1.2),
-)  # coma, astigmatism, field curvature at the corner [wave]
+# coma, astigmatism, field curvature at the corner [wave]
+MILD, STRONG = ((0.7, 0.5, 0.4), (2.5, 2.0, 1.2))
 PIXELS = 64  # side of the window around a point
 
 
@@ -26,9 +24,8 @@ def spectrum(height, angle, waves, oversampling):
         oversampling: Samples per pixel.
     """
     samples = PIXELS * oversampling
-    f = (
-        np.fft.fftshift(np.fft.fftfreq(samples)) * 2 * Q * oversampling
-    )  # pupil radius: half of 1/Q cycles per pixel
+    # pupil radius: half of 1/Q cycles per pixel
+    f = np.fft.fftshift(np.fft.fftfreq(samples)) * 2 * Q * oversampling
     y, x = f[:, None], f
     rho2 = x * x + y * y
     inside = np.clip((1 - np.sqrt(rho2)) / (f[1] - f[0]) + 0.5, 0, 1)
@@ -141,8 +138,7 @@ def scatter_at(plane, lens, points):
     for k, (y, x) in enumerate(points):
         patch = plane[y - half : y + half + 1, x - half : x + half + 1]
         own = lens([(y + a, x + b) for a in (-half, 0, half) for b in (-half, 0, half)])[:, 0]
-        own = own.reshape(3, 3, *own.shape[1:])[
-            :, :, ::-1, ::-1
-        ]  # the source at s gives its entry x - s
+        # the source at s gives its entry x - s
+        own = own.reshape(3, 3, *own.shape[1:])[:, :, ::-1, ::-1]
         out[k] = np.einsum("ai,bj,abij,ij->", hats, hats, own, patch)
     return out

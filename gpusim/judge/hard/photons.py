@@ -190,9 +190,8 @@ def steps(photon):
     The ramp has 41 means.
     """
     switch, errors = MAPS[photon][2], []
-    for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(
-        np.float64
-    ):  # the switch itself is one of them
+    # the switch itself is one of them
+    for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(np.float64):
         k, p = probabilities(mean, photon)
         found = (k * p).sum()
         errors.append((found / mean**0.5 - mean**0.5, ((k - found) ** 2 * p).sum() / mean - 1))

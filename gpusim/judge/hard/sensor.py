@@ -48,9 +48,8 @@ def saturation(device):
     full = electrons(np.full((512, 512), 1e4), device, full_well=100.0, read_noise=5.0).astype(
         np.float64
     )
-    p = stats.kstest(
-        ((full - 100) / 5).ravel(), "norm"
-    ).pvalue  # a clip after read noise would leave none above
+    # a clip after read noise would leave none above
+    p = stats.kstest(((full - 100) / 5).ravel(), "norm").pvalue
     found = [
         Found(ALPHA / max(p, 1e-300), 1.0, "1e-6 over the p-value of read noise on a full well")
     ]
@@ -67,9 +66,8 @@ def saturation(device):
                 "counts that are not the reference's",
             ),
         ]
-    few = electrons(
-        np.full((4096, 4096), 0.5), device, full_well=1.0
-    )  # sigma 0.49, so 1.2e-4 of the mean
+    # sigma 0.49, so 1.2e-4 of the mean
+    few = electrons(np.full((4096, 4096), 0.5), device, full_well=1.0)
     found.append(
         Found(
             abs(few.mean(dtype=np.float64) + np.expm1(-0.5)),
@@ -155,9 +153,8 @@ def rounding(device):
     found, steps = [], 100
     for electrons_per_dn in (0.1, 10.0):
         gain = 1 / electrons_per_dn
-        ramp = (
-            (np.arange(2**18) + 0.5).reshape(512, 512) * steps / 2**18 / gain
-        )  # exactly 100 DN long
+        # exactly 100 DN long
+        ramp = (np.arange(2**18) + 0.5).reshape(512, 512) * steps / 2**18 / gain
         dn = noise(
             ramp.astype(f32), **IDEAL | {"gain": gain}, black_level=64, photon="none", device=device
         )

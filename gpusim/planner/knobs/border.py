@@ -27,18 +27,20 @@ from gpusim.planner.knobs.farfield import (
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.question import Notes, Question
 
+# [pixel] beyond which the world is left to Gaussians, for a tolerance
 FAR_REACHES = (
     16,
     32,
     64,
     128,
     256,
-)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
+)
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
+# 99.9 % quantile and maximum of waves all over the frame, over their RMS in its darkest part
 EVEN = (
     2.0,
     2.5,
-)  # 99.9 % quantile and maximum of waves all over the frame, over their RMS in its darkest part
+)
 SMALL = 0.25  # of a tolerance: errors predicted within a factor of 2.5 do not break it
 BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
 MOST_AROUND = 4  # samples on each side whose light approximates the mix of a lens
@@ -158,9 +160,8 @@ def surroundings(
     level: electrons of the frame's root mean square.
     """
     outside, ratio = _outside(question, picture, depth, level), question.ratio
-    beside = (
-        ceil(depth.reach) if depth else 0
-    ) + question.more  # samples that take part in addition to the reach
+    # samples that take part in addition to the reach
+    beside = (ceil(depth.reach) if depth else 0) + question.more
     shape, reach = outside.image.shape, question.reach
 
     def around(reach, far=None):

@@ -62,9 +62,8 @@ def _behind_edges(question, depth):
     First each is blurred for its own distance by a disc of diameter c, approximated by a Gaussian
     of standard deviation c / 4.
     """
-    fy, fx = (
-        np.arange(n)[:, None] / (2 * n) for n in question.size
-    )  # of the cosines of a mirrored world
+    # of the cosines of a mirrored world
+    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)
     s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
     seen = (
         2
@@ -114,9 +113,8 @@ def _one_distance(question, probes):
         return DECLARED
     if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
         return UNKNOWN
-    shift = np.abs(
-        optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)
-    ).max()  # of the sensor [m]
+    # of the sensor [m]
+    shift = np.abs(optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)).max()
     if shift / optics.working_f_number / 2 > RIM * question.pitch:
         return UNKNOWN
     waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)

@@ -70,9 +70,8 @@ def _lens(question, notes):
             if scene.fov
             else sensor.pixel_pitch / optics.image_distance
         )
-        if (
-            optics.distortion is not None
-        ):  # the law is for the angle at which light comes, not for the place
+        # the law is for the angle at which light comes, not for the place
+        if optics.distortion is not None:
             return {
                 "cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2
             }, 0.0

@@ -35,14 +35,16 @@ from gpusim.optics.splines import SPACINGS, misses
 from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
+# [sample] of a frame along an axis, and of its blurred surroundings
 LEAST_SIDE, LEAST_REACH = (
     8,
     16,
-)  # [sample] of a frame along an axis, and of its blurred surroundings
+)
+# the least reach in q (twice that over the part between the rims), and in radii of the rays
 RINGS, RADII = (
     4.0,
     4.0,
-)  # the least reach in q (twice that over the part between the rims), and in radii of the rays
+)
 LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and its dependences, were measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
@@ -50,32 +52,33 @@ LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians for tiles, fewer than elsewhere
+# of splines for tiles in a Gaussian, from the coarsest on
 TILES_SPACINGS = (
     1.0,
     1.2,
     1.6,
     SPACINGS,
-)  # of splines for tiles in a Gaussian, from the coarsest on
-WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
-DARK_SEAM = (
-    0.15  # of it in a dark world, whose step is the frame's edge, a reach away from the seam
 )
+WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
+# of it in a dark world, whose step is the frame's edge, a reach away from the seam
+DARK_SEAM = 0.15
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
+# q of a pixel of samples below which it averages waves away; the least part left
 FINER, LEAST = (
     3.0,
     0.3,
-)  # q of a pixel of samples below which it averages waves away; the least part left
+)
 DISTANCES = 64  # from the seam, at which waves are added up
 POINTS, PLACES = 32, 128  # of light in a strip, and places at which they are seen
+# reaches of waves that count; radii in a wave, and all of them at most
 FARTHEST, FINE, MOST_RADII = (
     8,
     12,
     8192,
-)  # reaches of waves that count; radii in a wave, and all of them at most
-SLOW = tuple(
-    np.geomspace(1 / 4096, 1 / 128, 32)
-)  # frequencies of light that changes slowly [1/sample]
+)
+# frequencies of light that changes slowly [1/sample]
+SLOW = tuple(np.geomspace(1 / 4096, 1 / 128, 32))
 SPLINES = 1e-7  # relative RMS of the far field's own sums
 HOT = 3.0  # true over predicted error near few bright points was up to 3.1: their rings end in few tiles
 
@@ -165,9 +168,8 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
-    hole = (
-        question.optics.pupil.obscuration
-    )  # what lies between its rims rings at frequencies lower by half that
+    # what lies between its rims rings at frequencies lower by half that
+    hole = question.optics.pupil.obscuration
     finer = 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     left = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(
         question, away, (1 - hole) / 2
@@ -337,9 +339,8 @@ def ring_errors(
     error = np.abs(
         _middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid)
     )
-    rows, cols = (
-        min(n - 2 * outside.margin, valid) for n in outside.image.shape
-    )  # of a narrow frame all
+    # of a narrow frame all
+    rows, cols = (min(n - 2 * outside.margin, valid) for n in outside.image.shape)
     error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
     local = scipy.ndimage.uniform_filter(light, (0, 2 * outside.around + 1, 2 * outside.around + 1))
     local = local[:, rim : rim + rows, rim : rim + cols]
@@ -357,9 +358,8 @@ def _middle(light, table, valid):
     side = light.shape[-1]
     inner = slice((side - valid) // 2, (side + valid) // 2)
     spectra = scipy.fft.rfft2(light, workers=-1)[:, None] * table
-    rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[
-        :, :, inner
-    ]  # the others are not needed
+    # the others are not needed
+    rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[:, :, inner]
     return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
 
 
@@ -383,9 +383,8 @@ def _repeated_response(question, tiling, far):
         -1, side, side
     )
     at = np.abs(np.arange(-side, side))
-    whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[
-        :, at[:, None], at
-    ]  # up to the windows' end, a side away
+    # up to the windows' end, a side away
+    whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
 
 

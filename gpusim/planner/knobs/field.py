@@ -69,10 +69,8 @@ def varying_planes(question: Question, response: Response, prior, flat):
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
-    mix, transfers = (
-        each.any(axis=2) * 1.0,
-        each.sum(axis=0),
-    )  # each plane is seen by only one channel
+    # each plane is seen by only one channel
+    mix, transfers = (each.any(axis=2) * 1.0, each.sum(axis=0))
     # differences of neighbours in a plane over the channel's: planes of equal strength have equal weights
     spectra, (rows, cols) = question.facts.spectra, question.size
     differences = spectra.differences

@@ -41,9 +41,8 @@ def plan_distortion(
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
     notes.bounds["distortion grid"] = _between_nodes(made, told())
-    if question.scene.view.is_whole(
-        question.ratio
-    ):  # else it is an error of the view, whose places are anywhere
+    # else it is an error of the view, whose places are anywhere
+    if question.scene.view.is_whole(question.ratio):
         width = sum(made.ratio) / 2 if made.method == "area" else None
         everywhere, worst = (
             _with_rim(

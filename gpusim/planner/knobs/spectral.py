@@ -22,13 +22,14 @@ from gpusim.planner.knobs.sampling import taps_of
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import DECLARED, Notes, Question
 
+# reflectances held likely before a cube is seen
 PRIOR = (
     "munsell",
     "dupont",
     "objects",
     "skin",
     "colorchecker-sg",
-)  # reflectances held likely before a cube is seen
+)
 ENOUGH = 0.25  # of a tolerance: where fused planes err less, more of them would not help the sum
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
@@ -166,9 +167,8 @@ def _stage(content):
 
 def _flat(question):
     """Response to a uniform scene of each wavelength, if each sample is a unit point source."""
-    if (
-        min(question.cell) < 1
-    ):  # points in the middle of the apertures would count too much of a flat scene
+    # points in the middle of the apertures would count too much of a flat scene
+    if min(question.cell) < 1:
         tables = question.tables.even(question.q, question.cell, 1, question.ratio, question.moved)
         return tables[:, 0, 0].real
     return np.ones(len(question.q))
