@@ -224,10 +224,8 @@ class OpenCLDevice(Taped):
         return Copy(self, target, source, count, start, to)
 
     def _launch(self, stage, kernel, grid, args, defines, group):
-        clock, values = (
-            self._clock,
-            [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args],
-        )
+        clock = self._clock
+        values = [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started
             entry = self._kernel(stage, kernel, defines, args)
             if 0 in grid:

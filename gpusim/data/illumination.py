@@ -127,10 +127,8 @@ def _ratios(wavelengths, units, together):
     fine = np.union1d(np.arange(wavelengths[0], wavelengths[-1], STEP), wavelengths)
     steps = np.diff(fine) / 2
     quadrature = np.append(steps, 0) + np.append(0, steps)
-    whole, parts = (
-        together.at(fine) * quadrature,
-        np.stack([unit.at(fine) for unit in units]) * quadrature,
-    )
+    whole = together.at(fine) * quadrature
+    parts = np.stack([unit.at(fine) for unit in units]) * quadrature
     splines = spline(wavelengths, np.eye(len(wavelengths)), fine)
     ratios = np.linalg.lstsq((splines * whole) @ splines.T, splines @ parts.T, rcond=1e-12)[0].T
     centers = np.arange(wavelengths[0], wavelengths[-1] + STEP, BAND / 8)

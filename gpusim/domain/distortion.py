@@ -208,10 +208,8 @@ def ideal(distortion: Model, x, y):
                 f"one-to-one up to the frame's corner, {wanted.max():.6g} radii",
             )
         error_x, error_y = at_x - x, at_y - y
-        u, v = (
-            u - (d * error_x - b * error_y) / determinant,
-            v - (a * error_y - c * error_x) / determinant,
-        )
+        u = u - (d * error_x - b * error_y) / determinant
+        v = v - (a * error_y - c * error_x) / determinant
         if max(np.abs(error_x).max(initial=0), np.abs(error_y).max(initial=0)) <= 1e-13 * max(
             wanted.max(initial=0), 1
         ):

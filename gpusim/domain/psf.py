@@ -51,10 +51,8 @@ class PointSpread:
         return np.array(self.values, dtype, copy=copy)
 
     def __post_init__(self):
-        wavelengths, values = (
-            np.asarray(self.wavelengths, np.float64),
-            np.asarray(self.values, np.float64),
-        )
+        wavelengths = np.asarray(self.wavelengths, np.float64)
+        values = np.asarray(self.values, np.float64)
         if self.heights is not None and self.grid is not None:
             raise BadData("point spread: heights and grid are given; wanted one of them")
         axes = [

@@ -124,10 +124,8 @@ class Wavefront:
 
     def __post_init__(self):
         try:
-            zernike, heights = (
-                np.asarray(self.zernike, np.float64),
-                np.asarray(self.heights, np.float64),
-            )
+            zernike = np.asarray(self.zernike, np.float64)
+            heights = np.asarray(self.heights, np.float64)
         except (TypeError, ValueError):
             raise BadData(
                 "optics.zernike: wanted a list of numbers, or one of them for each field height, equally "

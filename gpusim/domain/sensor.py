@@ -38,10 +38,8 @@ class Microlens:
     __repr__ = short_repr
 
     def __post_init__(self):
-        angles, response = (
-            np.asarray(self.angles, np.float64),
-            np.asarray(self.response, np.float64),
-        )
+        angles = np.asarray(self.angles, np.float64)
+        response = np.asarray(self.response, np.float64)
         if (
             angles.ndim != 1
             or angles.shape != response.shape

@@ -20,11 +20,9 @@ ERROR_SIZE = (
     480,
 )
 # of `fma_gflops`; enough steps to hide launch times
-CHAINS, CPU_STEPS, GPU_STEPS = (
-    10,
-    100_000,
-    16_384,
-)
+CHAINS = 10
+CPU_STEPS = 100_000
+GPU_STEPS = 16_384
 
 
 def ceilings(device: Device) -> dict:

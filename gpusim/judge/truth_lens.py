@@ -25,11 +25,9 @@ ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may
 ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
 MOST_BYTES = 2**30  # of the differences at all places
 # [sample] of the differences, at least; rings of the diffraction; radii of rays
-LEAST_REACH, RINGS, RADII = (
-    48,
-    16,
-    2,
-)
+LEAST_REACH = 48
+RINGS = 16
+RADII = 2
 
 
 def require_truth(camera, scene):
@@ -83,10 +81,8 @@ def transfer_of(optics: Optics, wavelength, pitch):
     """
     if optics.psf is not None:
         return _measured(optics.psf, wavelength, pitch)
-    q, waves = (
-        wavelength * 1e-9 * optics.working_f_number / pitch,
-        optics.waves(np.array([wavelength])),
-    )
+    q = wavelength * 1e-9 * optics.working_f_number / pitch
+    waves = optics.waves(np.array([wavelength]))
     if optics.is_ideal:
         own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
     else:
@@ -399,10 +395,8 @@ class Turned:
     def parts(self, y, x):
         """See `Splines`."""
         y, x = y[:, None] - self.middle[0], x - self.middle[1]
-        height, series = (
-            np.clip(np.hypot(y, x), 0, self.heights[-1]),
-            self._series(np.arctan2(y, x)),
-        )
+        height = np.clip(np.hypot(y, x), 0, self.heights[-1])
+        series = self._series(np.arctan2(y, x))
         for one, kernels in zip(np.eye(len(self.heights)), self.table, strict=True):
             share = np.interp(height, self.heights, one)
             for number, kernel in enumerate(kernels):

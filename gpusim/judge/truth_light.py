@@ -27,15 +27,11 @@ MODES: dict[str, Any] = {
     "reflect": "symmetric",
 }
 # [sample] around the scene in the series: beyond the displaced places, and at most
-RIM, FARTHEST = (
-    32,
-    512,
-)
+RIM = 32
+FARTHEST = 512
 # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
-FINER, PARTS = (
-    2.0,
-    4,
-)
+FINER = 2.0
+PARTS = 4
 
 
 def axis_of(camera, shape) -> tuple[float, float]:

@@ -30,10 +30,8 @@ from gpusim.domain.content import Content
 from gpusim.optics.fusion import Response, Spectra, row_pairs
 
 # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest up to so many planes
-WRONG_ROWS, FEW = (
-    8,
-    5,
-)
+WRONG_ROWS = 8
+FEW = 5
 ALL_ROWS = 16  # of both, that `spectral.survey` takes: operators of more planes have all of them
 SHORTEST = 1e-6  # of the longest row of F, below which one is none
 ROUNDING = 1e-6  # of squares that are summed in float32

@@ -311,10 +311,8 @@ def channel_operator(response: Response, planes: int) -> ChannelOperator:
     seen = norm > 1e-3 * norm.max()  # darker wavelengths are below any noise
     emphasis, best = np.ones(bands), ChannelOperator(np.empty(0), np.empty(0), np.inf)
     for _ in range(ROUNDS):
-        table, transfers = (
-            np.empty((channels * planes, bands)),
-            np.zeros((channels, channels * planes, bands)),
-        )
+        table = np.empty((channels * planes, bands))
+        transfers = np.zeros((channels, channels * planes, bands))
         errors = np.zeros(bands)
         for c in range(channels):
             row = rho[c] * emphasis

@@ -13,10 +13,8 @@ from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
 # error of places and fluxes that is small enough; cells along an axis for it, at most
-AIM, MOST_CELLS = (
-    1e-4,
-    128,
-)
+AIM = 1e-4
+MOST_CELLS = 128
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis; its largest errors are in the worst part

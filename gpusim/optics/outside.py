@@ -28,10 +28,8 @@ BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the 
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
 # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
-CELLS, LEAST_CELLS = (
-    4,
-    64,
-)
+CELLS = 4
+LEAST_CELLS = 64
 PROBED = 128  # samples along an axis at which it is predicted
 # A world that repeats itself after some periods differs from an endless one by powers of its width: light of a picture
 # that continues is equal on both sides of a pixel but for its place between them; light on black falls as r^-3
@@ -41,11 +39,9 @@ POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
 FARTHEST = 8  # times the distance from which light counts as far: its end
 # their number; samples of a side, and of a side of the part that represents others
-WINDOWS, WINDOW, INNER = (
-    12,
-    128,
-    48,
-)
+WINDOWS = 12
+WINDOW = 128
+INNER = 48
 FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
 # part of the reach from which on a disc of light takes the place of the tail's series
 GEOMETRIC = 0.7
@@ -179,10 +175,8 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
         border: The scene's border.
     """
     inside = _inside(image, margin)
-    level, highest = (
-        scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size),
-        inside.max(initial=0),
-    )
+    level = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size)
+    highest = inside.max(initial=0)
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
     if is_smooth or not deviation or not level > 0:
         return float(level), float(highest)

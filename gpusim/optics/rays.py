@@ -95,10 +95,8 @@ def _rays(outline, values, shape, range_, error):
             if max(along, across) <= error:
                 break
             order = 2.5 if sides else 4
-            length, per_sector = (
-                _finer(length, along, error, order),
-                _finer(per_sector, across, error, order),
-            )
+            length = _finer(length, along, error, order)
+            per_sector = _finer(per_sector, across, error, order)
     return table, first, sectors
 
 

@@ -205,10 +205,8 @@ def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
         if step.size:
             changed = step if jumped is None else np.where(jumped, 0, step)
             part = _mean_squares(changed)
-            jumps, changes = (
-                jumps + (0 if jumped is None else _mean_squares(step - changed)),
-                changes + part,
-            )
+            jumps = jumps + (0 if jumped is None else _mean_squares(step - changed))
+            changes = changes + part
     used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
     return Moments(np.maximum(used, 0) / upper[0].size, _mean_squares(upper), jumps, changes)
 

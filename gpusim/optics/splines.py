@@ -315,10 +315,8 @@ def multiplications(
     total = 4.0 * planes * shape[1] * (shape[0] + 5 * down.step) + 4.0 * channels * shape[0] * wide
     total += 4.0 * planes * high * (shape[1] + 5 * across.step) + 4.0 * shape[0] * shape[1]
     for level in range(down.levels):
-        area, part = (
-            down.splines(level) * across.splines(level),
-            np.asarray(sigmas[down.of_level(level)]),
-        )
+        area = down.splines(level) * across.splines(level)
+        part = np.asarray(sigmas[down.of_level(level)])
         for axis in (down, across):
             taps = np.minimum(2 * SPREAD * part * axis.size(level) / axis.n, axis.splines(level))
             total += channels * area * taps.sum()

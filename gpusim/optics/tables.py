@@ -24,10 +24,8 @@ from gpusim.optics.series import expansion
 FEW = 2000  # frequencies
 SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth
 # error of cubics through the table; splines, which are smooth, err by a tenth of that
-TABLE, POLYGON = (
-    1e-6,
-    1.5e-5,
-)
+TABLE = 1e-6
+POLYGON = 1.5e-5
 
 
 def transfer_tables(

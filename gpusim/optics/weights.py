@@ -92,12 +92,10 @@ def check_light(scene: Scene, content: Callable[[], Content], camera: Camera):
 
     content: gives the scene's content, in host memory, if it must be read.
     """
-    nodes, qe, light, through = (
-        scene.wavelengths,
-        camera.sensor.qe,
-        scene.illuminant,
-        camera.optics.transmission,
-    )
+    nodes = scene.wavelengths
+    qe = camera.sensor.qe
+    light = scene.illuminant
+    through = camera.optics.transmission
     known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
     if nodes[0] >= known[0] and nodes[-1] <= known[1]:
         return

@@ -186,10 +186,8 @@ class Batch:
             if in_use
             else self._simulator.tables
         )
-        simulator, shared = (
-            self._simulator.apart(camera, tables),
-            other_program is not None and self._planned_for is None,
-        )
+        simulator = self._simulator.apart(camera, tables)
+        shared = other_program is not None and self._planned_for is None
         program = self._items[item] = Program(
             simulator,
             self._planned_for or scene,

@@ -89,10 +89,8 @@ class Developer:
         The variance is gain (DN - dark level) + noise^2. The noise without light includes all terms of
         `RawNoise.variance`, fixed offsets too. PRNU is left out.
         """
-        noise, gain = (
-            RawNoise.of(self.camera.sensor, self.averaged),
-            self.camera.sensor.gain_dn_per_electron,
-        )
+        noise = RawNoise.of(self.camera.sensor, self.averaged)
+        gain = self.camera.sensor.gain_dn_per_electron
         return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
     @property

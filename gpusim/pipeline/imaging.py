@@ -800,10 +800,8 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
     """Add highlights to the mosaic, or to each channel of the samples. weights: of the wavelengths, (C, L)."""
     weights = lights.spectra[:, None] * weights  # (kernels, channels, L)
-    cores, profiles = (
-        np.tensordot(weights, kernels.cores, 1),
-        np.tensordot(weights, kernels.profiles, 1),
-    )
+    cores = np.tensordot(weights, kernels.cores, 1)
+    profiles = np.tensordot(weights, kernels.profiles, 1)
     places = np.column_stack([lights.places + spare, lights.light, lights.reach]).astype(np.int32)
     shape = kernels.step, kernels.parts, kernels.spread
     if cfa is None:

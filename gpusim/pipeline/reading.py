@@ -69,10 +69,8 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
     """
 
     def cut(name):
-        array, index = (
-            getattr(content, name),
-            window if isinstance(content, Picture) else (..., *window),
-        )
+        array = getattr(content, name)
+        index = window if isinstance(content, Picture) else (..., *window)
         return device.samples(
             array[index] if isinstance(array, np.ndarray) else array, content.stored_type(name)
         )

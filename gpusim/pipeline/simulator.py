@@ -412,10 +412,8 @@ class Simulator:
             Raw values, a device array (frames, rows, cols) or (rows, cols) [DN]. Layers of stacked pixels are below
             each other.
         """
-        drawing, of = (
-            self._drawing,
-            (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout),
-        )
+        drawing = self._drawing
+        of = (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout)
         shape = tuple(exposure.chip_mean.shape)
         if frames is None and drawing.of and all(map(is_, drawing.of, of)):
             raw = self.readout.draw_again(drawing.tape, shape, drawing.raw, seed=seed, frame=frame)

@@ -11,10 +11,8 @@ from gpusim.optics.lens import open_lens
 from gpusim.planner.plan import Plan
 
 # largest ratio of blur widths, and an additional width [sample], at which tiles and planes still do
-WIDER, ROOM = (
-    1.5,
-    0.25,
-)
+WIDER = 1.5
+ROOM = 0.25
 
 TURNED: dict[str, Any] = {  # what may be other
     "f_number": 8.0,

@@ -154,13 +154,11 @@ class Plan:
         What it predicts and the samples of its scene have no part in it. Computed numbers count as float32, as devices
         take them.
         """
-        optics, sensor, scene, varying, depth = (
-            self.camera.optics,
-            self.camera.sensor,
-            self.scene,
-            self.varying,
-            self.depth,
-        )
+        optics = self.camera.optics
+        sensor = self.camera.sensor
+        scene = self.scene
+        varying = self.varying
+        depth = self.depth
         numbers = (
             self.weights,
             self.white_rate,

@@ -21,17 +21,13 @@ from gpusim.optics.windows import Windows, quantile
 from gpusim.planner.facts import Facts
 
 # of a window, and of its rim on each side, which does not count [sample]
-SIDE, RIM = (
-    SAMPLED_PERIOD,
-    12,
-)
+SIDE = SAMPLED_PERIOD
+RIM = 12
 INNER = SIDE - 2 * RIM
 UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
 # windows of 31 wavelengths; of more there are fewer, but not below these
-COUNT, LEAST_WINDOWS = (
-    12,
-    4,
-)
+COUNT = 12
+LEAST_WINDOWS = 4
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,10 +161,8 @@ def _local_forward(device, planes, first, size, border, period):
     _, rows, cols = planes.shape
     pitch = pitch_of(device, period[1])
     before_y, before_x = middle((rows, cols), period)
-    halves, spectra = (
-        device.empty((size, rows, pitch, 2)),
-        device.empty((size, period[0], pitch, 2)),
-    )
+    halves = device.empty((size, rows, pitch, 2))
+    spectra = device.empty((size, period[0], pitch, 2))
     _rows(
         device,
         "rows_forward",

@@ -28,12 +28,10 @@ def philox(counter, key):
     k0, k1 = (np.atleast_1d(np.asarray(word, np.uint32)) for word in key)
     for _ in range(ROUNDS):
         first, second = MULTIPLIERS[0] * c0, MULTIPLIERS[1] * c2
-        c0, c1, c2, c3 = (
-            _high(second) ^ c1 ^ k0,
-            second.astype(np.uint32),
-            _high(first) ^ c3 ^ k1,
-            first.astype(np.uint32),
-        )
+        c0 = _high(second) ^ c1 ^ k0
+        c1 = second.astype(np.uint32)
+        c2 = _high(first) ^ c3 ^ k1
+        c3 = first.astype(np.uint32)
         k0, k1 = k0 + WEYL[0], k1 + WEYL[1]
     return c0, c1, c2, c3
 

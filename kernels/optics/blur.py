@@ -125,10 +125,8 @@ def cases():
         (33, 30, 9, 3, 1, "edge", (45, 40), 0),
         (33, 30, 2, 1, 0, "zero", (40, 45), 3),
     ):
-        fy, fx = (
-            np.arange(period[0] // 2 + 1)[:, None] / period[0],
-            np.arange(period[1] // 2 + 1) / period[1],
-        )
+        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
+        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
         tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
         if rows == 33:  # kernels that are off their centres: complex tables

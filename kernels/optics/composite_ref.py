@@ -5,11 +5,9 @@ import numpy as np
 
 def composite(lights, alphas, layers):
     """Return the stage's result, see `composite.py`."""
-    lights, alphas, layers = (
-        np.asarray(lights, np.float64),
-        np.asarray(alphas, np.float64),
-        np.asarray(layers),
-    )
+    lights = np.asarray(lights, np.float64)
+    alphas = np.asarray(alphas, np.float64)
+    layers = np.asarray(layers)
     out, through = 0.0, 1.0
     for k in np.unique(layers):
         light, coverage = lights[layers == k].sum(axis=0), alphas[layers == k].sum(axis=0)

@@ -123,11 +123,9 @@ def _shares(device, light, border):
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
-    room, share, defines = (
-        device.empty((rows + 3, cols + 3)),
-        device.empty((rows, cols)),
-        {"PLANES": 1, "BORDER": 0},
-    )
+    room = device.empty((rows + 3, cols + 3))
+    share = device.empty((rows, cols))
+    defines = {"PLANES": 1, "BORDER": 0}
     device.launch(
         "optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines
     )

@@ -114,11 +114,9 @@ def _area(planes, grid, shape, border, density):
 
 def _share(light, border):
     """Return the part of every sample that cubics may interpolate in all channels."""
-    (rows, cols), room, weights = (
-        light.shape[1:],
-        1.0,
-        _keys(np.subtract.outer([0.3, 0.5, 0.7], [-1, 0, 1, 2])),
-    )
+    rows, cols = light.shape[1:]
+    room = 1.0
+    weights = _keys(np.subtract.outer([0.3, 0.5, 0.7], [-1, 0, 1, 2]))
     for plane in np.pad(
         np.asarray(light, np.float64), [(0, 0), (3, 3), (3, 3)], mode=MODES[border]
     ):

@@ -250,10 +250,8 @@ class _Grids:
 
     def _of_level(self, own, weights, level):
         """Return parts (channels, parts, ...) whose sum is the field from this level on."""
-        some, is_last = (
-            np.ascontiguousarray(weights[:, :, self.down.of_level(level)]),
-            level == self.down.levels - 1,
-        )
+        some = np.ascontiguousarray(weights[:, :, self.down.of_level(level)])
+        is_last = level == self.down.levels - 1
         light = (
             self._both(own, "filters", level, weights=some, in_parts=is_last) if some.size else None
         )
@@ -287,11 +285,9 @@ class _Grids:
             (batch, planes, sums), stride = weights.shape, 0
         high, parts, (down, across, room) = HIGH, 1, self._both_matrices(name, of, HIGH)
         if batch * down.tiles * across.tiles < MANY:
-            high, parts, (down, across, room) = (
-                LOW,
-                sums if in_parts else 1,
-                self._both_matrices(name, of, LOW),
-            )
+            high = LOW
+            parts = sums if in_parts else 1
+            down, across, room = self._both_matrices(name, of, LOW)
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
         device.launch(

@@ -242,10 +242,8 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, mix, borde
                 source[places + one]
                 for source, places, one in zip(sources, (y, x), reach, strict=True)
             )
-            place, weight_place = (
-                np.ix_(from_y, from_x),
-                np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1)),
-            )
+            place = np.ix_(from_y, from_x)
+            weight_place = np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
         weights = coefficients[:, *weight_place]
         weighted = np.empty((index.shape[1], *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0

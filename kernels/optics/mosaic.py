@@ -135,14 +135,10 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
     """Transform columns, then rows forward, fold, rows back, columns: the form of GPUs."""
     count, rows, cols = planes.shape
-    (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = (
-        lines,
-        cfa.shape,
-    )
-    small, stored = (
-        tuple(length // n for length, n in zip(period, cfa.shape, strict=True)),
-        period[0] // 2 + 1,
-    )
+    columns_forward, rows_forward, rows_inverse, columns_inverse = lines
+    phases_y, phases_x = cfa.shape
+    small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
+    stored = period[0] // 2 + 1
     roots_y, roots_x = (fft.roots(device, length) for length in period)
     before = [(length - n) // 2 for length, n in zip(period, (rows, cols), strict=True)]
     shape = {
@@ -251,10 +247,8 @@ def _lines(local_bytes, period, cfa_shape):
     def most(choices, length):
         return next((n for n, lines in choices if fft.room(length, lines) <= local_bytes), None)
 
-    small, phases = (
-        tuple(length // n for length, n in zip(period, cfa_shape, strict=True)),
-        cfa_shape[0] * cfa_shape[1],
-    )
+    small = tuple(length // n for length, n in zip(period, cfa_shape, strict=True))
+    phases = cfa_shape[0] * cfa_shape[1]
     found = (
         most([(n, n) for n in (4, 2, 1)], period[0]),
         most([(n, n) for n in range(cfa_shape[0], 0, -1) if cfa_shape[0] % n == 0], period[1]),
@@ -293,10 +287,8 @@ def cases():
         (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0),
     ):
         channels = int(np.max(cfa)) + 1
-        fy, fx = (
-            np.arange(period[0] // 2 + 1)[:, None] / period[0],
-            np.arange(period[1] // 2 + 1) / period[1],
-        )
+        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
+        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
         planes = random.random((count, rows, cols))

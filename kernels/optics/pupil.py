@@ -150,10 +150,8 @@ def cases():
         "float32 adds 1e-6"
     )
     blur = np.pad(disc_power(1), (0, 2))
-    defocus, spherical = (
-        np.array([0.8, 1.5])[:, None, None] * blur,
-        0.5 * disc_power(2)[None] - 0.4 * blur,
-    )
+    defocus = np.array([0.8, 1.5])[:, None, None] * blur
+    spherical = 0.5 * disc_power(2)[None] - 0.4 * blur
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
     flat = np.zeros((1, 3, 3))
     for name, outline, waves, q, aperture, rows, cols, spots, diffuser, *displacement in (

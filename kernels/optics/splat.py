@@ -49,11 +49,9 @@ def splat(
         The mosaic with the lights, shape (rows, cols), float32.
     """
     rows, cols = mosaic.shape
-    mosaic, cfa, places = (
-        device.array(mosaic),
-        device.array(cfa, np.int32),
-        device.array(places, np.int32),
-    )
+    mosaic = device.array(mosaic)
+    cfa = device.array(cfa, np.int32)
+    places = device.array(places, np.int32)
     strength, cores, profiles = (device.array(values) for values in (strength, cores, profiles))
     out = device.empty((rows, cols))
     device.launch(

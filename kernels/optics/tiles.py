@@ -26,10 +26,8 @@ from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import LANES, LONGEST, Tiling
 
 # the kernels of CPUs and of GPUs
-LANES_STAGE, GROUPS_STAGE = (
-    "optics.tiles_lanes",
-    "optics.tiles_groups",
-)
+LANES_STAGE = "optics.tiles_lanes"
+GROUPS_STAGE = "optics.tiles_groups"
 MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
@@ -381,10 +379,8 @@ def _passes(length, step, sign, source, target):
     radices = _radices(length)
     between = ["B", "A"] if target == "SAVE" else ["A", "B"]
     places = [between[n % 2] for n in range(len(radices) - 1)][::-1]
-    reads, writes = (
-        [source, *(f"FROM_{place}" for place in places)],
-        [*(f"TO_{place}" for place in places), target],
-    )
+    reads = [source, *(f"FROM_{place}" for place in places)]
+    writes = [*(f"TO_{place}" for place in places), target]
     return " ".join(
         f"LANES_PASS({radix}, {prod(radices[:n])}, {length}, {step}, {sign}.0f, {reads[n]}, {writes[n]})"
         for n, radix in enumerate(radices)

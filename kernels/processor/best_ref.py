@@ -43,10 +43,8 @@ from gpusim.kernels.processor.levels import root_loss
 EDGE, DARK, ALIKE = 5 / 255, 10 / 255, 2 / 255  # E, K, D
 COLORED = 0.3  # T
 # of the variance: in interpolated red and blue, and in green before shrinkage
-KEPT_FOUND, KEPT_GREEN = (
-    0.34,
-    0.45,
-)
+KEPT_FOUND = 0.34
+KEPT_GREEN = 0.45
 RIM = 14
 
 
@@ -101,10 +99,8 @@ def best(
             short.append(0.6 * out[0] + 0.4 * out[1])
             far.append(sum(out) / 5)
             weights.append((EDGE + sum(np.roll(step, -side * n, axis) for n in range(4))) ** -2)
-    short, far = (
-        np.average(short, axis=0, weights=weights),
-        np.average(far, axis=0, weights=weights),
-    )
+    short = np.average(short, axis=0, weights=weights)
+    far = np.average(far, axis=0, weights=weights)
     tent = lambda plane, axis: (2 * plane + np.roll(plane, 1, axis) + np.roll(plane, -1, axis)) / 4  # noqa: E731
     like = (COLORED * (np.maximum(tent(tent(c, 0), 1), 0) + DARK)) ** 2
     alpha = (longest * like + shortest * far**2) / (like + far**2)

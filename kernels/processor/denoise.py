@@ -51,10 +51,8 @@ SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
 MOST_TWIN = 2.0
 BAND = 4  # rows of a work-item (denoise_warp.py too): they share the squares of their differences
 # columns of a CPU's work-item, and columns beyond that it reads: four are needed
-CHUNK, SPARE = (
-    64,
-    8,
-)
+CHUNK = 64
+SPARE = 8
 
 
 @stage

@@ -8,20 +8,16 @@ from gpusim.kernels.processor.flash import BETTER, HIGHLIGHT
 def flash(ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, reach=6.0):
     """Return the stage's result, see `flash.py`."""
     ambient, flash = np.asarray(ambient, np.float64), np.asarray(flash, np.float64)
-    half_a, half_f = (
-        1 / (2 * variance(ambient, ambient_noise)),
-        1 / (2 * variance(flash, flash_noise)),
-    )
+    half_a = 1 / (2 * variance(ambient, ambient_noise))
+    half_f = 1 / (2 * variance(flash, flash_noise))
     joint, own = Means(), Means()
     fullness = spread = 0
     for dy in range(-radius, radius + 1):
         for dx in range(-radius, radius + 1):
             near = np.exp(-(dy**2 + dx**2) / (2 * (radius / 2) ** 2))
             a, f = shift(ambient, dy, dx), shift(flash, dy, dx)
-            alike_f, alike_a = (
-                ((f - flash) ** 2 * half_f).mean(axis=0),
-                ((a - ambient) ** 2 * half_a).mean(axis=0),
-            )
+            alike_f = ((f - flash) ** 2 * half_f).mean(axis=0)
+            alike_a = ((a - ambient) ** 2 * half_a).mean(axis=0)
             joint.add(near * np.maximum(1 - alike_f / reach, 0) ** 2, np.stack([*a, *f, alike_f]))
             own.add(near * np.maximum(1 - alike_a / reach, 0) ** 2, a)
             fullness, spread = fullness + near * (f.max(axis=0) >= full), spread + near

@@ -183,12 +183,10 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
 
 def _by_groups(device, arrays, rows, cols, numbers, count, out):
     """Reduce on GPUs: a strip of a row, or a share of the frame, per work-group."""
-    strips, size, items, wide = (
-        -(-cols // STRIP),
-        rows * cols,
-        256,
-        512 if device.group_limit >= 512 else 256,
-    )
+    strips = -(-cols // STRIP)
+    size = rows * cols
+    items = 256
+    wide = 512 if device.group_limit >= 512 else 256
     launch = partial(device.launch, GROUPS)
     defines = {"STRIP": STRIP, "SHARE": SHARE, "ITEMS": items}
     parts = rows * strips

@@ -30,10 +30,8 @@ def illuminate(device: Device, maps: Array, coefficients: Array) -> Array:
     """
     lights, surfaces, shape = check_inputs(maps, coefficients)
     is_half = type_of(coefficients) == np.float16
-    maps, coefficients = (
-        device.array(maps),
-        device.array(coefficients, np.float16 if is_half else np.float32),
-    )
+    maps = device.array(maps)
+    coefficients = device.array(coefficients, np.float16 if is_half else np.float32)
     out = device.empty((lights * surfaces, *shape))
     if shape[0] * shape[1]:  # an inner loop that is not unrolled stops PoCL from vectorising
         device.launch(

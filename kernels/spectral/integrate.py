@@ -35,10 +35,8 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     """
     bands, rows, cols = content.shape
     is_half = type_of(content) == np.float16
-    content, weights = (
-        device.array(content, np.float16 if is_half else np.float32),
-        device.array(weights),
-    )
+    content = device.array(content, np.float16 if is_half else np.float32)
+    weights = device.array(weights)
     planes = weights.shape[0]
     out = device.empty((planes, rows, cols))
     name, given = "integrate_half" if is_half else "integrate", (content, weights, out, rows * cols)

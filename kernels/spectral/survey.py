@@ -73,11 +73,9 @@ def survey(
     # Warp's loops are vectors along the projections: these must be adjacent
     if not (device.is_gpu or opencl):
         table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
-    content, table, first = (
-        device.array(content),
-        device.array(table),
-        device.array(first, np.int32),
-    )
+    content = device.array(content)
+    table = device.array(table)
+    first = device.array(first, np.int32)
     ids = None if ids is None else device.array(ids, np.uint16)
     out = device.empty((pairs, 3, count + 1))
     if not pairs:

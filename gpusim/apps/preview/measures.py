@@ -32,10 +32,8 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
     found: dict = {"counts": counts, "full well": full, "black level": float(sensor.dark_level)}
     if at is not None and mean.ndim == 2:
         y, x = (min(max(place, 0), n - 1) for place, n in zip(at, mean.shape, strict=True))
-        electrons, noise = (
-            float(mean[y, x]),
-            RawNoise.of(sensor, program.simulator.readout.averaged),
-        )
+        electrons = float(mean[y, x])
+        noise = RawNoise.of(sensor, program.simulator.readout.averaged)
         sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
         numbers = min(
             electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level

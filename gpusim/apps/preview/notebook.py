@@ -61,10 +61,8 @@ def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") ->
     scene = checked_scene(open_scene(scene) if isinstance(scene, str | PathLike) else scene)
     state: State
     if isinstance(camera, Camera):
-        state, table = (
-            Given(camera.name, tolerance=tolerance, is_live=False, given=camera),
-            table_of(camera),
-        )
+        state = Given(camera.name, tolerance=tolerance, is_live=False, given=camera)
+        table = table_of(camera)
     else:
         state = State(str(camera), tolerance=tolerance, is_live=False)
         table = camera_table(state.camera)[1]

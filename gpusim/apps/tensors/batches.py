@@ -120,10 +120,8 @@ class Batch:
             GpusimError: As `Simulator.frames` does.
         """
         values = describe_array(pictures, "pictures")
-        shape, channels = (
-            tuple(values.shape),
-            (1, 3) if self.wavelengths is None else (len(self.wavelengths),),
-        )
+        shape = tuple(values.shape)
+        channels = (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
         if len(shape) != 4 or 0 in shape or shape[1] not in channels:
             raise BadData(
                 f"pictures: {shape}, wanted (pictures, channels, rows, cols), "

@@ -301,10 +301,8 @@ class Episode(EncodedFile):
             ):
                 notes.append((file["known"], file["counts"]))
         known = np.concatenate([one for one, _ in notes])
-        frames, begin = (
-            np.arange(len(known)),
-            self._before[-1]["dataset_to_index"] if self._before else 0,
-        )
+        frames = np.arange(len(known))
+        begin = self._before[-1]["dataset_to_index"] if self._before else 0
         values = [
             *known.T,
             np.full(len(known), self._seed),

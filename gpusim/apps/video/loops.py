@@ -213,10 +213,8 @@ def meter_scenes(
     vergence: list[float] = []
     with closing(ahead(scenes.between(0, scenes.count), READ)) as arriving:
         for number, shown in enumerate(arriving):
-            scene, camera = (
-                ramps.scene(shown, number / last),
-                ramps.camera(simulator.camera, number / last),
-            )
+            scene = ramps.scene(shown, number / last)
+            camera = ramps.camera(simulator.camera, number / last)
             if lags.focus is not None:
                 vergence.append(1 / _distance(scene))
                 camera = replace(

@@ -78,10 +78,8 @@ def _colour_of(shape, f_number, device):
     )
     values = np.stack([make_texture(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
-    simulator, words = (
-        Simulator(camera, device=device, tolerance="1e-3"),
-        f"{shape[1]} x {shape[0]}, f/{f_number:g}",
-    )
+    simulator = Simulator(camera, device=device, tolerance="1e-3")
+    words = f"{shape[1]} x {shape[0]}, f/{f_number:g}"
     try:
         program = simulator.program(scene, 1.0)
         frame = program.frame()
@@ -151,11 +149,9 @@ def measured_lens(shape, waves, count, size):
     # rounding leaves some at -1e-20
     psf = PointSpread([550.0], np.maximum(values, 0), pitch / 4, heights=heights)
     lens = open_lens(Optics(2.8, 4e-3, model="measured", psf=psf), pitch, 1.0, shape)
-    middle, corner, cut = (
-        (np.array(shape) - 1) / 2,
-        np.hypot(*shape) / 2,
-        (lens.least_size - size + 1) // 2,
-    )
+    middle = (np.array(shape) - 1) / 2
+    corner = np.hypot(*shape) / 2
+    cut = (lens.least_size - size + 1) // 2
 
     def kernels(places):
         made = np.stack(

@@ -143,10 +143,8 @@ def at_the_corner(device):
             if mirrored
             else [place]
         )
-        weights, more = (
-            electrons_per_content(lit, CAMERA),
-            np.float64(np.float32(100.0)) - np.float32(1e-3),
-        )
+        weights = electrons_per_content(lit, CAMERA)
+        more = np.float64(np.float32(100.0)) - np.float32(1e-3)
         adds = sum(
             np.multiply.outer(
                 weights[:, band] * more,

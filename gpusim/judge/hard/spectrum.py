@@ -219,10 +219,8 @@ def _truth_of_points(places, weights, levels, near=40, far=160):
     at = np.arange(-far, far + 1)
     cfa, cell = np.tile(CFA, (size // 2, size // 2)), slice(far - HALF, far + HALF + 1)
     radius, inner = np.maximum(np.hypot(at[:, None], at), 1), slice(far - near, far + near + 1)
-    total, own = (
-        np.zeros((3, size + 2 * far, size + 2 * far)),
-        np.zeros((301, 4, 2 * HALF + 1, 2 * HALF + 1)),
-    )
+    total = np.zeros((3, size + 2 * far, size + 2 * far))
+    own = np.zeros((301, 4, 2 * HALF + 1, 2 * HALF + 1))
 
     def pattern(k):
         q = SWEEP[k] * 1e-9 * 2.8 / 1.4e-6

@@ -74,15 +74,11 @@ def _behind_edges(question, depth):
     )
     light, own, wrong = None, 0.0, 0.0
     for content, alpha, confusion in reversed(depth.sheets):
-        front, width = (
-            content.on_host().brightness(question.light).astype(np.float64),
-            np.abs(confusion).mean() / 4,
-        )
+        front = content.on_host().brightness(question.light).astype(np.float64)
+        width = np.abs(confusion).mean() / 4
         if light is not None:
-            cover, behind = (
-                gaussian_filter(np.asarray(alpha, np.float64), width),
-                gaussian_filter(light, own),
-            )
+            cover = gaussian_filter(np.asarray(alpha, np.float64), width)
+            behind = gaussian_filter(light, own)
             apart = [idctn(dctn(one) * seen) for one in (cover * behind, cover, behind)]
             wrong += float(np.mean((apart[0] - apart[1] * apart[2]) ** 2))
         light = front if light is None else alpha * front + (1 - alpha) * light
@@ -99,11 +95,9 @@ def _one_distance(question, probes):
     than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
     of a sample cannot be shown without composition.
     """
-    optics, scene, depth = (
-        question.optics,
-        question.scene,
-        np.asarray(question.facts.depth, np.float64),
-    )
+    optics = question.optics
+    scene = question.scene
+    depth = np.asarray(question.facts.depth, np.float64)
     if any(
         np.any((np.asarray(layer.alpha) > 0) & (np.asarray(layer.alpha) < 1))
         for layer in scene.layers

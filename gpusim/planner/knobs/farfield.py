@@ -36,15 +36,11 @@ from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
 # [sample] of a frame along an axis, and of its blurred surroundings
-LEAST_SIDE, LEAST_REACH = (
-    8,
-    16,
-)
+LEAST_SIDE = 8
+LEAST_REACH = 16
 # the least reach in q (twice that over the part between the rims), and in radii of the rays
-RINGS, RADII = (
-    4.0,
-    4.0,
-)
+RINGS = 4.0
+RADII = 4.0
 LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and its dependences, were measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
@@ -65,18 +61,14 @@ DARK_SEAM = 0.15
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 # q of a pixel of samples below which it averages waves away; the least part left
-FINER, LEAST = (
-    3.0,
-    0.3,
-)
+FINER = 3.0
+LEAST = 0.3
 DISTANCES = 64  # from the seam, at which waves are added up
 POINTS, PLACES = 32, 128  # of light in a strip, and places at which they are seen
 # reaches of waves that count; radii in a wave, and all of them at most
-FARTHEST, FINE, MOST_RADII = (
-    8,
-    12,
-    8192,
-)
+FARTHEST = 8
+FINE = 12
+MOST_RADII = 8192
 # frequencies of light that changes slowly [1/sample]
 SLOW = tuple(np.geomspace(1 / 4096, 1 / 128, 32))
 SPLINES = 1e-7  # relative RMS of the far field's own sums
@@ -205,14 +197,10 @@ def _image_error(outside, question, reach):
     for lines in (image, image[::-1], image.T, image.T[::-1]):
         strip = lines[:depth]
         at = np.argpartition(strip, -min(POINTS, strip.size), axis=None)[-POINTS:]
-        (deep, along), light = (
-            np.unravel_index(at, strip.shape),
-            np.maximum(strip.flat[at] - outside.level, 0),
-        )
-        rows, cols = (
-            random.uniform(0, len(strip), PLACES),
-            random.uniform(0, strip.shape[1], PLACES),
-        )
+        deep, along = np.unravel_index(at, strip.shape)
+        light = np.maximum(strip.flat[at] - outside.level, 0)
+        rows = random.uniform(0, len(strip), PLACES)
+        cols = random.uniform(0, strip.shape[1], PLACES)
         far = np.hypot(2 * reach + np.add.outer(rows, deep), np.subtract.outer(cols, along))
         seen = np.array([np.interp(far, r, kernel, right=0.0) @ light for kernel in kernels])
         total += float(question.share @ np.mean(seen**2, axis=1)) * strip.size / image.size

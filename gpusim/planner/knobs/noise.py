@@ -10,10 +10,8 @@ from gpusim.domain.tolerance import Tolerance
 
 FAR = 10.0  # times below the tolerance
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
-QUANTILE, MAXIMUM = (
-    3.3,
-    5.0,
-)
+QUANTILE = 3.3
+MAXIMUM = 5.0
 RESPONSES = {"prnu": "PRNU", "row_prnu": "PRNU of rows", "column_prnu": "PRNU of columns"}
 OFFSETS = {"dsnu": "DSNU", "row_dsnu": "DSNU of rows", "column_dsnu": "DSNU of columns"}
 
