@@ -1,7 +1,7 @@
 """The error budget of a plan, by cause, and the verdict on a tolerance."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import asdict, dataclass, field
 from math import hypot, inf, isfinite
 from typing import Any
 
@@ -29,7 +29,12 @@ class Bound:
     @property
     def is_known(self) -> bool:
         """True if all three figures are finite; for UNKNOWN they are not."""
-        return all(map(isfinite, astuple(self)))
+        return all(map(isfinite, self.figures))
+
+    @property
+    def figures(self) -> tuple[float, float, float]:
+        """The three figures."""
+        return self.rms, self.p999_sigma, self.max_sigma
 
     def as_dict(self) -> dict[str, float | None]:
         """Return plain data for JSON. Unknown figures become None, because JSON has no infinity."""
@@ -76,7 +81,7 @@ def total(bounds: Iterable[Bound]) -> Bound:
     """
     bounds = [bound for bound in bounds if bound.is_known]
     return (
-        Bound(*(hypot(*figures) for figures in zip(*map(astuple, bounds), strict=True)))
+        Bound(*(hypot(*figures) for figures in zip(*(bound.figures for bound in bounds), strict=True)))
         if bounds
         else Bound()
     )
