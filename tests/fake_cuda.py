@@ -389,7 +389,7 @@ def two_cuda(monkeypatch, native):
     """The two devices, also by their names. native: OpenCL device for what Warp has no kernels for."""
     FAKE.__init__()
     FAKE.start()
-    monkeypatch.setattr(backend, "started_warp", lambda: FAKE)
+    monkeypatch.setattr(backend, "start_warp", lambda: FAKE)
     TwoCuda.shared = native
     devices = [TwoCuda(f"cuda:{ordinal}", f"warp:cuda:{ordinal}") for ordinal in range(2)]
     opened = open_device.__globals__["_open"]

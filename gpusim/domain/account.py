@@ -81,7 +81,9 @@ def total(bounds: Iterable[Bound]) -> Bound:
     """
     bounds = [bound for bound in bounds if bound.is_known]
     return (
-        Bound(*(hypot(*figures) for figures in zip(*(bound.figures for bound in bounds), strict=True)))
+        Bound(
+            *(hypot(*figures) for figures in zip(*(bound.figures for bound in bounds), strict=True))
+        )
         if bounds
         else Bound()
     )

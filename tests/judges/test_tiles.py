@@ -23,7 +23,7 @@ def seen(monkeypatch, scene, lens, overlap, device="numpy", tolerance=1e-6):
     monkeypatch.setattr(model, "OVERLAPS", (overlap,))
     monkeypatch.setattr(
         planner,
-        "chosen",
+        "choose_option",
         lambda found, tolerance: max(
             (option for option in found if option.around.tiling),
             key=lambda option: option.way.count,

@@ -312,9 +312,9 @@ def test_an_array_is_not_taken_for_one_that_is_gone(device):
     assert len(_OWNERS) <= known  # nothing is known of what is gone, wherever the next array is
     for name in range(20):
         made = cache(f"second {name}", empty, device, 1)
-        before = cache.versioned(made)
+        before = cache.with_versions(made)
         assert cache(f"second {name}", empty, device, 2) is made  # written again, as by tapes
-        assert cache.versioned(made).version > before.version
+        assert cache.with_versions(made).version > before.version
 
 
 def empty(device, number):
