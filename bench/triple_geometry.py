@@ -175,7 +175,7 @@ def _newton(distortion, x, y, u, v, step):
 def model_of(scene, camera):
     """Return the distortion for this frame, None without one."""
     distortion = camera.optics.distortion
-    if hasattr(distortion, "framed"):
+    if hasattr(distortion, "fit_to_frame"):
         return distortion.fit_to_frame(scene.shape, camera.sensor.pixel_pitch)
     return distortion
 
@@ -183,7 +183,7 @@ def model_of(scene, camera):
 def axis_of(scene, camera) -> tuple[float, float]:
     """Return the principal point from the frame's middle, (rows, cols) [pixel]."""
     calibration = camera.optics.distortion
-    if not hasattr(calibration, "framed"):
+    if not hasattr(calibration, "fit_to_frame"):
         return 0.0, 0.0
     rows, cols = scene.shape
     return (

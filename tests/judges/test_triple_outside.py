@@ -88,7 +88,11 @@ def test_between_samples_are_waves():
 )
 def test_undisplaced_points_are_displaced_back(distortion):
     """The inverse is one; the ideal area over the seen one is that of small triangles, to their size squared."""
-    model = distortion.fit_to_frame((40, 48), 1.0) if hasattr(distortion, "fit_to_frame") else distortion
+    model = (
+        distortion.fit_to_frame((40, 48), 1.0)
+        if hasattr(distortion, "fit_to_frame")
+        else distortion
+    )
     x, y = np.random.default_rng(0).uniform(-20, 20, (2, 50))
     u, v, area = geometry.undisplace(model, x, y, 1e-3)
     for got, wanted in zip(geometry.displace(model, u, v), (x, y), strict=True):
