@@ -79,26 +79,32 @@ class _OnHost:
         return tables
 
 
-class Kept(Protocol):
-    """Stores values that the planner computes, for the next plan: for example `gpusim.pipeline.cache.Kept`."""
+class Caching(Protocol):
+    """Stores results of functions for the next plan, such as `gpusim.pipeline.cache.Cache`."""
 
-    def __call__(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
-        """Return the value stored under `name` if its key equals `key`, else make and store it.
-
-        key: everything that `make` depends on.
-        """
+    def __call__(self, name: str, function: Callable, *args: Any) -> Any:
+        """Return `function(*args)`, computed only if an argument has changed since the last call of this name."""
 
 
-def make_always(name: str, key: Any, make: Callable[[], Any]) -> Any:
-    """Return `make()`: a `Kept` that stores nothing."""
-    return make()
+def call_always(name: str, function: Callable, *args: Any) -> Any:
+    """Return `function(*args)`: a `Caching` that stores nothing."""
+    return function(*args)
+
+
+def sample_lens(optics, pitch, q, aperture, rows, cols, displacement) -> np.ndarray:
+    """Return tables of a lens: see `Tables.of`. pitch: distance of the samples [m]."""
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    if lens.symmetry.is_round:
+        return lens.tables(q, rows, cols, _OnHost())
+    nodes, between = wavelength_nodes(q)  # q is proportional to the wavelength
+    return np.tensordot(between, lens.tables(nodes, rows, cols, _OnHost()), 1)
 
 
 class Tables:
     """Transfer tables of a lens in front of pixels of `pitch` [m]."""
 
-    def __init__(self, optics: Optics, pitch: float, kept: Kept):
-        self._optics, self._pitch, self._kept = optics, pitch, kept
+    def __init__(self, optics: Optics, pitch: float, cache: Caching):
+        self._optics, self._pitch, self._cache = optics, pitch, cache
 
     def of(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)) -> np.ndarray:
         """Return tables at all frequencies of a period, see `transfer_tables`.
@@ -113,17 +119,16 @@ class Tables:
             finer: Samples per pixel.
             displacement: Displacement of the apertures from the samples [sample].
         """
-        optics, pitch = self._optics, self._pitch / finer
-
-        def make():
-            lens = open_lens(optics, pitch, aperture, displacement=displacement)
-            if lens.symmetry.is_round:
-                return lens.tables(q, rows, cols, _OnHost())
-            nodes, between = wavelength_nodes(q)  # q is proportional to the wavelength
-            return np.tensordot(between, lens.tables(nodes, rows, cols, _OnHost()), 1)
-
-        return self._kept(
-            f"sampled {rows}x{cols} {finer:g}", (optics, pitch, q, aperture, displacement), make
+        return self._cache(
+            f"sampled {rows}x{cols} {finer:g}",
+            sample_lens,
+            self._optics,
+            self._pitch / finer,
+            q,
+            aperture,
+            rows,
+            cols,
+            displacement,
         )
 
     def even(self, q, aperture, period, finer, displacement) -> np.ndarray:

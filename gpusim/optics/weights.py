@@ -62,10 +62,15 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     return (product * trapezoid) @ cardinal(grid).reshape(len(grid), -1)
 
 
-def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
+def electrons_per_content(
+    scene: Scene,
+    camera: Camera,
+    cache: Callable = lambda _, function, *args: function(*args),
+) -> np.ndarray:
     """Return electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
 
-    Raises BadData if the camera sees none of the light.
+    cache: function `cache(name, function, *args)` that may return an earlier result. Raises BadData if the camera sees
+    none of the light.
     """
     optics, sensor = camera.optics, camera.sensor
     factors = [scene.illuminant, sensor.qe]
@@ -76,7 +81,7 @@ def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
         constant *= optics.transmission
     nodes = scene.wavelengths
     try:
-        weights = constant * product_weights(nodes, *factors)
+        weights = constant * cache("electrons", product_weights, nodes, *factors)
     except BadData as error:
         raise BadData(f"{scene.name} by {camera.name}: {error}") from None
     if not (weights > 0).any():

@@ -66,16 +66,6 @@ class Cache:
         """
         return self.run(name, function, args, kwargs, {})
 
-    def by_key(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
-        """Return `make()`, computed only if the key has changed. For `gpusim.planner`, which names its keys itself."""
-        found = self._entries.get(name)
-        if found is not None and same(found[0], key):
-            return found[1]
-        with recording(None):
-            value = make()
-        self._entries[name] = key, value, None
-        return value
-
     def run(
         self, name: str, function: Callable, args: tuple, kwargs: Mapping, numbers: Mapping
     ) -> Any:
@@ -222,7 +212,7 @@ def compare(a, b, by_identity: tuple = BY_IDENTITY) -> int:
         if a.value is b.value:
             return SAME if a.version == b.version else REFILLED
         return REPLACED if _is_replaceable(a.value, b.value) else OTHER
-    if isinstance(a, PLAIN):
+    if isinstance(a, (*PLAIN, MethodType)):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
         return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER

@@ -51,7 +51,7 @@ class Imaging:
 
     def __init__(self, camera: Camera, device: Device, cache: Cache):
         self.camera, self.device, self._cache = camera, device, cache
-        self.tables = LensTables(camera, device, cache.by_key)
+        self.tables = LensTables(camera, device, cache)
 
     def steps(self, plan: Plan) -> list[Step]:
         """Return the steps of a plan from the values "content" and "view" to the mean electrons "mean".

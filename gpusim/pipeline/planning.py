@@ -214,5 +214,5 @@ def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
 def _plan_options(simulator):
     """Return the options of a simulator's plans, without the tolerance."""
     return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
-        "kept": simulator.cache.by_key
+        "cache": simulator.cache
     }

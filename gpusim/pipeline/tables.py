@@ -1,8 +1,8 @@
 """Transfer tables of a camera's lens, integrated over its pixels."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 import scipy
@@ -56,10 +56,8 @@ class _OnDevice:
 class LensTables:
     """Tables of a camera on a device, each stored until lens, pixels, wavelengths or period change."""
 
-    def __init__(self, camera: Camera, device: Device, kept: Callable):
-        self.camera, self.device, self._kept = camera, device, kept
-        sensor = camera.sensor
-        self._made_of = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
+    def __init__(self, camera: Camera, device: Device, cache: Callable):
+        self.camera, self.device, self._cache = camera, device, cache
 
     def grid(self, samples_per_pixel):
         """Return the distance of the samples that are blurred [m], and the size of their apertures [sample].
@@ -85,19 +83,18 @@ class LensTables:
     def transfer(self, plan: Plan):
         """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
-        name = f"transfer {plan.mix.shape}"  # tables of its wavelengths next to tables of a plan
+        made_of = self._made_of(plan), plan.period, plan.transfers
         if plan.is_draft and (short := self._short(plan)):
-            return self._kept("drafted", (short, self._key(plan)), lambda: self._widen(plan, short))
+            return self._cache("drafted", widen_tables, *made_of, short, self.device)
+        # tables of its wavelengths next to tables of a plan
+        name = f"transfer {plan.mix.shape}"
+        return self._cache(name, make_tables, *made_of, plan.far, self.device)
 
-        def make():
-            tables, far = self.combine(plan, self.all_bands(plan)), plan.far
-            if far is None:
-                return tables
-            # without the Gaussians of the endless world
-            energies = far.energies(plan.transfers)
-            return near(tables, energies, far.sigmas, plan.period, device=self.device)
-
-        return self._kept(name, self._key(plan), make)
+    def _made_of(self, plan) -> tuple:
+        """Everything that tables of wavelengths depend on: lens, distance and size of samples, displacement, and q."""
+        ratio = plan.scene.samples_per_pixel
+        displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
+        return self.camera.optics, *self.grid(ratio), displacement, plan.q
 
     def _short(self, plan):
         """A short period that holds most of the light of points, if a CPU would be slow at the plan's; or 0.
@@ -116,44 +113,10 @@ class LensTables:
         short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
         return short if 2 * short <= min(plan.period) else 0
 
-    def _widen(self, plan, short):
-        """Tables of the plan's period from kernels of a short period and few wavelengths, padded with zeros."""
-        rows, cols = plan.period
-        nodes, between = wavelength_nodes(plan.q)  # q goes with the wavelength
-        few = replace(plan, q=nodes, transfers=plan.transfers @ between, period=(short, short))
-        tables = self.device.numpy(self.combine(few, self.all_bands(few)))
-        kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
-        middle = short // 2
-        wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
-        wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]
-        along = scipy.fft.rfft(wide, workers=-1)
-        tables = np.zeros((*along.shape[:-2], rows, along.shape[-1]), np.complex64)
-        tables[..., :middle, :], tables[..., -middle:, :] = (
-            along[..., :middle, :],
-            along[..., middle:, :],
-        )
-        tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
-        return self.device.array(tables.view(np.float32))
-
-    def _key(self, plan):
-        """Everything that the tables of a plan depend on."""
-        far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
-        return (
-            *far,
-            self._made_of,
-            plan.q,
-            self.grid(plan.scene.samples_per_pixel),
-            plan.period,
-            plan.mix.shape,
-            plan.transfers,
-        )
-
     def _lens(self, plan):
         """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
-        ratio = plan.scene.samples_per_pixel
-        displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
-        pitch, aperture = self.grid(ratio)
-        return open_lens(self.camera.optics, pitch, aperture, displacement=displacement)
+        optics, pitch, aperture, displacement, _ = self._made_of(plan)
+        return open_lens(optics, pitch, aperture, displacement=displacement)
 
     def all_bands(self, plan: Plan, distance: float | None = None):
         """Return transfer tables of every wavelength of a plan, as the stages take them.
@@ -165,7 +128,7 @@ class LensTables:
         Returns:
             Quarters if the blur is round, else halves: see `gpusim.optics.lens.Lens.tables`.
         """
-        return self._lens(plan).tables(plan.q, *plan.period, _OnDevice(self.device), distance)
+        return bands_of(self._made_of(plan), plan.period, self.device, distance)
 
     def at_distance(self, plan: Plan, kernel: int):
         """Return tables for objects at the distance of one of the plan's kernels: of its planes, and of white.
@@ -173,61 +136,109 @@ class LensTables:
         Tables of planes are stored for the next frame; those for all wavelengths are too large.
         """
         assert plan.depth is not None
-        distance = plan.depth.distances[kernel]
-        white = plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300)
-        flat = np.broadcast_to(plan.flat, plan.q.shape)
-
-        def made():
-            bands, own = self.all_bands(plan, distance), self._flat(plan, distance)
-            if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
-                bands = integrate(bands, self.device.array(np.diag(flat / own)), device=self.device)
-            cover = integrate(bands, self.device.array(white / flat), device=self.device)
-            return self.combine(plan, bands), self.device.reshape(
-                cover, (len(white), 1, *bands.shape[1:])
-            )
-
-        if plan.transfers is None:
-            return made()
-        return self._kept(
-            f"transfer at {kernel}", (distance, white, plan.flat, *self._key(plan)), made
+        made_of = (
+            self._made_of(plan),
+            plan.period,
+            plan.transfers,
+            plan.depth.distances[kernel],
+            plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300),
+            np.broadcast_to(plan.flat, plan.q.shape),
+            self.device,
         )
-
-    def _flat(self, plan: Plan, distance: float) -> np.ndarray:
-        """Response to a flat field of 1 at `distance`, if every sample is a unit point source, shape (L,)."""
-        lens = self._lens(plan)
-        if min(lens.aperture) == 1:
-            return np.ones(len(plan.q))
-        return exact_tables(lens, plan.q, 1, 1, distance)[:, 0, 0]
+        if plan.transfers is None:
+            return tables_at_distance(*made_of)
+        return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
 
     def deviation(self, plan: Plan) -> float:
         """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""
         if plan.mix is None:
             return 0.0
-        sensor, q = self.camera.sensor, plan.q / plan.scene.samples_per_pixel
+        sensor, ratio = self.camera.sensor, plan.scene.samples_per_pixel
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+        light = plan.weights.sum(axis=0)
+        made_of = self.camera.optics, sensor.pixel_pitch, aperture, plan.q / ratio, light
+        return self._cache("deviation", fit_gaussian, *made_of)
 
-        def deviation():
-            # four points along a pixel, to exclude frequencies that a grid of pixels folds onto this one
-            pitch, sides = sensor.pixel_pitch / 4, tuple(4 * side for side in aperture)
-            tables = transfer_tables(self.camera.optics, pitch, 4 * q, sides, 32, 32)
-            if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
-                tables = np.ascontiguousarray(tables).view(complex)
-            light = plan.weights.sum(axis=0)
-            passed = [
-                light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
-                for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)
-            ]
-            return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
 
-        return self._kept("deviation", (self._made_of, q, plan.weights), deviation)
+def bands_of(made_of, period, device, distance=None) -> Any:
+    """Return transfer tables of every wavelength: see `LensTables.all_bands`. made_of: see `LensTables._made_of`."""
+    optics, pitch, aperture, displacement, q = made_of
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    rows, cols = period
+    return lens.tables(q, rows, cols, _OnDevice(device), distance)
 
-    def combine(self, plan, bands):
-        """Return transfer tables of the plan's planes from tables of its wavelengths."""
-        device = self.device
-        if plan.transfers is None:
-            return device.reshape(bands, (1, *bands.shape))
-        channels, planes, count = plan.transfers.shape
-        tables = integrate(
-            bands, device.array(plan.transfers.reshape(channels * planes, count)), device=device
-        )
-        return device.reshape(tables, (channels, planes, *bands.shape[1:]))
+
+def combine_bands(bands, transfers, device) -> Any:
+    """Return transfer tables of planes (groups, planes, ...) from tables of wavelengths.
+
+    transfers: weight of each wavelength in each plane, (C, planes, L); None: each plane is one wavelength.
+    """
+    if transfers is None:
+        return device.reshape(bands, (1, *bands.shape))
+    channels, planes, count = transfers.shape
+    weights = device.array(transfers.reshape(channels * planes, count))
+    tables = integrate(bands, weights, device=device)
+    return device.reshape(tables, (channels, planes, *bands.shape[1:]))
+
+
+def make_tables(made_of, period, transfers, far, device) -> Any:
+    """Return transfer tables of planes, without the Gaussians of the endless world. far: these, or None."""
+    tables = combine_bands(bands_of(made_of, period, device), transfers, device)
+    if far is None:
+        return tables
+    return near(tables, far.energies(transfers), far.sigmas, period, device=device)
+
+
+def widen_tables(made_of, period, transfers, short, device) -> Any:
+    """Return tables of a period from kernels of a short period and few wavelengths, padded with zeros."""
+    rows, cols = period
+    *lens, q = made_of
+    nodes, between = wavelength_nodes(q)  # q goes with the wavelength
+    bands = bands_of((*lens, nodes), (short, short), device)
+    tables = device.numpy(combine_bands(bands, transfers @ between, device))
+    kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
+    middle = short // 2
+    wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
+    wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]
+    along = scipy.fft.rfft(wide, workers=-1)
+    tables = np.zeros((*along.shape[:-2], rows, along.shape[-1]), np.complex64)
+    tables[..., :middle, :] = along[..., :middle, :]
+    tables[..., -middle:, :] = along[..., middle:, :]
+    tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
+    return device.array(tables.view(np.float32))
+
+
+def tables_at_distance(made_of, period, transfers, distance, white, flat, device) -> tuple:
+    """Return tables for objects at a distance [m]: of the planes, and of white in the channels.
+
+    white: weight of each wavelength in each channel, (C, L). flat: response to a flat field in focus, if every sample
+    is a unit point source, shape (L,).
+    """
+    optics, pitch, aperture, displacement, q = made_of
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    bands = bands_of(made_of, period, device, distance)
+    own = np.ones(len(q))
+    if min(lens.aperture) != 1:
+        own = exact_tables(lens, q, 1, 1, distance)[:, 0, 0]
+    if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
+        bands = integrate(bands, device.array(np.diag(flat / own)), device=device)
+    cover = integrate(bands, device.array(white / flat), device=device)
+    cover = device.reshape(cover, (len(white), 1, *bands.shape[1:]))
+    return combine_bands(bands, transfers, device), cover
+
+
+def fit_gaussian(optics, pixel_pitch, aperture, q, light) -> float:
+    """Return the deviation [pixel] of the Gaussian that equals a lens at 1/4 cycle per pixel.
+
+    aperture: height and width [pixel]. light: weight of each wavelength, shape (L,).
+    """
+    # four points along a pixel, to exclude frequencies that a grid of pixels folds onto this one
+    sides = tuple(4 * side for side in aperture)
+    tables = transfer_tables(optics, pixel_pitch / 4, 4 * q, sides, 32, 32)
+    if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
+        tables = np.ascontiguousarray(tables).view(complex)
+    passed = [
+        light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
+        for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)
+    ]
+    return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))

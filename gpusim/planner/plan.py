@@ -1,8 +1,9 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.sampling import Taps
-from gpusim.optics.tables import Kept, make_always
+from gpusim.optics.tables import Caching, call_always
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs import (
     blur,
@@ -307,7 +308,7 @@ def plan(
     guaranteed: bool = False,
     reach: int | None = None,
     period: tuple[int, int] | None = None,
-    kept: Kept = make_always,
+    cache: Caching = call_always,
     facts: Facts | None = None,
     exposure_time: float | None = None,
     single: bool = True,
@@ -321,7 +322,7 @@ def plan(
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
     needs, if that is not too much (`most_reach`). period: of the transforms [sample], for the reference: no mosaic is
-    folded and no highlight split off then. kept: gives what was made for plans before, see `Kept`; by default nothing.
+    folded and no highlight split off then. cache: gives results of earlier plans, see `Caching`; by default nothing.
     facts: of the scene, where they were read before. exposure_time: that it will be exposed for, where it is not the
     camera's own [s].
     single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which the
@@ -340,7 +341,7 @@ def plan(
         guaranteed=guaranteed,
         reach=reach,
         period=period,
-        kept=kept,
+        cache=cache,
         on_gpu=on_gpu,
         least=least,
     )
@@ -352,7 +353,7 @@ def plan(
         blurred = question = question.with_limit(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
-    told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
+    told = functools.cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
         geometry.note_view(question, told(), notes)
     placed = geometry.plan_distortion(question, told, notes)

@@ -17,7 +17,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lens import Lens, open_lens
-from gpusim.optics.tables import Kept, Tables
+from gpusim.optics.tables import Caching, Tables
 from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
@@ -35,7 +35,7 @@ class Question:
         scene: The scene.
         camera: The camera.
         facts: Of the content that goes through the blur: of the scene, or of the scene without its highlights.
-        tolerance: See `gpusim.planner.plan.plan`. So are guaranteed, reach, period and kept.
+        tolerance: See `gpusim.planner.plan.plan`. So are guaranteed, reach, period and cache.
         weights: Electrons per second in each channel for content 1 at each wavelength, shape (C, L).
         on_gpu: Whether a GPU computes the frame. Relative costs of its steps differ from a CPU's.
         least: Planes that a blur has at least; 0: the blur may be left out.
@@ -62,7 +62,7 @@ class Question:
     guaranteed: bool
     reach: int | None
     period: tuple[int, int] | None
-    kept: Kept
+    cache: Caching
     weights: np.ndarray
     on_gpu: bool = False
     least: int = 0
@@ -114,12 +114,7 @@ class Question:
         cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked
     ) -> "Question":
         """Return the question that `plan` is called with. Raises BadData, OutOfRange."""
-        kept, optics, sensor = asked["kept"], camera.optics, camera.sensor
-        weights = kept(
-            "electrons",
-            (scene.illuminant, scene.wavelengths, optics, sensor.aperture, sensor.qe),
-            lambda: electrons_per_content(scene, camera),
-        )
+        weights = electrons_per_content(scene, camera, asked["cache"])
         check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
         made._check()
@@ -203,13 +198,12 @@ class Question:
     @property
     def spread(self) -> float:
         """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
-        of = self.optics, self.scene.wavelengths, self.pitch
-        return self.kept("spread", of, lambda: self.lens.spread(self.scene.wavelengths))
+        return self.cache("spread", _spread, self.optics, self.pitch, self.scene.wavelengths)
 
     @property
     def tables(self) -> Tables:
         """Transfer tables of the lens."""
-        return Tables(self.optics, self.sensor.pixel_pitch, self.kept)
+        return Tables(self.optics, self.sensor.pixel_pitch, self.cache)
 
     @cached_property
     def lens(self) -> Lens:
@@ -301,3 +295,8 @@ class Notes:
             self.beside[name or words] = bound.rms
         elif bound != DECLARED:
             self.bounds[name or words] = bound
+
+
+def _spread(optics, pitch, wavelengths) -> float:
+    """Return the radius within which the rays of a point meet the image [sample]."""
+    return open_lens(optics, pitch).spread(wavelengths)

@@ -21,6 +21,7 @@ which O has an edge: the directions of the polygon's sides, and the corners of t
 """
 
 from math import floor
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,10 @@ def pupil(
     # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
     block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
     grid = (-(-len(q) // block), fy.size, fx.size)
-    launching = {"defines": {"BANDS": block}, "group": (1, 1, 1) if block > 1 else None}
+    launching: dict[str, Any] = {
+        "defines": {"BANDS": block},
+        "group": (1, 1, 1) if block > 1 else None,
+    }
     if real:
         table = device.array(radial_table(outline, waves))
         tables = device.empty((len(q), fy.size, fx.size))

@@ -4,6 +4,8 @@ Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_
 camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -76,11 +78,12 @@ def adaptive(
     difference = device.empty((rows, pairs))
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
-    factors = np.sqrt(factors) if root else factors
-    mosaic = (
+    red, blue = map(float, np.sqrt(factors) if root else factors)
+    mosaic: tuple = (
         float(black_level),
         float(limit),
-        *map(float, factors),
+        red,
+        blue,
         red_row,
         red_col,
         run,
@@ -89,7 +92,10 @@ def adaptive(
     )
     if device.kind != "opencl":
         mosaic += (int(root),)
-    options = {"defines": {"ROOT": int(root)}, "group": None if device.is_gpu else (1, 1)}
+    options: dict[str, Any] = {
+        "defines": {"ROOT": int(root)},
+        "group": None if device.is_gpu else (1, 1),
+    }
     device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
     device.launch(
         "processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options

@@ -34,6 +34,7 @@ else, a displacement is found nonetheless: `processor.average` decides whether i
 """
 
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def align(
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
     lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    common = {
+    common: dict[str, Any] = {
         "defines": {
             "WIDTH": lanes,
             "TILE": TILE,

@@ -17,6 +17,8 @@ one frame shows, are thus left out. If a tap outside the frame is needed, q of t
 OUTSIDE. The reference's weight is 1.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -78,7 +80,7 @@ def average(
     out = device.empty((rows, cols))
     cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item
     extra = () if device.kind == "opencl" else (py, px)
-    common = {
+    common: dict[str, Any] = {
         "defines": {
             "FRAMES": count,
             "TILE": TILE,

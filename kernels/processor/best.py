@@ -117,11 +117,14 @@ def best(
     if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
         # and room for a vector that starts at the last pixel
         half = -(-(columns + MARGIN + 7) // 8) * 8
-        height = max(-(-rows // (STRIPS * device.cl_device.max_compute_units)), LOWEST)
+        units = device.cl_device.max_compute_units  # type: ignore[attr-defined]  # of an OpenCL device
+        height = max(-(-rows // (STRIPS * units)), LOWEST)
         ring = 32 if noisy else 16
         strips = -(-rows // height)
         scratch = device.empty((strips, PLANES, ring, 2 * half))
-        steps = [("strip", (strips,), (1,), (raw, scratch, out, height, ring * 2 * half))]
+        steps: list[tuple] = [
+            ("strip", (strips,), (1,), (raw, scratch, out, height, ring * 2 * half))
+        ]
         defines["WIDTH"] = 8
     elif device.kind == "opencl":  # three passes over tiles
         half = -(-(columns + ROOM) // 32) * 32

@@ -84,11 +84,9 @@ def defects(
         raise BadData(
             f"known defects: shape {tuple(known.shape)}, wanted the shape of raw, {(rows, cols)}"
         )
-    if isinstance(known, device.array_type) and known.dtype not in (
-        np.uint8,
-        device.empty((1,), np.uint8).dtype,
-    ):
-        raise BadData(f"known defects: {known.dtype}, wanted uint8")
+    kind = getattr(known, "dtype", None) if isinstance(known, device.array_type) else np.uint8
+    if kind not in (np.uint8, device.empty((1,), np.uint8).dtype):
+        raise BadData(f"known defects: {kind}, wanted uint8")
     if detect is not None and not 0 < detect < 1e6:
         raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
     lines = device.kind == "opencl" and not device.is_gpu

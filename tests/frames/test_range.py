@@ -28,7 +28,7 @@ from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.truth import mean_and_truth
-from gpusim.optics.tables import make_always
+from gpusim.optics.tables import call_always
 from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan
 
@@ -40,7 +40,7 @@ SECONDS = (
 
 
 def planned(
-    lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, kept=make_always
+    lens, light, form="cube", border="edge", tolerance="video", wavelengths=None, cache=call_always
 ):
     """Seconds of a plan, in which every warning is an error; a reason takes the place of the plan."""
     more = {} if wavelengths is None else {"wavelengths": wavelengths}
@@ -56,7 +56,7 @@ def planned(
                 scene,
                 camera,
                 tolerance=None if tolerance is None else Tolerance.parse(tolerance),
-                kept=kept,
+                cache=cache,
             )
         except GpusimError as error:
             assert "\n" not in str(error) and len(str(error)) < 300
@@ -66,10 +66,10 @@ def planned(
 @pytest.mark.parametrize("lens", [lens for lens in LENSES if lens not in VARYING])
 def test_plans_of_any_light(lens):
     """Each light by another border, form and tolerance."""
-    kept = Cache().by_key
+    cache = Cache()
     for number, light in enumerate(LIGHTS):
         asked = FORMS[number % 5], BORDERS[number % 4], TOLERANCES[1 + number % 4]
-        assert planned(lens, light, *asked, kept=kept) < SECONDS
+        assert planned(lens, light, *asked, cache=cache) < SECONDS
     assert planned(lens, "plain", wavelengths=ONE) < SECONDS
 
 

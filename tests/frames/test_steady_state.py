@@ -265,7 +265,7 @@ class Reads:
     @staticmethod
     def _steps(frame):
         while frame is not None:
-            if frame.f_code in (Cache.run.__code__, Cache.by_key.__code__):
+            if frame.f_code is Cache.run.__code__:
                 return {frame.f_locals["name"]}
             if frame.f_code is Program.judge.__code__:
                 return set()  # numbers of the frame before

@@ -54,12 +54,12 @@ SCENES = [
 
 def test_plans_are_those_of_a_planner_that_keeps_nothing():
     """Bit for bit, with cameras, scenes and tolerances in turn; and once more, when all of it is known."""
-    kept = Cache().by_key
+    kept = Cache()
     for number, one in enumerate(CAMERAS):
         for scene in SCENES if number % 5 == 0 else SCENES[:1]:
             tolerance = Tolerance(rms=(1e-2, 2e-3)[number % 3 % 2])
             wanted = parts(plan(scene, one, tolerance=tolerance))
             for _ in range(2):
                 np.testing.assert_equal(
-                    parts(plan(scene, one, tolerance=tolerance, kept=kept)), wanted
+                    parts(plan(scene, one, tolerance=tolerance, cache=kept)), wanted
                 )

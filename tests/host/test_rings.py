@@ -8,9 +8,9 @@ import pytest
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.lens import open_lens
-from gpusim.optics.tables import make_always
+from gpusim.optics.tables import call_always
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs.farfield import waves
+from gpusim.planner.knobs.farfield import Point, waves
 from gpusim.planner.question import Question
 
 SIDE, SIZE, NEAREST = 32, 65, 12  # [sample]
@@ -41,11 +41,11 @@ def test_rings_are_those_of_the_pupil(q, hole, w040):
         guaranteed=False,
         reach=None,
         period=None,
-        kept=make_always,
+        cache=call_always,
     )
     y, x = np.indices((SIDE, SIDE), float)
     r = np.maximum(np.hypot(y, x), 1)
-    rings = waves(question, r, y / r, x / r)
+    rings = waves(Point.of(question), r, y / r, x / r)
     tails = question.lens.tails(question.scene.wavelengths)[0]
     mean = sum(part / r**power for part, power in zip(tails, (3, 5, 7), strict=True))
     spread = open_lens(optics, question.pitch, (1.0, 1.0), scene.shape).kernels(

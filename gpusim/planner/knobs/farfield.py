@@ -28,6 +28,7 @@ import numpy as np
 import scipy
 from numpy.polynomial.polynomial import polyval2d
 
+from gpusim.domain.optics import Optics
 from gpusim.optics.ladder import POWERS, RATIO, energies, gaussians
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
@@ -184,15 +185,7 @@ def _image_error(outside, question, reach):
     r = np.arange(
         2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII)
     )
-    of = (
-        question.optics,
-        question.scene.wavelengths,
-        question.q,
-        question.cell,
-        question.aperture,
-        question.ratio,
-    )
-    radial = question.kept("waves along a line", (*of, reach), lambda: waves(question, r, 0.0, 1.0))
+    radial = question.cache("waves along a line", waves, Point.of(question), r, 0.0, 1.0)
     kernels = question.edges @ radial
     for lines in (image, image[::-1], image.T, image.T[::-1]):
         strip = lines[:depth]
@@ -256,29 +249,63 @@ def _step(outside, period):
     return sqrt(found) / outside.level
 
 
-def waves(question: Question, r, down, across) -> np.ndarray:
+@dataclass(frozen=True)
+class Point:
+    """A point of light behind a lens, as its pixels see it.
+
+    Attributes:
+        optics: The lens.
+        wavelengths: Wavelengths [nm], shape (L,).
+        q: Wavelength times working f-number over the distance of samples, shape (L,).
+        cell: Height and width over which samples are integrated [sample].
+        aperture: Height and width of the pixel's aperture.
+        ratio: Samples per pixel.
+        pitch: Distance of samples [m].
+    """
+
+    optics: Optics
+    wavelengths: np.ndarray
+    q: np.ndarray
+    cell: tuple[float, float]
+    aperture: tuple[float, float]
+    ratio: float
+    pitch: float
+
+    @classmethod
+    def of(cls, question: Question) -> "Point":
+        """Return the point of light of a question's scene."""
+        return cls(
+            question.optics,
+            question.scene.wavelengths,
+            question.q,
+            question.cell,
+            question.aperture,
+            question.ratio,
+            question.pitch,
+        )
+
+
+def waves(point: Point, r, down, across) -> np.ndarray:
     """Return the energy per square sample of a point's waves, shape (L, *shape).
 
     Args:
-        question: The question.
+        point: The point.
         r: Distances [sample], of any shape.
         down: The direction's row component, of that shape or one for all.
         across: The direction's column component.
     """
-    optics = question.optics
+    optics = point.optics
     hole = optics.pupil.obscuration
     rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
-    found = np.zeros((len(question.q), *np.shape(r)))
-    for own, q, wave in zip(
-        found, question.q, optics.waves(question.scene.wavelengths), strict=True
-    ):
+    found = np.zeros((len(point.q), *np.shape(r)))
+    for own, q, wave in zip(found, point.q, optics.waves(point.wavelengths), strict=True):
         for rho, a in rims:
             own -= (
                 a
                 * a
                 / 2
                 * np.sin(2 * pi * rho * r / q)
-                * _pixel_response(question, rho / q, down, across)
+                * _pixel_response(point, rho / q, down, across)
             )
         for (one, a), (other, b) in combinations(rims, 2):
             path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
@@ -288,25 +315,25 @@ def waves(question: Question, r, down, across) -> np.ndarray:
                 * b
                 * np.cos(2 * pi * path)
                 * (
-                    np.cos(2 * pi * less * r) * _pixel_response(question, less, down, across)
-                    - np.sin(2 * pi * more * r) * _pixel_response(question, more, down, across)
+                    np.cos(2 * pi * less * r) * _pixel_response(point, less, down, across)
+                    - np.sin(2 * pi * more * r) * _pixel_response(point, more, down, across)
                 )
             )
         own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
     return found
 
 
-def _pixel_response(question, frequency, down, across):
+def _pixel_response(point, frequency, down, across):
     """Part of a wave of this frequency [1/sample] in this direction that pixels keep."""
-    optics, left = question.optics, 1.0
+    optics, left = point.optics, 1.0
     for along, cell, side, spots in zip(
-        (down, across), question.cell, question.aperture, optics.birefringence, strict=True
+        (down, across), point.cell, point.aperture, optics.birefringence, strict=True
     ):
         wave = frequency * along
-        left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
-        if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
-            left = left * np.sinc(side * question.ratio * (wave - np.rint(wave)))
-    return left * np.exp(-2 * (pi * optics.diffuser / question.pitch * frequency) ** 2)
+        left = left * np.sinc(cell * wave) * np.cos(pi * spots / point.pitch * wave)
+        if point.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
+            left = left * np.sinc(side * point.ratio * (wave - np.rint(wave)))
+    return left * np.exp(-2 * (pi * optics.diffuser / point.pitch * frequency) ** 2)
 
 
 def ring_errors(
@@ -353,19 +380,15 @@ def _middle(light, table, valid):
 
 def _repeated_response(question, tiling, far):
     """Transforms of a tile's response to points outside its overlap, at a period twice its side, by channels."""
-    side, optics = tiling.side, question.optics
-    of = (
-        optics,
-        question.scene.wavelengths,
-        question.q,
-        question.cell,
-        question.aperture,
-        question.ratio,
-    )
-    held = question.kept(
-        f"held by tiles of {side} that share {tiling.overlap}",
-        (*of, far.sigmas, far.tails),
-        lambda: _tile_response(question, tiling, far),
+    side = tiling.side
+    held = question.cache(
+        f"response of tiles of {side} that share {tiling.overlap}",
+        _tile_response,
+        Point.of(question),
+        side,
+        tiling.overlap,
+        far.sigmas,
+        far.tails,
     )
     quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(
         -1, side, side
@@ -376,18 +399,18 @@ def _repeated_response(question, tiling, far):
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
 
 
-def _tile_response(question, tiling, far):
+def _tile_response(point, side, overlap, sigmas, tails):
     """A tile's response to a point at places below and right of it, by wavelength: float32 (L, side, side)."""
-    y, x = np.indices((tiling.side, tiling.side), float)
+    y, x = np.indices((side, side), float)
     r = np.maximum(np.hypot(y, x), 1)
-    rings = waves(question, r, y / r, x / r)
-    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
+    rings = waves(point, r, y / r, x / r)
+    widths, outer = sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= overlap
     held = np.zeros(rings.shape, np.float32)
     held[:, outer] = (
         rings[:, outer]
-        + far.tails @ r[outer] ** -np.array(POWERS)[:, None]
+        + tails @ r[outer] ** -np.array(POWERS)[:, None]
         - (
-            energies(far.sigmas, far.tails)[:, :-1]
+            energies(sigmas, tails)[:, :-1]
             @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
         )
     )

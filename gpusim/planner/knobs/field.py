@@ -137,19 +137,29 @@ def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
     levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
     """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
-    of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
-    levels = _round_down(np.maximum(levels, 1e-12))
+    return question.cache(
+        "field plan",
+        _choose_rest,
+        lens,
+        wavelengths,
+        transfers,
+        shape,
+        question.corner,
+        limit,
+        count,
+        _round_down(np.maximum(levels, 1e-12)),
+        flat_limit,
+    )
 
-    def made():
-        differences = Differences(*of[:-1], of[-1] / 8)
-        return choose(
-            differences,
-            shape,
-            limit / 2 / np.sqrt(count),
-            FlatField(differences, shape, levels, flat_limit / 2),
-        )
 
-    return question.kept("field plan", (*of, limit, count, levels, flat_limit), made)
+def _choose_rest(
+    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit
+) -> FieldBlur:
+    """Return the cheapest difference of the blur from the axis: see `_rest`."""
+    room = min(limit, WIDEST_ROOM * flat_limit)
+    differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
+    flat = FlatField(differences, shape, levels, flat_limit / 2)
+    return choose(differences, shape, limit / 2 / np.sqrt(count), flat)
 
 
 def _round_down(values):

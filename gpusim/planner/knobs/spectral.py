@@ -271,7 +271,7 @@ def response_of(question: Question, even, flat) -> Response:
     even: weights over the response to flat fields.
     """
     cfa, tables = question.sensor.cfa_indices, transfers_at(question, flat, SAMPLED_PERIOD)
-    return question.kept("response", (even, tables, cfa), lambda: Response.of(even, tables, cfa))
+    return question.cache("response", Response.of, even, tables, cfa)
 
 
 def _fused_ways(question, response, flat, planes, probes):
@@ -282,7 +282,7 @@ def _fused_ways(question, response, flat, planes, probes):
     prior, content = prior_of(question), question.content
     if not np.trace(prior) > 0:
         return
-    operator = question.kept("operator", (response, prior), lambda: joint_operator(response, prior))
+    operator = question.cache("operator", joint_operator, response, prior)
     if not operator.ranks:
         return  # fewer wavelengths than channels
     most = min(operator.ranks[-1], planes - 1)
@@ -334,11 +334,7 @@ def _guaranteed_ways(question, response, flat, planes, probes):
     """Operators with a bound for every spectrum, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
-        operator = question.kept(
-            f"{count} planes a channel",
-            (response, count),
-            lambda count=count: channel_operator(response, count),
-        )
+        operator = question.cache(f"{count} planes a channel", channel_operator, response, count)
 
         def make(operator=operator):
             return Planes(
