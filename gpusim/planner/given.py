@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.domain.account import UNKNOWN, Account, Bound, total
 from gpusim.domain.camera import Camera
+from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, falloff, geometry, highlights, sampling, spectral
@@ -15,18 +16,23 @@ from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Notes, Question
 
-PIXELS = (
-    "pixel_pitch",
-    "aperture",
-    "displacement",
-    "qe",
-    "cfa",
-    "channels",
-    "stacked",
-    "microlens",
-    "vignetting",
-    "binning",
-)  # of a sensor, which plans depend on
+# fields of a sensor that matter after the light is collected: plans depend on all others
+READ_OUT = {
+    "full_well",
+    "bits",
+    "exposure_time",
+    "auto_exposure",
+    "row_time",
+    "binning_mode",
+    "gain",
+    "conversion_gain",
+    "adc_range",
+    "analog_gain",
+    "analog_offset",
+    "black_level",
+    "noise",
+}
+PIXELS = tuple(part.name for part in fields(Sensor) if part.name not in READ_OUT)
 REMEDY = "a plan made for this scene may meet it"
 
 

@@ -197,6 +197,7 @@ def patch_differences(camera, table):
     )
 
 
+@pytest.mark.slow
 def test_a_colorimetric_camera_without_noise_is_recovered():
     """Even from ten scenes, flat fields have their true colours: a difference of 1 is at the limit of sight."""
     camera = colorimetric_camera()

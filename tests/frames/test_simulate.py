@@ -681,10 +681,10 @@ def test_verify_fails_for_a_device_that_cannot_be_opened(capsys, monkeypatch):
     from gpusim.backends import probe
 
     broken = probe.EMPTY | {"name": "opencl:7", "error": "its driver ended the process"}
-    monkeypatch.setattr(probe, "devices", lambda refresh=False: [broken])
+    monkeypatch.setattr("gpusim.judge.verify.devices", lambda refresh=False: [broken])
     status, out, _ = run(capsys, "verify", "--stage", "processor.linear")
     assert status == 1 and "opencl:7" in out and "its driver ended the process" in out
-    monkeypatch.setattr(probe, "devices", lambda refresh=False: [])
+    monkeypatch.setattr("gpusim.judge.verify.devices", lambda refresh=False: [])
     assert run(capsys, "verify", "--stage", "processor.linear")[0] == 1
 
 

@@ -92,6 +92,7 @@ def two(request):
     )
 
 
+@pytest.mark.slow
 def test_every_path_is_the_same_on_the_second_device(two):
     assert two[0] is not two[1]
     require_equal(*(made_on(device) for device in two))

@@ -77,6 +77,7 @@ def test_a_stage_that_crashes_is_named_and_the_others_are_judged(name, children,
     assert not crashed["ok"] and crashed["max_error"] == float("inf")
 
 
+@pytest.mark.slow
 def test_a_stage_that_hangs_is_ended(children, started):
     """On all devices at once: each waits without work."""
     for name in DEVICES:
