@@ -482,10 +482,25 @@ def looked(panel, name):
     return f"{base} --what {panel} -o look.png", option
 
 
+# Options that are read, and whose effect these scenes do not show
+NO_EDGE = "the files of these tests show no edge"
+UNSEEN = {
+    **{("sfr", name): NO_EDGE for name in ("band", "wavelengths", "kind", "scale", "fov", "depth")},
+    ("sfr", "guaranteed"): "the plan for the worst spectrum draws the same curve at this size",
+    ("colors", "band"): "the files of these tests with bands have no known light",
+    ("colors", "scaling"): "the panel draws the same pixels at both scalings",
+}
 # A device changes no pixel of a plot: that it is used is only seen by the options that are refused
-@pytest.mark.parametrize(
-    ("panel", "name"), [row for row in PLOTS if row[1] in USED[row[0]] and row[1] != "device"]
-)
+SHOWN = [
+    pytest.param(*row, marks=pytest.mark.xfail(strict=True, reason=UNSEEN[row]))
+    if row in UNSEEN
+    else row
+    for row in PLOTS
+    if row[1] in USED[row[0]] and row[1] != "device"
+]
+
+
+@pytest.mark.parametrize(("panel", "name"), SHOWN)
 @pytest.mark.slow
 def test_an_option_of_a_plot_has_an_effect(panel, name, outcome):
     base, option = looked(panel, name)
