@@ -85,13 +85,15 @@ class Cache:
         """
         key = function, self.with_versions(args), kwargs
         found = self._entries.get(name)  # read once: another thread may replace it
-        change, has_numbers = OTHER, True
+        change, has_numbers, changed = OTHER, True, {}
         if found is not None:
             change = compare(found[0][:-1], key)
-            has_numbers = found[0][-1] == numbers
+            old = found[0][-1]
+            changed = {n: value for n, value in numbers.items() if old.get(n, NOBODY) != value}
+            has_numbers = not changed
             if change == SAME and has_numbers:
                 return found[1]
-        else:
+        if found is None or found[0][0] is not function:
             _require_pure(name, function)
         tape = None if self._device is None else Tape() if found is None else found[2]
         try:
@@ -100,7 +102,7 @@ class Cache:
                 and change != OTHER
                 and tape is not None
                 and tape.is_replayable
-                and (has_numbers or tape.renumber(numbers))
+                and (has_numbers or tape.renumber(changed))
                 and (change != REPLACED or self._replace_arrays(tape, found, key))
             ):
                 tape.replay()

@@ -165,7 +165,7 @@ def noise(
             float(column_noise),
             int(read),
             numbers=drawn,
-            words=_drawn,
+            words=_line_words,
             defines=common,
         )
     planes = [
@@ -188,21 +188,28 @@ def noise(
         int(read),
         numbers={
             "dark_electrons": dark_electrons,
-            "read_noise": read_noise,
+            # a kernel without read noise takes none later: another is built then
+            **({"read_noise": read_noise} if common["READ_NOISE"] else {}),
             "gain": scale[0],
             "black_level": scale[1],
             **drawn,
         },
-        words=_drawn,
+        words=_noise_words,
         defines=common,
     )
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def _drawn(seed, frame, **numbers):
-    """Return a kernel's last arguments: these numbers, the seed's two words and the frame. Raises OutOfRange."""
+def _line_words(seed, frame):
+    """Return the last arguments of `lines`: the seed's two words and the frame. Raises OutOfRange."""
     check_drawn(seed, frame, None, 0)
-    return *map(float, numbers.values()), *_key(int(seed)), signed(int(frame))
+    return *_key(int(seed)), signed(int(frame))
+
+
+def _noise_words(*, dark_electrons, gain, black_level, seed, frame, read_noise=0.0):
+    """Return the last arguments of `noise`. Raises OutOfRange."""
+    numbers = dark_electrons, read_noise, gain, black_level
+    return *map(float, numbers), *_line_words(seed, frame)
 
 
 @functools.lru_cache(maxsize=64)

@@ -267,6 +267,37 @@ def test_keys_are_compared_by_what_they_say():
         assert same(one, other) is equal
 
 
+NOISES = {
+    "read_e": 6.0,
+    "adc_dn": 2.0,
+    "reset_e": 3.0,
+    "row_e": 2.0,
+    "column_e": 2.0,
+    "dark_current_e_per_s": 400.0,
+    "dsnu_e": 2.0,
+    "prnu": 0.02,
+    "photon": "fast",
+}
+
+
+@pytest.mark.parametrize("key", NOISES)
+@pytest.mark.parametrize("device", KINDS)
+def test_noise_is_turned_on_and_off(device, key):
+    """Kernels leave out noise that is 0: turned on later, it is there, and off again, it is gone."""
+    silent = dict.fromkeys(NOISES, 0.0) | {"photon": "none", "exposure_time_ms": 5}
+    quiet = gs.open_camera("phone").with_(**silent)
+    noisy = quiet.with_(**{key: NOISES[key]})
+    device, scene = gs.open_device(device), gs.chart("deadleaves", size=(48, 32), seed=1)
+    program = gs.Simulator(quiet, device=device).program(scene)
+    frames = []
+    for camera in (quiet, noisy, quiet):
+        found = np.array(device.numpy(program.update(camera=camera).raw(seed=1)))
+        fresh = gs.Simulator(camera, device=device).program(scene).raw(seed=1)
+        np.testing.assert_array_equal(found, np.array(device.numpy(fresh)))
+        frames.append(found)
+    assert not np.array_equal(frames[0], frames[1])
+
+
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     """Raw values alone need no processor; the report needs all, and frames of a program are made at once."""
