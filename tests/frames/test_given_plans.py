@@ -18,6 +18,8 @@ from gpusim.apps.pairs.variety import Variety
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, NotMet
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.highlights import Highlights
+from gpusim.planner.choices import Blur
 
 SIZE, COUNT, SEED = (48, 32), 3, 4
 MONO = gs.open_camera("mono")
@@ -195,7 +197,7 @@ def test_a_plan_that_does_not_do_is_not_met():
     )
     simulator = gs.Simulator(PHONE, device="numpy", tolerance="video")
     plan = simulator.plan(calm)
-    assert plan.verdict.is_met and plan.mix is None
+    assert plan.verdict.is_met and plan.find(Blur) is None
     report = simulator(steep, verify=True, plan=plan).report
     assert report.verdict.state == "not met" and not report.meets_tolerance, str(report)
     program = simulator.program(calm, plan=plan)
@@ -222,7 +224,7 @@ def test_highlights_that_a_plan_does_not_split_cannot_be_judged():
         for one in (values, bright)
     )
     plan = simulator.plan(calm)
-    assert simulator.plan(spiky).highlights is not None
+    assert simulator.plan(spiky).find(Highlights) is not None
     verdict = simulator(spiky, plan=plan).report.verdict
     assert not verdict.is_met and (verdict.state == "not met" or "highlights" in verdict.unknown), (
         str(verdict)

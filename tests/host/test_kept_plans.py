@@ -7,7 +7,9 @@ import numpy as np
 from gpusim.data.charts import chart
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
+from gpusim.optics.drift import Watch
 from gpusim.pipeline.cache import Cache
+from gpusim.planner.choices import Blur, Fusion, Planes
 from gpusim.planner.plan import plan
 
 PHONE = open_camera("phone")
@@ -23,7 +25,10 @@ def camera(pixels=None, **optics):
 
 def parts(made):
     """All that a plan says of its blur."""
-    return made.models, made.account, made.beside, made.flat, made.table, made.mix, made.transfers
+    choices = [
+        choice for choice in made.choices if isinstance(choice, Planes | Blur | Fusion | Watch)
+    ]
+    return made.models, made.account, made.beside, made.flat, [vars(one) for one in choices]
 
 
 # each other than the one before in one thing that what is kept depends on
