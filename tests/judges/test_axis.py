@@ -92,7 +92,7 @@ def test_relative_illumination_follows_the_axis():
 def test_microlenses_follow_the_axis():
     """Chief rays come from the axis; the planner's own gains, as they need no light."""
     from gpusim.planner.choices import Falloff
-from gpusim.planner.plan import plan
+    from gpusim.planner.plan import plan
 
     def gains(cols, right):
         camera = gs.open_camera("phone")
