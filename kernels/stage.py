@@ -171,6 +171,27 @@ def dtype_name(array: Array) -> str:
     return getattr(array.dtype, "name", None) or array.dtype.__name__
 
 
+def is_opencl_cpu(device: Device) -> bool:
+    """Return whether the device is a CPU that runs OpenCL.
+
+    Its kernels spell out their vectors and their loops along a row.
+    """
+    return device.kind == "opencl" and not device.is_gpu
+
+
+def warp_only(device: Device, *numbers: Any) -> tuple:
+    """Return the arguments that only Warp kernels take, because OpenCL has them as defines.
+
+    Args:
+        device: The device.
+        *numbers: The arguments, in the kernel's order.
+
+    Returns:
+        The arguments, or none for OpenCL.
+    """
+    return () if device.kind == "opencl" else numbers
+
+
 def stage_names() -> list[str]:
     """Return every stage as `area.name`, in the order in which light passes them.
 

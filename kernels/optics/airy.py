@@ -16,7 +16,7 @@ only) rings by 2 % of a highlight's peak.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 
 @stage
@@ -45,7 +45,7 @@ def airy(
     tables = device.empty(shape)
     # Beyond |f| = 1/q nothing passes: few replicas reach [0, 1/2].
     low, high = -int(np.floor(1 / q.min() + 0.5)), int(np.floor(1 / q.min()))
-    run = 64 if device.kind == "opencl" and not device.is_gpu else 1
+    run = 64 if is_opencl_cpu(device) else 1
     runs = -(-shape[2] // run)
     replicas = np.arange(low, high + 1)[:, None]
     height, width = np.broadcast_to(aperture, 2)

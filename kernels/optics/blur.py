@@ -20,7 +20,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
 BATCH = 8  # planes transformed at once: the sums are read and written once per batch
@@ -72,7 +72,7 @@ def blur(
             first,
             count,
             own_tables,
-            *(() if device.kind == "opencl" else (size, channels)),
+            *warp_only(device, size, channels),
             period[0],
             half,
             pitch,

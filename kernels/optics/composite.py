@@ -17,7 +17,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -59,7 +59,7 @@ def composite(
         device.array(ends),
         out,
         own,
-        *(() if device.kind == "opencl" else (count, cols)),
+        *warp_only(device, count, cols),
         channels,
         rows * cols,
         defines={"ENTRIES": count},

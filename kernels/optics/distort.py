@@ -26,7 +26,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -98,7 +98,7 @@ def distort(
             lines,
             *(() if light is None else (_shares(device, light, border),)),
             out,
-            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
+            *warp_only(device, BORDERS[border], per_map),
             *sizes,
             defines=defines,
         )
@@ -111,7 +111,7 @@ def distort(
             lines,
             out,
             float(density),
-            *(() if device.kind == "opencl" else (span, BORDERS[border], per_map)),
+            *warp_only(device, span, BORDERS[border], per_map),
             *sizes,
             defines={**defines, "SPAN": span},
         )

@@ -23,7 +23,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
 # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
@@ -149,7 +149,7 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
     (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
     on_device_index = device.array(index, np.int32)
-    sizes = () if device.kind == "opencl" else (terms, channels)
+    sizes = warp_only(device, terms, channels)
     padded = device.empty((channels, tiles, *period))
     batch = max(
         1, BATCH_BYTES * (64 if device.is_gpu else 1) // (4 * terms * period[0] * period[1])

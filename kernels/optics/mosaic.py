@@ -20,7 +20,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import transform_lengths
 
 LINES = "optics.mosaic_lines"  # the kernels of GPUs
@@ -92,13 +92,13 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
             tables,
             device.array(mix[:, first : first + size]),
             *turns,
-            *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)),
+            *warp_only(device, device.array(cfa, np.int32)),
             folded,
             int(first == 0),
             first,
             count,
             own_tables,
-            *(() if device.kind == "opencl" else (size, channels, *cfa.shape)),
+            *warp_only(device, size, channels, *cfa.shape),
             *small,
             half,
             spectra.shape[2],
@@ -120,7 +120,7 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
         out,
         *start,
         *out.shape,
-        *(() if device.kind == "opencl" else cfa.shape),
+        *warp_only(device, *cfa.shape),
         *small,
         defines={
             "SIZE": 1,

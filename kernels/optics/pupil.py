@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
@@ -93,7 +93,7 @@ def pupil(
     weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
     common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
     # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
-    block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
+    block = min(len(q), BLOCK) if is_opencl_cpu(device) else 1
     grid = (-(-len(q) // block), fy.size, fx.size)
     launching: dict[str, Any] = {
         "defines": {"BANDS": block},

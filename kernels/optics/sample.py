@@ -12,7 +12,7 @@ The planner chooses weights that make a pixel the mean over its aperture (`gpusi
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -59,7 +59,7 @@ def sample(
             device.array(start, np.int32),
             device.array(weights),
             target,
-            *(() if device.kind == "opencl" else (taps,)),
+            *warp_only(device, taps),
             count,
             *size,
             defines={"TAPS": taps},

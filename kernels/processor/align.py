@@ -40,7 +40,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
 
 TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
@@ -84,7 +84,7 @@ def align(
     size = check_inputs(raw, reference, period, levels)
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
-    lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
+    lanes = 8 if is_opencl_cpu(device) else 1
     common: dict[str, Any] = {
         "defines": {
             "WIDTH": lanes,
@@ -97,7 +97,7 @@ def align(
             "PERIOD_X": int(period[1]),
         }
     }
-    extra = () if device.kind == "opencl" else (*map(int, period),)
+    extra = warp_only(device, *map(int, period))
     sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
     device.launch(
         "processor.align",

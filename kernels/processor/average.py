@@ -24,7 +24,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.align import TILE, checked_stack
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
 
 LOW, HIGH = 1.5, 2.5  # of q; of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
 SURE = 2.1  # [standard deviations] of q at least from 1 to low, and twice that from low to high
@@ -78,8 +78,8 @@ def average(
         device.empty((count, *size)) for size in ((rows, cols), (h, w), (h, w))
     )
     out = device.empty((rows, cols))
-    cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item
-    extra = () if device.kind == "opencl" else (py, px)
+    cpu = is_opencl_cpu(device)  # a row per work-item
+    extra = warp_only(device, py, px)
     common: dict[str, Any] = {
         "defines": {
             "FRAMES": count,
@@ -139,7 +139,7 @@ def average(
         cols,
         h,
         w,
-        *(() if device.kind == "opencl" else (count, py, px)),
+        *warp_only(device, count, py, px),
         group=(1, 1) if cpu else None,
         **common,
     )

@@ -12,7 +12,7 @@ from gpusim.kernels.processor.adaptive import DOMAINS
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 MARGIN = 14  # mirrored pixels around the picture, see best.cl
 STRIPS = 4  # per core of a CPU: even loads
@@ -114,7 +114,7 @@ def best(
     columns = (cols + 1) // 2
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
-    if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
+    if is_opencl_cpu(device):  # one pass, WIDTH pixels at a time
         # and room for a vector that starts at the last pixel
         half = -(-(columns + MARGIN + 7) // 8) * 8
         units = device.cl_device.max_compute_units  # type: ignore[attr-defined]  # of an OpenCL device

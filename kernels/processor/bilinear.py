@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 
 @stage
@@ -63,7 +63,7 @@ def bilinear(device: Device, raw: Array, *, phase: str, black_level: float, scal
 
 def items(device, cols):
     """Return a work-item's columns, and ROWS and vector WIDTH: whole rows on CPUs, few on GPUs."""
-    if device.kind == "opencl" and not device.is_gpu:
+    if is_opencl_cpu(device):
         return -(-cols // 8) * 8, {"WIDTH": 8, "ROWS": 4}
     if device.kind == "opencl" and cols % 4 == 0:
         return 4, {"WIDTH": 4, "ROWS": 2}

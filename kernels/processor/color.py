@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -54,7 +54,7 @@ def color(device: Device, camera: Array, matrix: Array, *, ceiling: Array | None
         out,
         run,
         rows * cols,
-        *(() if device.kind == "opencl" else (channels,)),
+        *warp_only(device, channels),
         defines={"CHANNELS": channels},
         group=None if device.is_gpu else (1,),
     )

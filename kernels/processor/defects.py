@@ -32,7 +32,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
 
 NEAR = 8  # least number of neighbours for the range
 REACH, LEAST_REACH = 2, 4  # search distance for good neighbours: periods, and pixels at least
@@ -89,7 +89,7 @@ def defects(
         raise BadData(f"known defects: {kind}, wanted uint8")
     if detect is not None and not 0 < detect < 1e6:
         raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
-    lines = device.kind == "opencl" and not device.is_gpu
+    lines = is_opencl_cpu(device)
     near, count, starts, entries, masks, reach = _tables(
         device, cfa.astype(np.int32).tobytes(), cfa.shape
     )
@@ -140,7 +140,7 @@ def defects(
             *cfa.shape,
             rows,
             cols,
-            *(() if device.kind == "opencl" else (count,)),
+            *warp_only(device, count),
             group=group,
             defines=defines,
         )

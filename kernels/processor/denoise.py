@@ -43,7 +43,7 @@ from gpusim.kernels.processor.levels import (
     check_noise,
 )
 from gpusim.kernels.processor.shade import shade
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
@@ -116,7 +116,7 @@ def denoise(
             scale=scale,
             device=device,
         )
-    lines = device.kind == "opencl" and not device.is_gpu
+    lines = is_opencl_cpu(device)
     chunk, spare = (CHUNK, SPARE) if lines else (1, 4)
     constant = read * read + 0.375 * gain * gain
     margin_y, margin_x = (SEARCH * n + 1 for n in cfa.shape)

@@ -33,7 +33,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
 
 # least gain in squared signal over noise by the flash; it counts in full at twice this
 BETTER = 2.0
@@ -84,7 +84,7 @@ def flash(
     )
     rows, cols = ambient.shape[1:]
     out = device.empty((3, rows, cols))
-    cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item, 8 pixels at once
+    cpu = is_opencl_cpu(device)  # a row per work-item, 8 pixels at once
     tables = [device.array(table) for table in (ambient_noise, flash_noise, spatial(radius))]
     device.launch(
         "processor.flash",
@@ -98,7 +98,7 @@ def flash(
         float(1 / reach),
         rows,
         cols,
-        *(() if device.kind == "opencl" else (int(radius),)),
+        *warp_only(device, int(radius)),
         defines={
             "RADIUS": int(radius),
             "WIDTH": 8 if cpu else 1,

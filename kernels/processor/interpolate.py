@@ -25,7 +25,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
 
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
 BLOCK = 32  # neighbouring pixels that CPUs process at once
@@ -75,7 +75,7 @@ def interpolate(
             f"raw: {rows}x{cols} pixels; with a mosaic of {cfa.shape[0]}x{cfa.shape[1]}, at least "
             f"{least[0]}x{least[1]} are wanted: every channel must be near every pixel"
         )
-    blocks = device.kind == "opencl" and not device.is_gpu
+    blocks = is_opencl_cpu(device)
     starts, offsets, weights, reach = _tables(device, blocks, *key)
     channels = len(tents)
     out = device.empty((channels, rows, cols))
@@ -95,7 +95,7 @@ def interpolate(
         weights.shape[1],
         rows,
         cols,
-        *(() if device.kind == "opencl" else (channels,)),
+        *warp_only(device, channels),
         defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
         group=(1, 1) if blocks else None,
     )

@@ -6,7 +6,7 @@ Ports: raw (rows, cols) uint16 [DN] -> grey (1, rows, cols) float32, (DN - black
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -32,7 +32,7 @@ def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> A
         grey,
         float(black_level),
         float(scale),
-        *(() if device.kind == "opencl" else (cols,)),
+        *warp_only(device, cols),
         rows * cols,
     )
     return grey

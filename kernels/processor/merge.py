@@ -32,7 +32,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.merge_ref import merge as reference
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
 
 MOST_FRAMES = 16
 PER_FRAME = ("dark", "gain", "time", "floor", "ceiling")
@@ -92,7 +92,7 @@ def merge(
     table[1] = 1 / table[1]
     out = device.empty((rows, cols))
     # CPUs do a row per work-item, 8 pixels at once
-    rows_alone = device.kind == "opencl" and not device.is_gpu
+    rows_alone = is_opencl_cpu(device)
     run, width = (cols, 8) if rows_alone else (1, 1)
     device.launch(
         "processor.merge",
@@ -108,7 +108,7 @@ def merge(
         *((run,) if device.kind == "opencl" else ()),
         rows,
         cols,
-        *(() if device.kind == "opencl" else (count,)),
+        *warp_only(device, count),
         defines={"FRAMES": count, "WIDTH": width},
         group=(1, 1) if rows_alone else None,
     )

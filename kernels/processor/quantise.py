@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 LIGHT = 1 / (CORRECTED_WHITE - CORRECTED_BLACK)  # of one number, the white level being 1
 
@@ -49,7 +49,7 @@ def quantise(device: Device, raw: Array, *, black_level: float, scale: float) ->
         LIGHT,
         float(CORRECTED_BLACK),
         float(CORRECTED_WHITE),
-        *(() if device.kind == "opencl" else (cols,)),
+        *warp_only(device, cols),
         rows * cols,
     )
     return numbers

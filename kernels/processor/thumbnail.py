@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 MOST = 2048  # blocks along one axis
 CHUNK = 256  # columns that a CPU's work-item adds up: their sums stay in the nearest cache
@@ -52,7 +52,7 @@ def thumbnail(
     run = 1 if device.is_gpu else CHUNK
     sums = device.empty((channels + 1, rows, width))
     out = device.empty((channels, rows, cols))
-    sizes = () if device.kind == "opencl" else (channels,)
+    sizes = warp_only(device, channels)
     defines = {"CHANNELS": channels, "RUN": run}
     one = None if device.is_gpu else (1, 1)
     device.launch(

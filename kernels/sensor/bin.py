@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
 # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
@@ -77,7 +77,7 @@ def bin(
         "STRIDE_X": stride[1],
         "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1])),
     }
-    grid = (out_shape[0], 1) if device.kind == "opencl" and not device.is_gpu else out_shape
+    grid = (out_shape[0], 1) if is_opencl_cpu(device) else out_shape
     device.launch(
         "sensor.bin",
         "bin",
@@ -89,7 +89,7 @@ def bin(
         int(average),
         cols,
         *out_shape,
-        *(() if device.kind == "opencl" else (binning[1], stride[1], int(digital))),
+        *warp_only(device, binning[1], stride[1], int(digital)),
         defines=defines,
         group=None if device.is_gpu else (1, 1),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.noise import MOST
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -66,7 +66,7 @@ def chip(
         (size,),
         *planes,
         expected,
-        *(() if device.kind == "opencl" else use),
+        *warp_only(device, *use),
         size,
         float(scale),
         numbers={"dark_time": dark_time},

@@ -14,7 +14,7 @@ strong edges become 0. NaN stays NaN.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -49,7 +49,7 @@ def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slop
         float(slope),
         rows,
         cols,
-        *(() if device.kind == "opencl" else cfa.shape),
+        *warp_only(device, *cfa.shape),
         numbers={"exposure_time": exposure_time},
         defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
     )

@@ -33,7 +33,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import SLOWEST_SWITCHING
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
 OUT = 4  # place of its output among the arguments of the kernel `noise`
@@ -138,7 +138,7 @@ def noise(
     converter = not electrons and white_level is not None
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
     # CPUs need their vectors spelled out (see lanes.clh)
-    width = 8 if device.kind == "opencl" and not device.is_gpu else 1
+    width = 8 if is_opencl_cpu(device) else 1
     drawn = {"seed": seed, "frame": frame}
     common = {
         "WIDTH": width,

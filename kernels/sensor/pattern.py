@@ -15,7 +15,7 @@ on seed, plane and place in the whole frame.
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 # the plane's number separates their random numbers
 PLANES = (
@@ -80,7 +80,7 @@ def pattern(
             raise OutOfRange(name, value, f"0 <= {name} <= 1")
     if not 0 <= seed < 2**64:
         raise OutOfRange("seed", seed, "0 <= seed < 2^64")
-    width = 8 if device.kind == "opencl" and not device.is_gpu else 1  # see lanes.clh
+    width = 8 if is_opencl_cpu(device) else 1  # see lanes.clh
     frame_cols = frame_cols or first[1] + cols
     values = device.empty((rows, cols))
     device.launch(

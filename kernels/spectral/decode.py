@@ -13,7 +13,7 @@ from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # number of codes
 
@@ -52,7 +52,7 @@ def decode(device: Device, codes: Array, curve: Array) -> Array:
         out,
         rows,
         cols,
-        *(() if device.kind == "opencl" else (channels,)),
+        *warp_only(device, channels),
         defines={"CHANNELS": channels},
     )
     return out

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -42,7 +42,7 @@ def illuminate(device: Device, maps: Array, coefficients: Array) -> Array:
             coefficients,
             out,
             *shape,
-            *(() if device.kind == "opencl" else (lights, surfaces)),
+            *warp_only(device, lights, surfaces),
             defines={"LIGHTS": lights, "SURFACES": surfaces},
         )
     return out

@@ -11,7 +11,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 LINES = "spectral.integrate_lines"  # the kernels of CPUs
 SUMS = 2**13  # of one of their work-items: 32 KiB
@@ -58,7 +58,7 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
             name,
             (rows * cols,),
             *given,
-            *(() if device.kind == "opencl" else (bands, planes)),
+            *warp_only(device, bands, planes),
             defines=defines,
         )
     return out

@@ -11,7 +11,7 @@ Six bytes per pixel are read instead of a whole spectrum.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -41,7 +41,7 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
         out,
         rows * cols,
         count,
-        *(() if device.kind == "opencl" else (planes, cols)),
+        *warp_only(device, planes, cols),
         defines={"PLANES": planes},
     )
     return out

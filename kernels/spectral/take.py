@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 KERNELS = {
     np.dtype(np.float32): "take",
@@ -69,7 +69,7 @@ def take(
             count * lines,
             lines,
             across,
-            *(() if device.kind == "opencl" else (int(whole),)),
+            *warp_only(device, int(whole)),
             defines={"WHOLE_ROWS": int(whole)},
         )
     return out if entries else device.reshape(out, (count, lines, across))
