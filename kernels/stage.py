@@ -88,6 +88,20 @@ class Case:
         )
 
 
+def exact_case(name: str, why: str, **inputs: Any) -> Case:
+    """Return a case in which devices and the reference must agree bit for bit.
+
+    Args:
+        name: Content of the case, in a few words.
+        why: Why they agree.
+        **inputs: Arguments of the stage's function.
+
+    Returns:
+        The case.
+    """
+    return Case(name, inputs, 0.0, why, metric="exact")
+
+
 def stage(function: Callable[..., Result]) -> Callable[..., Result]:
     """Make `function(device, ...)` the public function of the stage that its module is named after.
 

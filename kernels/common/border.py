@@ -38,20 +38,8 @@ def extend(
         grid, group = extended.shape[:2], (1, 1)
     else:
         grid, group = extended.shape, None
-    device.launch(
-        "common.border",
-        "extend",
-        grid,
-        planes,
-        extended,
-        BORDERS[border],
-        first,
-        *before,
-        extended.shape[0],
-        rows,
-        cols,
-        *period,
-        group=group,
-        defines={"GPU": 1} if device.is_gpu else None,
-    )
+    arrays = [planes, extended]
+    defines = {"GPU": 1} if device.is_gpu else None
+    sizes = [BORDERS[border], first, *before, extended.shape[0], rows, cols, *period]
+    device.launch("common.border", "extend", grid, *arrays, *sizes, group=group, defines=defines)
     return extended

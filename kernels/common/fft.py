@@ -181,36 +181,33 @@ def _local_forward(device, planes, first, size, border, period):
 
 def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
     group = threads(device, length, 1)
+    arrays = [source, roots(device, length), target, *parameters]
+    extents = [rows, *sizes]
+    grid = (-(-rows // 2) * group,)
     device.launch(
         "common.fft",
         kernel,
-        (-(-rows // 2) * group,),
-        source,
-        roots(device, length),
-        target,
-        *parameters,
-        rows,
-        *sizes,
+        grid,
+        *arrays,
+        *extents,
         group=(group,),
         defines=_defines(length, 1, group, sign, border),
-    )  # two rows to a line
+    )
 
 
 def _columns(device, source, target, before, sign, border="zero"):
     (count, rows, pitch, _), length = source.shape, target.shape[1]
     lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= device.local_bytes)
     group, groups = threads(device, length, lines), pitch // lines
+    arrays = [source, roots(device, length), target]
+    sizes = [before, rows, pitch, groups]
+    grid = (count * groups * group,)
     device.launch(
         "common.fft",
         "columns",
-        (count * groups * group,),
-        source,
-        roots(device, length),
-        target,
-        before,
-        rows,
-        pitch,
-        groups,
+        grid,
+        *arrays,
+        *sizes,
         group=(group,),
         defines=_defines(length, lines, group, sign, border),
     )

@@ -51,22 +51,11 @@ def airy(
     height, width = np.broadcast_to(aperture, 2)
     sinc_y = np.sinc(height * (replicas + np.arange(shape[1]) / rows))
     sinc_x = np.sinc(width * (replicas + np.arange(runs * run) / cols))
-    device.launch(
-        "optics.airy",
-        "airy",
-        (*shape[:2], runs),
-        device.array(q),
-        device.array(sinc_y),
-        device.array(sinc_x),
-        tables,
-        1 / rows,
-        1 / cols,
-        low,
-        high,
-        *shape,
-        defines={"RUN": run},
-        group=None if device.is_gpu or device.kind == "warp" else (1, 1, 1),
-    )
+    arrays = [device.array(q), device.array(sinc_y), device.array(sinc_x), tables]
+    sizes = [1 / rows, 1 / cols, low, high, *shape]
+    group = None if device.is_gpu or device.kind == "warp" else (1, 1, 1)
+    grid = (*shape[:2], runs)
+    device.launch("optics.airy", "airy", grid, *arrays, *sizes, defines={"RUN": run}, group=group)
     return tables
 
 

@@ -78,29 +78,21 @@ def blur(
             pitch,
         )
         defines = {"SIZE": size, "CHANNELS": channels}
+        arrays = [spectra, tables, some, sums]
+        grid = (period[0], half)
         device.launch(
             "optics.blur",
             "accumulate" if tables.shape[3] == half else "accumulate_complex",
-            (period[0], half),
-            spectra,
-            tables,
-            some,
-            sums,
+            grid,
+            *arrays,
             *arguments,
             defines=defines,
         )
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
-    device.launch(
-        "optics.blur",
-        "crop",
-        out.shape,
-        blurred,
-        out,
-        *(n + margin for n in before),
-        *out.shape,
-        *period,
-    )
+    arrays = [blurred, out]
+    sizes = [*(n + margin for n in before), *out.shape, *period]
+    device.launch("optics.blur", "crop", out.shape, *arrays, *sizes)
     return out
 
 

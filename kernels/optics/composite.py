@@ -50,19 +50,11 @@ def composite(
     lights, alphas = device.array(lights), device.array(alphas)
     own = int(alphas.shape[1] > 1)
     out = device.empty((channels, rows, cols))
+    arrays = [lights, alphas, device.array(ends), out]
+    defines = {"ENTRIES": count}
+    sizes = [own, *warp_only(device, count, cols), channels, rows * cols]
     device.launch(
-        "optics.composite",
-        "composite",
-        (channels, rows * cols),
-        lights,
-        alphas,
-        device.array(ends),
-        out,
-        own,
-        *warp_only(device, count, cols),
-        channels,
-        rows * cols,
-        defines={"ENTRIES": count},
+        "optics.composite", "composite", (channels, rows * cols), *arrays, *sizes, defines=defines
     )
     return out
 

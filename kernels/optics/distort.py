@@ -77,43 +77,29 @@ def distort(
     per_map, sizes = count // maps, (source_rows, source_cols, nx, maps, *shape)
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
     defines = {"PLANES": per_map, "BORDER": BORDERS[border]}
+    arrays = [device.reshape(grids, (maps, ny, 3 * nx)), lines]
+    extents = [maps, ny, 3 * nx, shape[0]]
     device.launch(
-        "optics.distort",
-        "along_columns",
-        lines.shape,
-        device.reshape(grids, (maps, ny, 3 * nx)),
-        lines,
-        maps,
-        ny,
-        3 * nx,
-        shape[0],
-        defines=defines,
+        "optics.distort", "along_columns", lines.shape, *arrays, *extents, defines=defines
     )
     if method == "cubic":
+        arrays = [planes, lines, *(() if light is None else (_shares(device, light, border),)), out]
+        extents = [*warp_only(device, BORDERS[border], per_map), *sizes]
+        grid = (maps, *shape)
         device.launch(
             "optics.distort",
             "cubic" if light is None else "limited",
-            (maps, *shape),
-            planes,
-            lines,
-            *(() if light is None else (_shares(device, light, border),)),
-            out,
-            *warp_only(device, BORDERS[border], per_map),
-            *sizes,
+            grid,
+            *arrays,
+            *extents,
             defines=defines,
         )
     else:
+        arrays = [planes, lines, out]
+        own_defines = {**defines, "SPAN": span}
+        numbers = [float(density), *warp_only(device, span, BORDERS[border], per_map), *sizes]
         device.launch(
-            "optics.distort",
-            "area",
-            (maps, *shape),
-            planes,
-            lines,
-            out,
-            float(density),
-            *warp_only(device, span, BORDERS[border], per_map),
-            *sizes,
-            defines={**defines, "SPAN": span},
+            "optics.distort", "area", (maps, *shape), *arrays, *numbers, defines=own_defines
         )
     return out
 

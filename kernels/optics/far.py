@@ -135,20 +135,10 @@ class _Chain:
         _, cols, rows = own.shape
         places, size = channels * sigmas, cols * rows
         mixed, each = device.empty((places, cols, rows)), places if self.width > 1 else 1
-        device.launch(
-            "optics.far",
-            "combine",
-            (-(-places // each), -(-size // self.width)),
-            own,
-            constant(device, weights.tobytes(), weights.shape),
-            mixed,
-            each,
-            places,
-            size,
-            count,
-            sigmas,
-            defines=self.defines,
-        )
+        arrays = [own, constant(device, weights.tobytes(), weights.shape), mixed]
+        sizes = [each, places, size, count, sigmas]
+        grid = (-(-places // each), -(-size // self.width))
+        device.launch("optics.far", "combine", grid, *arrays, *sizes, defines=self.defines)
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
@@ -164,21 +154,15 @@ class _Chain:
             device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape
         )
         out = device.empty((planes, rows, cols))
-        device.launch(
-            "optics.far",
-            "refine",
-            out.shape,
+        arrays = [
             device.reshape(onto, out.shape),
             device.reshape(lines, (channels * rows * splines,)),
             values,
             start,
             out,
-            rows,
-            cols,
-            splines,
-            len(pattern),
-            defines=self.defines,
-        )
+        ]
+        sizes = [rows, cols, splines, len(pattern)]
+        device.launch("optics.far", "refine", out.shape, *arrays, *sizes, defines=self.defines)
         return device.reshape(out, onto.shape)
 
     def _product(self, given, bands, turned=False, sums=1, onto=None):
@@ -196,27 +180,20 @@ class _Chain:
                 (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes)
             )
         )
+        arrays = [given, values, start, count, out]
+        numbers = [int(onto is not None), int(turned)]
+        sizes = [batch // sums * blocks, lanes, size, rows, blocks, most, matrices, sums]
+        group = self.group
+        grid = (batch // sums * blocks, -(-lanes // self.lanes))
         self.device.launch(
             "optics.far",
             "product",
-            (batch // sums * blocks, -(-lanes // self.lanes)),
-            given,
-            values,
-            start,
-            count,
-            out,
-            int(onto is not None),
-            int(turned),
-            batch // sums * blocks,
-            lanes,
-            size,
-            rows,
-            blocks,
-            most,
-            matrices,
-            sums,
+            grid,
+            *arrays,
+            *numbers,
+            *sizes,
             defines=self.defines,
-            group=self.group,
+            group=group,
         )
         return out
 
@@ -290,19 +267,16 @@ class _Grids:
             down, across, room = self._both_matrices(name, of, LOW)
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
-        device.launch(
-            GROUPS_STAGE,
-            "both",
-            (groups * WIDE * LINES,),
+        arrays = [
             given,
             given if weights is None else constant(device, weights.tobytes(), weights.shape),
             *down.arrays,
             *across.arrays,
             out,
-            int(onto is not None),
-            int(weights is not None),
-            max(across.span, WIDE),
-            stride,
+        ]
+        defines = {"HIGH": high, "LOCAL_BYTES": room}
+        numbers = [int(onto is not None), int(weights is not None), max(across.span, WIDE), stride]
+        sizes = [
             parts,
             planes,
             *size,
@@ -314,8 +288,11 @@ class _Grids:
             sums,
             down.tiles,
             across.tiles,
-            group=(WIDE * LINES,),
-            defines={"HIGH": high, "LOCAL_BYTES": room},
+        ]
+        group = (WIDE * LINES,)
+        grid = (groups * WIDE * LINES,)
+        device.launch(
+            GROUPS_STAGE, "both", grid, *arrays, *numbers, *sizes, group=group, defines=defines
         )
         return out
 
@@ -327,25 +304,19 @@ class _Grids:
         )
         out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
         groups = prod(onto.shape) // (rows * cols) * prod(tiles)
-        device.launch(
-            GROUPS_STAGE,
-            "evaluate",
-            (groups * WIDE * LINES,),
+        arrays = [
             onto,
             light,
             *_at_samples(device, self.down, margin),
             *_at_samples(device, self.across, margin),
             constant(device, pattern.tobytes(), pattern.shape, np.int32),
             out,
-            rows,
-            cols,
-            high,
-            wide,
-            *pattern.shape,
-            *tiles,
-            group=(WIDE * LINES,),
-            defines={"HIGH": HIGH, "LOCAL_BYTES": STEP},
-        )
+        ]
+        defines = {"HIGH": HIGH, "LOCAL_BYTES": STEP}
+        sizes = [rows, cols, high, wide, *pattern.shape, *tiles]
+        group = (WIDE * LINES,)
+        grid = (groups * WIDE * LINES,)
+        device.launch(GROUPS_STAGE, "evaluate", grid, *arrays, *sizes, group=group, defines=defines)
         return out
 
 

@@ -108,24 +108,9 @@ def field(
         device.array(_covering(edge, np.arange(margin, length - margin), reach // 2), np.int32)
         for edge, length, reach in zip(edges, (rows, cols), (m, n), strict=True)
     ]
-    device.launch(
-        "optics.field",
-        "assemble",
-        out.shape,
-        padded,
-        edges_y,
-        edges_x,
-        *covers,
-        out if base is None else device.array(base),
-        out,
-        m // 2,
-        n // 2,
-        int(base is not None),
-        *out.shape,
-        tiles_y,
-        tiles_x,
-        *period,
-    )
+    arrays = [padded, edges_y, edges_x, *covers, out if base is None else device.array(base), out]
+    numbers = [m // 2, n // 2, int(base is not None), *out.shape, tiles_y, tiles_x, *period]
+    device.launch("optics.field", "assemble", out.shape, *arrays, *numbers)
     if threshold is not None:
         _add_highlights(
             device,
@@ -159,62 +144,26 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
         sums = None
         for p in range(count):
             weighted = device.empty((size * terms, *period))
-            device.launch(
-                "optics.field",
-                "weigh",
-                weighted.shape,
-                planes,
-                coefficients,
-                edges_y,
-                edges_x,
-                weighted,
-                limit,
-                p,
-                first,
-                BORDERS[border],
-                rows,
-                cols,
-                len(edges[1]) - 1,
-                terms,
-                *weighted.shape,
-            )
+            arrays = [planes, coefficients, edges_y, edges_x, weighted]
+            numbers = [limit, p, first, BORDERS[border], rows, cols, len(edges[1]) - 1, terms]
+            extents = [*weighted.shape]
+            device.launch("optics.field", "weigh", weighted.shape, *arrays, *numbers, *extents)
             spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
+            arrays = [spectra, tables, on_device_index, device.array(mix[:, p]), sums]
+            defines = {"TERMS": terms, "CHANNELS": channels}
+            numbers = [int(p == 0)]
+            extents = [first, min(p, own - 1), *sizes, size, period[0], half, pitch, own]
+            grid = (size, period[0], half)
             device.launch(
-                "optics.field",
-                "accumulate",
-                (size, period[0], half),
-                spectra,
-                tables,
-                on_device_index,
-                device.array(mix[:, p]),
-                sums,
-                int(p == 0),
-                first,
-                min(p, own - 1),
-                *sizes,
-                size,
-                period[0],
-                half,
-                pitch,
-                own,
-                defines={"TERMS": terms, "CHANNELS": channels},
+                "optics.field", "accumulate", grid, *arrays, *numbers, *extents, defines=defines
             )
         blurred = fft.inverse(device, sums, period[1])
-        device.launch(
-            "optics.field",
-            "keep",
-            (channels * size, *period),
-            blurred,
-            padded,
-            first,
-            channels,
-            size,
-            tiles,
-            *period,
-        )
+        arrays = [blurred, padded]
+        extents = [first, channels, size, tiles, *period]
+        device.launch("optics.field", "keep", (channels * size, *period), *arrays, *extents)
     return padded
 
 
@@ -363,21 +312,16 @@ def _add_highlights(
     starts = np.cumsum([0, *(len(lists[k]) for k in squares)])
     listed = np.concatenate([np.array(lists[k], np.int32) for k in squares])
     corners = BIN * np.stack(np.divmod(squares, bins_x), axis=1)
-    device.launch(
-        "optics.field",
-        "spread",
-        (channels, len(squares) * BIN, BIN),
+    arrays = [
         device.array(places, np.int32),
         device.array(mixed),
         device.array(corners, np.int32),
         device.array(starts, np.int32),
         device.array(listed, np.int32),
         out,
-        *out.shape,
-        m,
-        n,
-        len(squares),
-    )
+    ]
+    sizes = [*out.shape, m, n, len(squares)]
+    device.launch("optics.field", "spread", (channels, len(squares) * BIN, BIN), *arrays, *sizes)
 
 
 def cases():

@@ -84,52 +84,43 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
-        device.launch(
-            "optics.mosaic",
-            "fold",
-            (small[0], half),
+        arrays = [
             spectra,
             tables,
             device.array(mix[:, first : first + size]),
             *turns,
             *warp_only(device, device.array(cfa, np.int32)),
             folded,
-            int(first == 0),
-            first,
-            count,
-            own_tables,
+        ]
+        defines = {
+            "SIZE": size,
+            "CHANNELS": channels,
+            "PERIOD_Y": cfa.shape[0],
+            "PERIOD_X": cfa.shape[1],
+            "CFA": ",".join(map(str, cfa.ravel())),
+        }
+        numbers = [int(first == 0), first, count, own_tables]
+        sizes = [
             *warp_only(device, size, channels, *cfa.shape),
             *small,
             half,
             spectra.shape[2],
             pitch,
-            defines={
-                "SIZE": size,
-                "CHANNELS": channels,
-                "PERIOD_Y": cfa.shape[0],
-                "PERIOD_X": cfa.shape[1],
-                "CFA": ",".join(map(str, cfa.ravel())),
-            },
+        ]
+        device.launch(
+            "optics.mosaic", "fold", (small[0], half), *arrays, *numbers, *sizes, defines=defines
         )
     pixels = fft.inverse(device, folded, small[1])
-    device.launch(
-        "optics.mosaic",
-        "interleave",
-        out.shape,
-        pixels,
-        out,
-        *start,
-        *out.shape,
-        *warp_only(device, *cfa.shape),
-        *small,
-        defines={
-            "SIZE": 1,
-            "CHANNELS": 1,
-            "PERIOD_Y": cfa.shape[0],
-            "PERIOD_X": cfa.shape[1],
-            "CFA": "0",
-        },
-    )
+    arrays = [pixels, out]
+    defines = {
+        "SIZE": 1,
+        "CHANNELS": 1,
+        "PERIOD_Y": cfa.shape[0],
+        "PERIOD_X": cfa.shape[1],
+        "CFA": "0",
+    }
+    sizes = [*start, *out.shape, *warp_only(device, *cfa.shape), *small]
+    device.launch("optics.mosaic", "interleave", out.shape, *arrays, *sizes, defines=defines)
 
 
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
@@ -155,86 +146,58 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         group = fft.threads(device, period[0], columns_forward)
+        arrays = [planes, roots_y, halves]
+        defines = shape | {
+            "THREADS": group,
+            "COLUMNS_FORWARD": columns_forward,
+            "LOCAL_BYTES": fft.room(period[0], columns_forward),
+            "FORWARD": fft.passes(period[0], columns_forward, -1),
+        }
+        sizes = [first, before[0], rows, cols, pitch, groups]
+        grid = (size * groups * group,)
         device.launch(
-            LINES,
-            "columns_forward",
-            (size * groups * group,),
-            planes,
-            roots_y,
-            halves,
-            first,
-            before[0],
-            rows,
-            cols,
-            pitch,
-            groups,
-            group=(group,),
-            defines=shape
-            | {
-                "THREADS": group,
-                "COLUMNS_FORWARD": columns_forward,
-                "LOCAL_BYTES": fft.room(period[0], columns_forward),
-                "FORWARD": fft.passes(period[0], columns_forward, -1),
-            },
+            LINES, "columns_forward", grid, *arrays, *sizes, group=(group,), defines=defines
         )
         group = fft.threads(device, period[1], rows_forward)
-        device.launch(
-            LINES,
-            "fold",
-            ((small[0] // 2 + 1) * group,),
+        arrays = [
             halves,
             tables,
             fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)),
             roots_y,
             roots_x,
             folded,
-            int(first == 0),
-            first,
-            count,
-            int(tables.shape[0] > 1),
-            before[1],
-            size,
-            cols,
-            pitch,
-            group=(group,),
-            defines=shape
-            | {
-                "THREADS": group,
-                "ROWS_FORWARD": rows_forward,
-                "ROWS_INVERSE": rows_inverse,
-                "FORWARD": fft.passes(period[1], rows_forward, -1),
-                "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
-                "LOCAL_BYTES": max(
-                    fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)
-                ),
-                "OWN": -(-small[1] // group),
-                "CHANNELS": len(mix),
-                "CFA": ", ".join(map(str, cfa.ravel())),
-                "TURNS_Y": fft.roots_text(phases_y),
-                "TURNS_X": fft.roots_text(phases_x),
-            },
+        ]
+        defines = shape | {
+            "THREADS": group,
+            "ROWS_FORWARD": rows_forward,
+            "ROWS_INVERSE": rows_inverse,
+            "FORWARD": fft.passes(period[1], rows_forward, -1),
+            "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
+            "LOCAL_BYTES": max(fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)),
+            "OWN": -(-small[1] // group),
+            "CHANNELS": len(mix),
+            "CFA": ", ".join(map(str, cfa.ravel())),
+            "TURNS_Y": fft.roots_text(phases_y),
+            "TURNS_X": fft.roots_text(phases_x),
+        }
+        numbers = [int(first == 0), first, count, int(tables.shape[0] > 1)]
+        sizes = [before[1], size, cols, pitch]
+        grid = ((small[0] // 2 + 1) * group,)
+        device.launch(
+            LINES, "fold", grid, *arrays, *numbers, *sizes, group=(group,), defines=defines
         )
     side_by_side = columns_inverse * cfa.size // 2
     group = fft.threads(device, small[0], side_by_side)
-    device.launch(
-        LINES,
-        "columns_inverse",
-        (-(-small[1] // columns_inverse) * group,),
-        folded,
-        roots_y,
-        out,
-        1 / (period[0] * period[1]),
-        *start,
-        *out.shape,
-        group=(group,),
-        defines=shape
-        | {
-            "THREADS": group,
-            "COLUMNS_INVERSE": columns_inverse,
-            "LOCAL_BYTES": fft.room(small[0], side_by_side),
-            "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
-        },
-    )
+    arrays = [folded, roots_y, out]
+    defines = shape | {
+        "THREADS": group,
+        "COLUMNS_INVERSE": columns_inverse,
+        "LOCAL_BYTES": fft.room(small[0], side_by_side),
+        "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
+    }
+    sizes = [1 / (period[0] * period[1]), *start, *out.shape]
+    grid = (-(-small[1] // columns_inverse) * group,)
+    device.launch(LINES, "columns_inverse", grid, *arrays, *sizes, group=(group,), defines=defines)
 
 
 def _lines(local_bytes, period, cfa_shape):

@@ -46,19 +46,15 @@ def near(
         _gaussians(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
     )
     out = device.empty(tables.shape)
-    device.launch(
-        "optics.near",
-        "near",
-        (groups * planes, rows, cols),
+    arrays = [
         device.array(tables),
         device.array(energies.reshape(groups * planes, -1)),
         device.array(down),
         device.array(across),
         out,
-        rows,
-        cols,
-        energies.shape[-1],
-    )
+    ]
+    sizes = [rows, cols, energies.shape[-1]]
+    device.launch("optics.near", "near", (groups * planes, rows, cols), *arrays, *sizes)
     return out
 
 

@@ -102,43 +102,19 @@ def pupil(
     if real:
         table = device.array(radial_table(outline, waves))
         tables = device.empty((len(q), fy.size, fx.size))
-        device.launch(
-            "optics.pupil",
-            "radial",
-            grid,
-            table,
-            *common,
-            tables,
-            low,
-            high,
-            table.shape[1],
-            *tables.shape,
-            **launching,
-        )
+        arrays = [table, *common, tables]
+        sizes = [low, high, table.shape[1], *tables.shape]
+        device.launch("optics.pupil", "radial", grid, *arrays, *sizes, **launching)
         return tables
     table, angle, sectors = polar_table(outline, waves)
     sides, inner = outline.cutoff
     table = device.array(np.stack([table.real, table.imag], axis=-1))
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))
-    device.launch(
-        "optics.pupil",
-        "polar",
-        grid,
-        table,
-        *common,
-        tables,
-        low,
-        high,
-        angle,
-        sides,
-        inner,
-        sectors,
-        (table.shape[1] - 1) // sectors,
-        table.shape[2],
-        *shape,
-        **launching,
-    )
+    arrays = [table, *common, tables]
+    numbers = [low, high, angle, sides, inner, sectors, (table.shape[1] - 1) // sectors]
+    sizes = [table.shape[2], *shape]
+    device.launch("optics.pupil", "polar", grid, *arrays, *numbers, *sizes, **launching)
     return tables
 
 

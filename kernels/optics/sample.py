@@ -51,18 +51,15 @@ def sample(
     ):
         weights = np.ascontiguousarray(np.transpose(device.numpy(weights)))
         size = (fine_rows, rows, fine_cols) if name == "columns" else (rows, fine_cols, cols)
-        device.launch(
-            "optics.sample",
-            name,
-            target.shape,
+        arrays = [
             source,
             device.array(start, np.int32),
             device.array(weights),
             target,
             *warp_only(device, taps),
-            count,
-            *size,
-            defines={"TAPS": taps},
+        ]
+        device.launch(
+            "optics.sample", name, target.shape, *arrays, count, *size, defines={"TAPS": taps}
         )
     return out
 

@@ -171,34 +171,13 @@ def _by_lanes(
         "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B"),
     }
     weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
+    arrays = [tables, device.array(mix), weights]
+    numbers = [int(tables.shape[0] > 1), number]
+    device.launch(LANES_STAGE, "weights", (side, side // 2 + 1), *arrays, *numbers, defines=defines)
+    arrays = [planes, weights, fft.roots(device, side), _turns(device, side, period[0]), out]
+    sizes = [margin, number, rows, cols, *out.shape[1:], count[1]]
     device.launch(
-        LANES_STAGE,
-        "weights",
-        (side, side // 2 + 1),
-        tables,
-        device.array(mix),
-        weights,
-        int(tables.shape[0] > 1),
-        number,
-        defines=defines,
-    )
-    device.launch(
-        LANES_STAGE,
-        "tiles",
-        (count[0] * count[1],),
-        planes,
-        weights,
-        fft.roots(device, side),
-        _turns(device, side, period[0]),
-        out,
-        margin,
-        number,
-        rows,
-        cols,
-        *out.shape[1:],
-        count[1],
-        group=(1,),
-        defines=defines,
+        LANES_STAGE, "tiles", (count[0] * count[1],), *arrays, *sizes, group=(1,), defines=defines
     )
 
 
@@ -213,63 +192,24 @@ def _by_batches(
     for first in range(0, all_tiles, TILES):
         some = min(TILES, all_tiles - first)
         parts = device.empty((some * number, side, side))
-        device.launch(
-            "optics.tiles",
-            "cut",
-            parts.shape,
-            planes,
-            parts,
-            BORDERS[border],
-            first,
-            valid,
-            overlap - margin,
-            some * number,
-            number,
-            rows,
-            cols,
-            side,
-            count[1],
-        )
+        arrays = [planes, parts]
+        numbers = [BORDERS[border], first, valid, overlap - margin, some * number, number, rows]
+        sizes = [cols, side, count[1]]
+        device.launch("optics.tiles", "cut", parts.shape, *arrays, *numbers, *sizes)
         spectra = fft.forward(device, parts)
         folded = device.empty((some * len(outputs), small[0], pitch, 2))
+        arrays = [spectra, tables, mix, fft.roots(device, side), of, folded]
+        numbers = [int(tables.shape[0] > 1)]
+        sizes = [some, number, channels, len(outputs), *period, side, spectra.shape[2], pitch]
         device.launch(
-            "optics.tiles",
-            "fold",
-            (some, small[0], small[1] // 2 + 1),
-            spectra,
-            tables,
-            mix,
-            fft.roots(device, side),
-            of,
-            folded,
-            int(tables.shape[0] > 1),
-            some,
-            number,
-            channels,
-            len(outputs),
-            *period,
-            side,
-            spectra.shape[2],
-            pitch,
+            "optics.tiles", "fold", (some, small[0], small[1] // 2 + 1), *arrays, *numbers, *sizes
         )
         pixels = fft.inverse(device, folded, small[1])
+        arrays = [pixels, out]
+        numbers = [first, valid, overlap, 1 / prod(period), some * images, images, len(outputs)]
+        sizes = [*shape, *period, side, count[1]]
         device.launch(
-            "optics.tiles",
-            "place",
-            (some * images, valid, valid),
-            pixels,
-            out,
-            first,
-            valid,
-            overlap,
-            1 / prod(period),
-            some * images,
-            images,
-            len(outputs),
-            *shape,
-            *period,
-            side,
-            count[1],
+            "optics.tiles", "place", (some * images, valid, valid), *arrays, *numbers, *sizes
         )
 
 
@@ -310,25 +250,16 @@ def _by_groups(
         "TURNS_Y": fft.roots_text(period[0]),
         "TURNS_X": fft.roots_text(period[1]),
     }
-    device.launch(
-        GROUPS_STAGE,
-        "tiles",
-        (count[0] * count[1] * group,),
+    arrays = [
         planes,
         tables,
         fft.constant(device, mix.tobytes(), mix.shape),
         fft.roots(device, side),
         out,
-        margin,
-        0,
-        number,
-        rows,
-        cols,
-        *out.shape[1:],
-        count[1],
-        group=(group,),
-        defines=defines,
-    )
+    ]
+    sizes = [margin, 0, number, rows, cols, *out.shape[1:], count[1]]
+    grid = (count[0] * count[1] * group,)
+    device.launch(GROUPS_STAGE, "tiles", grid, *arrays, *sizes, group=(group,), defines=defines)
 
 
 def _room(side, period, outputs):

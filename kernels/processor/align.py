@@ -99,74 +99,36 @@ def align(
     }
     extra = warp_only(device, *map(int, period))
     sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
-    device.launch(
-        "processor.align",
-        "blocks",
-        planes[0].shape,
-        raw,
-        planes[0],
-        count,
-        rows,
-        cols,
-        *size,
-        *extra,
-        **common,
-    )
+    arrays = [raw, planes[0]]
+    extents = [count, rows, cols, *size, *extra]
+    device.launch("processor.align", "blocks", planes[0].shape, *arrays, *extents, **common)
     while min(sizes[-1]) // 2 >= TILE and len(sizes) < (levels or MOST_LEVELS):
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
         planes.append(
             device.empty((count, sizes[-1][0] + 2 * PAD, sizes[-1][1] + 2 * PAD), np.int32)
         )
-        device.launch(
-            "processor.align",
-            "halve",
-            planes[-1].shape,
-            planes[-2],
-            planes[-1],
-            count,
-            *sizes[-2],
-            *sizes[-1],
-            **common,
-        )
+        arrays = [planes[-2], planes[-1]]
+        extents = [count, *sizes[-2], *sizes[-1]]
+        device.launch("processor.align", "halve", planes[-1].shape, *arrays, *extents, **common)
     group = (1, 1, 1) if lanes == 8 else None
     parents, parent_tiles = planes[-1], (0, 0)  # none yet: any array stands for them
     for (h, w), plane in zip(reversed(sizes), reversed(planes), strict=True):
         tiles = -(-h // TILE), -(-w // TILE)
         found = device.empty((count, *tiles, 3), np.int32)
         parents = device.reshape(parents, (int(np.prod(parents.shape)),))
+        arrays = [plane, parents, found]
+        numbers = [int(reference)]
+        extents = [COARSE if parent_tiles == (0, 0) else FINE, *parent_tiles, h, w, *tiles, count]
+        grid = (count, *tiles)
         device.launch(
-            "processor.align",
-            "search",
-            (count, *tiles),
-            plane,
-            parents,
-            found,
-            int(reference),
-            COARSE if parent_tiles == (0, 0) else FINE,
-            *parent_tiles,
-            h,
-            w,
-            *tiles,
-            count,
-            group=group,
-            **common,
+            "processor.align", "search", grid, *arrays, *numbers, *extents, group=group, **common
         )
         parents, parent_tiles = found, tiles
     out = device.empty((count, *parent_tiles, 2))
-    device.launch(
-        "processor.align",
-        "fraction",
-        (count, *parent_tiles),
-        planes[0],
-        parents,
-        out,
-        int(reference),
-        *size,
-        *parent_tiles,
-        count,
-        group=group,
-        **common,
-    )
+    arrays = [planes[0], parents, out]
+    numbers = [int(reference), *size, *parent_tiles, count]
+    grid = (count, *parent_tiles)
+    device.launch("processor.align", "fraction", grid, *arrays, *numbers, group=group, **common)
     return out
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.align import TILE, checked_stack
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 LOW, HIGH = 1.5, 2.5  # of q; of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
 SURE = 2.1  # [standard deviations] of q at least from 1 to low, and twice that from low to high
@@ -92,54 +92,26 @@ def average(
         }
     }
     group = (1, 1, 1) if cpu else None
+    arrays = [raw, displacement, moved, misfit]
+    numbers = [int(reference), float(black_level)]
+    sizes = [gain, read * read, *tiles, count, rows, cols, h, w, *extra]
+    grid = (count, h, 1 if cpu else w)
     device.launch(
-        "processor.average",
-        "move",
-        (count, h, 1 if cpu else w),
-        raw,
-        displacement,
-        moved,
-        misfit,
-        int(reference),
-        float(black_level),
-        gain,
-        read * read,
-        *tiles,
-        count,
-        rows,
-        cols,
-        h,
-        w,
-        *extra,
-        group=group,
-        **common,
+        "processor.average", "move", grid, *arrays, *numbers, *sizes, group=group, **common
     )
-    device.launch(
-        "processor.average",
-        "weigh",
-        (count, h, 1 if cpu else w),
-        misfit,
-        weights,
-        int(reference),
-        *bounds(period),
-        count,
-        h,
-        w,
-        group=group,
-        **common,
-    )
+    arrays = [misfit, weights]
+    numbers = [int(reference), *bounds(period), count, h, w]
+    grid = (count, h, 1 if cpu else w)
+    device.launch("processor.average", "weigh", grid, *arrays, *numbers, group=group, **common)
+    arrays = [moved, weights, out]
+    sizes = [rows, cols, h, w, *warp_only(device, count, py, px)]
+    grid = (rows, 1 if cpu else cols)
     device.launch(
         "processor.average",
         "average",
-        (rows, 1 if cpu else cols),
-        moved,
-        weights,
-        out,
-        rows,
-        cols,
-        h,
-        w,
-        *warp_only(device, count, py, px),
+        grid,
+        *arrays,
+        *sizes,
         group=(1, 1) if cpu else None,
         **common,
     )
@@ -222,17 +194,13 @@ def cases():
             why,
         )
     raw = np.full((4, 20, 20), 65535, np.uint16)
-    yield Case(
+    yield exact_case(
         "full",
-        {
-            "raw": raw,
-            "displacement": np.zeros((4, 1, 1, 2), np.float32),
-            "black_level": 0.0,
-            "noise": (1.0, 1.0),
-        },
-        0.0,
         "equal whole numbers, their sum and its quarter are exact",
-        metric="exact",
+        raw=raw,
+        displacement=np.zeros((4, 1, 1, 2), np.float32),
+        black_level=0.0,
+        noise=(1.0, 1.0),
     )
 
 

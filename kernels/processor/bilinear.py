@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage
 
 
 @stage
@@ -42,21 +42,13 @@ def bilinear(device: Device, raw: Array, *, phase: str, black_level: float, scal
     rows, cols = raw.shape
     out = device.empty((3, rows, cols))
     run, shape = items(device, cols)
+    arrays = [device.array(raw, np.uint16), out]
+    defines = shape | {"ELECTRONS": 0}
+    numbers = [float(black_level), float(scale), red_row, red_col, run, rows, cols]
+    group = None if device.is_gpu else (1, 1)
+    grid = (-(-rows // shape["ROWS"]), -(-cols // run))
     device.launch(
-        "processor.bilinear",
-        "bilinear",
-        (-(-rows // shape["ROWS"]), -(-cols // run)),
-        device.array(raw, np.uint16),
-        out,
-        float(black_level),
-        float(scale),
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-        defines=shape | {"ELECTRONS": 0},
-        group=None if device.is_gpu else (1, 1),
+        "processor.bilinear", "bilinear", grid, *arrays, *numbers, defines=defines, group=group
     )
     return out
 
@@ -91,24 +83,21 @@ def cases():
                 why,
                 metric="local",
             )
-    yield Case(
+    yield exact_case(
         "black",
-        {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 2.0},
-        0.0,
         "64 - 64 is exact",
-        metric="exact",
+        raw=np.full((6, 6), 64, np.uint16),
+        phase="RGGB",
+        black_level=64.0,
+        scale=2.0,
     )
-    yield Case(
+    yield exact_case(
         "saturated",
-        {
-            "raw": np.full((6, 6), 65535, np.uint16),
-            "phase": "RGGB",
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
         "a flat field stays flat, and 16-bit integers are exact",
-        metric="exact",
+        raw=np.full((6, 6), 65535, np.uint16),
+        phase="RGGB",
+        black_level=0.0,
+        scale=1.0,
     )
 
 

@@ -44,20 +44,12 @@ def color(device: Device, camera: Array, matrix: Array, *, ceiling: Array | None
         )
     out = device.empty((3, rows, cols))
     run = 1 if device.is_gpu else 2048  # a GPU wants many small items, LLVM a loop to vectorise
-    device.launch(
-        "processor.color",
-        "color",
-        (-(-rows * cols // run),),
-        device.array(camera),
-        device.array(matrix),
-        device.array(ceiling),
-        out,
-        run,
-        rows * cols,
-        *warp_only(device, channels),
-        defines={"CHANNELS": channels},
-        group=None if device.is_gpu else (1,),
-    )
+    arrays = [device.array(camera), device.array(matrix), device.array(ceiling), out]
+    defines = {"CHANNELS": channels}
+    sizes = [run, rows * cols, *warp_only(device, channels)]
+    group = None if device.is_gpu else (1,)
+    grid = (-(-rows * cols // run),)
+    device.launch("processor.color", "color", grid, *arrays, *sizes, defines=defines, group=group)
     return out
 
 

@@ -32,7 +32,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage, warp_only
 
 NEAR = 8  # least number of neighbours for the range
 REACH, LEAST_REACH = 2, 4  # search distance for good neighbours: periods, and pixels at least
@@ -99,20 +99,10 @@ def defects(
 
     def replace(values, flags):
         out = device.empty((rows, cols), np.uint16)
+        arrays = [values, flags, starts, entries, out]
+        sizes = [*cfa.shape, rows, cols]
         device.launch(
-            "processor.defects",
-            "replace",
-            grid,
-            values,
-            flags,
-            starts,
-            entries,
-            out,
-            *cfa.shape,
-            rows,
-            cols,
-            group=group,
-            defines=defines,
+            "processor.defects", "replace", grid, *arrays, *sizes, group=group, defines=defines
         )
         return out
 
@@ -125,22 +115,23 @@ def defects(
         )
     if detect is not None:
         flags = device.empty((rows, cols), np.uint8)
-        device.launch(
-            "processor.defects",
-            "mark",
-            grid,
-            raw,
-            near,
-            masks,
-            flags,
-            float(black_level),
-            float(detect * detect * gain),
+        arrays = [raw, near, masks, flags]
+        numbers = [float(black_level), float(detect * detect * gain)]
+        sizes = [
             float(detect * detect * read * read),
             reach,
             *cfa.shape,
             rows,
             cols,
             *warp_only(device, count),
+        ]
+        device.launch(
+            "processor.defects",
+            "mark",
+            grid,
+            *arrays,
+            *numbers,
+            *sizes,
             group=group,
             defines=defines,
         )
@@ -244,41 +235,40 @@ def cases():
                 ("both", {"known": known, "detect": 6.0}),
                 *([("known", {"known": known}), ("found", {"detect": 4.0})] if whole else []),
             ):
-                yield Case(
+                yield exact_case(
                     f"{name} {rows}x{cols} {label}",
-                    {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0), **options},
-                    0.0,
                     why,
-                    metric="exact",
+                    raw=raw,
+                    cfa=cfa,
+                    black_level=64.25,
+                    noise=(1.0, 3.0),
+                    **options,
                 )
     raw = random.integers(0, 65536, (24, 40), np.uint16)
     cluster = np.zeros(raw.shape, np.uint8)
     cluster[5:14, 8:19] = 1
-    yield Case(
+    yield exact_case(
         "cluster of 9x11",
-        {"raw": raw, "known": cluster, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
-        0.0,
         why,
-        metric="exact",
+        raw=raw,
+        known=cluster,
+        cfa=np.array(BAYER, np.int32),
+        black_level=0.0,
     )
-    yield Case(
+    yield exact_case(
         "all defective",
-        {
-            "raw": raw,
-            "known": np.ones_like(cluster),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 0.0,
-        },
-        0.0,
         "nothing is replaced",
-        metric="exact",
+        raw=raw,
+        known=np.ones_like(cluster),
+        cfa=np.array(BAYER, np.int32),
+        black_level=0.0,
     )
-    yield Case(
+    yield exact_case(
         "nothing asked",
-        {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
-        0.0,
         "nothing is replaced",
-        metric="exact",
+        raw=raw,
+        cfa=np.array(BAYER, np.int32),
+        black_level=0.0,
     )
 
 

@@ -43,7 +43,7 @@ from gpusim.kernels.processor.levels import (
     check_noise,
 )
 from gpusim.kernels.processor.shade import shade
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
@@ -128,15 +128,9 @@ def denoise(
         for x in (0, cfa.shape[1] - 1)
     ]
     group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
-    device.launch(
-        "processor.denoise",
-        "stabilise",
-        (code.shape[0], 1) if lines else code.shape,
-        device.array(raw, np.uint16),
-        code,
-        float(black_level),
-        float(gain),
-        float(constant),
+    arrays = [device.array(raw, np.uint16), code]
+    numbers = [float(black_level), float(gain), float(constant)]
+    sizes = [
         float(-constant / gain if gain else -3e38),
         *cfa.shape,
         margin_y,
@@ -144,18 +138,21 @@ def denoise(
         rows,
         cols,
         *code.shape,
+    ]
+    grid = (code.shape[0], 1) if lines else code.shape
+    device.launch(
+        "processor.denoise",
+        "stabilise",
+        grid,
+        *arrays,
+        *numbers,
+        *sizes,
         group=group,
         defines=defines,
     )
-    device.launch(
-        "processor.denoise",
-        "denoise",
-        (bands, chunks),
-        code,
-        out,
-        float(1 + 2 / SOFT),
-        float(1 / (9 * SOFT * strength**2)),
-        float(gain / 4),
+    arrays = [code, out]
+    numbers = [float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2)), float(gain / 4)]
+    sizes = [
         float(np.sqrt(constant)),
         float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
         float(CORRECTED_BLACK),
@@ -166,6 +163,15 @@ def denoise(
         rows,
         cols,
         code.shape[1],
+    ]
+    grid = (bands, chunks)
+    device.launch(
+        "processor.denoise",
+        "denoise",
+        grid,
+        *arrays,
+        *numbers,
+        *sizes,
         group=group,
         defines=defines,
     )
@@ -224,12 +230,8 @@ def cases():
         ("noise-free", {"noise": (0.0, 0.0)}),
         ("strength 0", {"noise": (1.0, 2.0), "strength": 0.0}),
     ):
-        yield Case(
-            name,
-            {**options, **more},
-            0.0,
-            "nothing changes: see processor.shade with gains of 1",
-            metric="exact",
+        yield exact_case(
+            name, "nothing changes: see processor.shade with gains of 1", **options, **more
         )
 
 

@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.display.encode import code_table, codes_defines, thresholds
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import items
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, dtype_name, exact_case, stage
 
 
 @stage
@@ -66,26 +66,26 @@ def develop(
     out = device.empty((rows, cols, 3), np.uint8)
     run, shape = items(device, cols)
     defines = shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)}
-    device.launch(
-        "processor.develop",
-        "develop",
-        (-(-rows // shape["ROWS"]), -(-cols // run)),
+    arrays = [
         device.array(raw, np.uint16 if converter is None else np.float32),
         device.array(matrix),
         device.array(ceiling),
         table.entries,
         out,
-        *map(float, converter or (1, 0, 1)),
-        float(black_level),
-        float(scale),
-        red_row,
-        red_col,
-        *table.numbers,
-        run,
-        rows,
-        cols,
+    ]
+    numbers = [*map(float, converter or (1, 0, 1)), float(black_level), float(scale)]
+    sizes = [red_row, red_col, *table.numbers, run, rows, cols]
+    group = None if device.is_gpu else (1, 1)
+    grid = (-(-rows // shape["ROWS"]), -(-cols // run))
+    device.launch(
+        "processor.develop",
+        "develop",
+        grid,
+        *arrays,
+        *numbers,
+        *sizes,
         defines=defines,
-        group=None if device.is_gpu else (1, 1),
+        group=group,
     )
     return out
 
@@ -155,22 +155,18 @@ def _case(
             if value > edges[k] + 2 * band:
                 break
             edges[k] = value + 3 * band
-    return Case(
+    return exact_case(
         name,
-        {
-            "raw": raw,
-            "matrix": matrix,
-            "thresholds": edges.astype(np.float32),
-            "phase": phase,
-            "black_level": black_level,
-            "scale": scale,
-            "ceiling": ceiling,
-            "converter": converter,
-        },
-        0.0,
         "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
         "less than its distance from every threshold: the codes are equal",
-        metric="exact",
+        raw=raw,
+        matrix=matrix,
+        thresholds=edges.astype(np.float32),
+        phase=phase,
+        black_level=black_level,
+        scale=scale,
+        ceiling=ceiling,
+        converter=converter,
     )
 
 

@@ -33,7 +33,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 # least gain in squared signal over noise by the flash; it counts in full at twice this
 BETTER = 2.0
@@ -86,27 +86,20 @@ def flash(
     out = device.empty((3, rows, cols))
     cpu = is_opencl_cpu(device)  # a row per work-item, 8 pixels at once
     tables = [device.array(table) for table in (ambient_noise, flash_noise, spatial(radius))]
+    arrays = [device.array(ambient), device.array(flash), *tables, out]
+    defines = {
+        "RADIUS": int(radius),
+        "WIDTH": 8 if cpu else 1,
+        "CPU": int(cpu),
+        "BETTER": f"{BETTER}f",
+        "HIGHLIGHT": f"{HIGHLIGHT}f",
+    }
+    numbers = [float(min(full, 3e38)), float(1 / reach)]
+    sizes = [rows, cols, *warp_only(device, int(radius))]
+    group = (1, 1) if cpu else None
+    grid = (rows, 1 if cpu else cols)
     device.launch(
-        "processor.flash",
-        "flash",
-        (rows, 1 if cpu else cols),
-        device.array(ambient),
-        device.array(flash),
-        *tables,
-        out,
-        float(min(full, 3e38)),
-        float(1 / reach),
-        rows,
-        cols,
-        *warp_only(device, int(radius)),
-        defines={
-            "RADIUS": int(radius),
-            "WIDTH": 8 if cpu else 1,
-            "CPU": int(cpu),
-            "BETTER": f"{BETTER}f",
-            "HIGHLIGHT": f"{HIGHLIGHT}f",
-        },
-        group=(1, 1) if cpu else None,
+        "processor.flash", "flash", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -178,12 +171,8 @@ def cases():
         yield Case(
             f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why
         )
-    yield Case(
-        "dark",
-        {**_pair(9, 9), "ambient": np.zeros((3, 9, 9), np.float32)},
-        0.0,
-        "sums of zeros",
-        metric="exact",
+    yield exact_case(
+        "dark", "sums of zeros", **_pair(9, 9) | {"ambient": np.zeros((3, 9, 9), np.float32)}
     )
     same = _pair(20, 31)
     yield Case(

@@ -25,7 +25,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
 BLOCK = 32  # neighbouring pixels that CPUs process at once
@@ -79,25 +79,21 @@ def interpolate(
     starts, offsets, weights, reach = _tables(device, blocks, *key)
     channels = len(tents)
     out = device.empty((channels, rows, cols))
+    arrays = [device.array(raw, np.uint16), starts, offsets, weights, out]
+    defines = {"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1}
+    numbers = [float(black_level), float(scale)]
+    sizes = [*reach, *cfa.shape, weights.shape[1], rows, cols, *warp_only(device, channels)]
+    group = (1, 1) if blocks else None
+    grid = (rows, 1) if blocks else (rows, cols)
     device.launch(
         "processor.interpolate",
         "interpolate",
-        (rows, 1) if blocks else (rows, cols),
-        device.array(raw, np.uint16),
-        starts,
-        offsets,
-        weights,
-        out,
-        float(black_level),
-        float(scale),
-        *reach,
-        *cfa.shape,
-        weights.shape[1],
-        rows,
-        cols,
-        *warp_only(device, channels),
-        defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
-        group=(1, 1) if blocks else None,
+        grid,
+        *arrays,
+        *numbers,
+        *sizes,
+        defines=defines,
+        group=group,
     )
     return out
 
@@ -276,17 +272,13 @@ def cases():
                 (2 * 40 + 5) * 2.0**-24,
                 why,
             )
-    yield Case(
+    yield exact_case(
         "saturated",
-        {
-            "raw": np.full((40, 50), 65535, np.uint16),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
         "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
-        metric="exact",
+        raw=np.full((40, 50), 65535, np.uint16),
+        cfa=np.array(BAYER, np.int32),
+        black_level=0.0,
+        scale=1.0,
     )
 
 

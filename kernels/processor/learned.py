@@ -140,10 +140,7 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
         "PERIOD_Y": period_y,
         "PERIOD_X": period_x,
     }
-    device.launch(
-        TILES,
-        "learned_tiles",
-        (across * down * items,),
+    arrays = [
         raw,
         prepared.limits,
         prepared.knots,
@@ -152,15 +149,12 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
         prepared.factors,
         prepared.loss,
         out,
-        *measures,
-        *from_black[:2],
-        *decoding[1:],
-        *shift,
-        rows,
-        cols,
-        across,
-        defines=prepared.defines | defines,
-        group=(items,),
+    ]
+    own_defines = prepared.defines | defines
+    sizes = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
+    grid = (across * down * items,)
+    device.launch(
+        TILES, "learned_tiles", grid, *arrays, *sizes, defines=own_defines, group=(items,)
     )
 
 
@@ -178,20 +172,10 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
         group=(1, 1) if opencl else None,
         defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
     )
-    launch(
-        "encode",
-        (codes.shape[0], 1) if opencl else codes.shape,
-        raw,
-        prepared.factors,
-        codes,
-        *from_black[:2],
-        *shift,
-        *layout.period,
-        rows,
-        cols,
-        stride,
-        *(() if opencl else (reach, root)),
-    )
+    arrays = [raw, prepared.factors, codes]
+    numbers = [*from_black[:2], *shift, *layout.period, rows, cols, stride]
+    sizes = [*(() if opencl else (reach, root))]
+    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, *arrays, *numbers, *sizes)
     along, high = (128, 16) if opencl else (64, 1)
     rest = (
         ()
@@ -207,22 +191,9 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
             along,
         )
     )
-    launch(
-        "classify",
-        (-(-rows // high), -(-cols // along)),
-        codes,
-        prepared.limits,
-        prepared.knots,
-        units,
-        levels,
-        *measures,
-        *shift,
-        *layout.period,
-        rows,
-        cols,
-        stride,
-        *rest,
-    )
+    arrays = [codes, prepared.limits, prepared.knots, units, levels]
+    sizes = [*measures, *shift, *layout.period, rows, cols, stride, *rest]
+    launch("classify", (-(-rows // high), -(-cols // along)), *arrays, *sizes)
     rest = (
         ()
         if opencl
@@ -235,23 +206,8 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
             layout.shape[-1],
         )
     )
-    launch(
-        "apply",
-        (rows, 1 if opencl else cols),
-        raw,
-        codes,
-        units,
-        levels,
-        prepared.weights,
-        prepared.planes,
-        prepared.loss,
-        out,
-        *decoding,
-        rows,
-        cols,
-        stride,
-        *rest,
-    )
+    arrays = [raw, codes, units, levels, prepared.weights, prepared.planes, prepared.loss, out]
+    launch("apply", (rows, 1 if opencl else cols), *arrays, *decoding, rows, cols, stride, *rest)
 
 
 class _Prepared:

@@ -24,17 +24,9 @@ def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> A
     """
     rows, cols = raw.shape
     grey = device.empty((1, rows, cols))
-    device.launch(
-        "processor.linear",
-        "linear",
-        (rows * cols,),
-        device.array(raw, np.uint16),
-        grey,
-        float(black_level),
-        float(scale),
-        *warp_only(device, cols),
-        rows * cols,
-    )
+    arrays = [device.array(raw, np.uint16), grey]
+    numbers = [float(black_level), float(scale), *warp_only(device, cols), rows * cols]
+    device.launch("processor.linear", "linear", (rows * cols,), *arrays, *numbers)
     return grey
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 
 @stage
@@ -58,23 +58,10 @@ def malvar(
     run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
     fours = device.kind == "opencl" and device.is_gpu and cols % 4 == 0
     options = {"defines": {"GPU": 1}} if device.is_gpu else {"group": (1, 1)}
-    device.launch(
-        "processor.malvar",
-        "malvar",
-        (rows, cols // 4 if fours else -(-pairs // run)),
-        device.array(raw, np.uint16),
-        out,
-        float(black_level),
-        float(scale),
-        red,
-        blue,
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-        **options,
-    )
+    arrays = [device.array(raw, np.uint16), out]
+    numbers = [float(black_level), float(scale), red, blue, red_row, red_col, run, rows, cols]
+    grid = (rows, cols // 4 if fours else -(-pairs // run))
+    device.launch("processor.malvar", "malvar", grid, *arrays, *numbers, **options)
     return out
 
 
@@ -128,24 +115,21 @@ def cases():
     checkers = np.where(np.add.outer(np.arange(12), np.arange(14)) % 3 == 0, 65535, 0).astype(
         np.uint16
     )
-    yield Case(
+    yield exact_case(
         "black and saturated",
-        {"raw": checkers, "phase": "GBRG", "black_level": 0.0, "scale": 1.0},
-        0.0,
         "16ths of whole numbers below 2^22 are exact",
-        metric="exact",
+        raw=checkers,
+        phase="GBRG",
+        black_level=0.0,
+        scale=1.0,
     )
-    yield Case(
+    yield exact_case(
         "saturated",
-        {
-            "raw": np.full((6, 6), 65535, np.uint16),
-            "phase": "RGGB",
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
         "a flat field stays flat, and 16-bit integers are exact",
-        metric="exact",
+        raw=np.full((6, 6), 65535, np.uint16),
+        phase="RGGB",
+        black_level=0.0,
+        scale=1.0,
     )
 
 

@@ -32,7 +32,15 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.merge_ref import merge as reference
-from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import (
+    Array,
+    Case,
+    dtype_name,
+    exact_case,
+    is_opencl_cpu,
+    stage,
+    warp_only,
+)
 
 MOST_FRAMES = 16
 PER_FRAME = ("dark", "gain", "time", "floor", "ceiling")
@@ -94,23 +102,14 @@ def merge(
     # CPUs do a row per work-item, 8 pixels at once
     rows_alone = is_opencl_cpu(device)
     run, width = (cols, 8) if rows_alone else (1, 1)
+    arrays = [device.array(raw, np.uint16), device.array(np.vstack([table, full])), out]
+    defines = {"FRAMES": count, "WIDTH": width}
+    numbers = [float(margin), float(1 / longest), int(bool(photon)), *map(int, period)]
+    sizes = [*((run,) if device.kind == "opencl" else ()), rows, cols, *warp_only(device, count)]
+    group = (1, 1) if rows_alone else None
+    grid = (rows, -(-cols // run))
     device.launch(
-        "processor.merge",
-        "merge",
-        (rows, -(-cols // run)),
-        device.array(raw, np.uint16),
-        device.array(np.vstack([table, full])),
-        out,
-        float(margin),
-        float(1 / longest),
-        int(bool(photon)),
-        *map(int, period),
-        *((run,) if device.kind == "opencl" else ()),
-        rows,
-        cols,
-        *warp_only(device, count),
-        defines={"FRAMES": count, "WIDTH": width},
-        group=(1, 1) if rows_alone else None,
+        "processor.merge", "merge", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -213,12 +212,12 @@ def cases():
         2.0**-22,
         "959 e- in 1 s: one weight, its product, a quotient, the scale",
     )
-    yield Case(
+    yield exact_case(
         "black, no photon noise",
-        {"raw": np.full((3, 5, 9), 64, np.uint16), **inputs, "photon": False},
-        0.0,
         "64 - 64 is exact",
-        metric="exact",
+        raw=np.full((3, 5, 9), 64, np.uint16),
+        **inputs,
+        photon=False,
     )
 
 

@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 MOST_NODES = 1024  # each way: places between them are counted in 32-bit integers
 
@@ -67,33 +67,12 @@ def shade(
     _, ny, nx = shape
     lines = device.empty((cfa.shape[0], ny, cols))
     out = device.empty((rows, cols), np.uint16)
-    device.launch(
-        "processor.shade",
-        "widen",
-        lines.shape,
-        device.array(gains),
-        device.array(cfa, np.int32),
-        lines,
-        *cfa.shape,
-        ny,
-        nx,
-        cols,
-    )
-    device.launch(
-        "processor.shade",
-        "shade",
-        (rows, cols),
-        device.array(raw, np.uint16),
-        lines,
-        out,
-        float(black_level),
-        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
-        float(CORRECTED_BLACK),
-        cfa.shape[0],
-        ny,
-        rows,
-        cols,
-    )
+    arrays = [device.array(gains), device.array(cfa, np.int32), lines]
+    device.launch("processor.shade", "widen", lines.shape, *arrays, *cfa.shape, ny, nx, cols)
+    arrays = [device.array(raw, np.uint16), lines, out]
+    numbers = [float(black_level), float(scale * (CORRECTED_WHITE - CORRECTED_BLACK))]
+    sizes = [float(CORRECTED_BLACK), cfa.shape[0], ny, rows, cols]
+    device.launch("processor.shade", "shade", (rows, cols), *arrays, *numbers, *sizes)
     return out
 
 
@@ -122,18 +101,14 @@ def cases():
                 metric="exact",
             )
     raw = random.integers(0, 65536, (20, 30), np.uint16)
-    yield Case(
+    yield exact_case(
         "no correction",
-        {
-            "raw": raw,
-            "gains": np.ones((3, 3, 3), np.float32),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 4096.0,
-            "scale": 1 / 61439,
-        },
-        0.0,
         "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
-        metric="exact",
+        raw=raw,
+        gains=np.ones((3, 3, 3), np.float32),
+        cfa=np.array(BAYER, np.int32),
+        black_level=4096.0,
+        scale=1 / 61439,
     )
 
 

@@ -55,33 +55,16 @@ def thumbnail(
     sizes = warp_only(device, channels)
     defines = {"CHANNELS": channels, "RUN": run}
     one = None if device.is_gpu else (1, 1)
+    arrays = [device.array(camera), device.array(np.broadcast_to(ceiling, channels)), sums]
+    extents = [height, width, rows, run, *sizes]
+    grid = (rows, -(-width // run))
     device.launch(
-        "processor.thumbnail",
-        "columns",
-        (rows, -(-width // run)),
-        device.array(camera),
-        device.array(np.broadcast_to(ceiling, channels)),
-        sums,
-        height,
-        width,
-        rows,
-        run,
-        *sizes,
-        defines=defines,
-        group=one,
+        "processor.thumbnail", "columns", grid, *arrays, *extents, defines=defines, group=one
     )
+    arrays = [sums, out]
+    extents = [width, rows, cols, *sizes]
     device.launch(
-        "processor.thumbnail",
-        "blocks",
-        (rows, cols),
-        sums,
-        out,
-        width,
-        rows,
-        cols,
-        *sizes,
-        defines=defines,
-        group=one,
+        "processor.thumbnail", "blocks", (rows, cols), *arrays, *extents, defines=defines, group=one
     )
     return out
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, dtype_name, exact_case, is_opencl_cpu, stage, warp_only
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
 # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
@@ -78,20 +78,12 @@ def bin(
         "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1])),
     }
     grid = (out_shape[0], 1) if is_opencl_cpu(device) else out_shape
+    arrays = [pixels, out]
+    numbers = [int(binning[0]), int(stride[0]), int(average)]
+    sizes = [cols, *out_shape, *warp_only(device, binning[1], stride[1], int(digital))]
+    group = None if device.is_gpu else (1, 1)
     device.launch(
-        "sensor.bin",
-        "bin",
-        grid,
-        pixels,
-        out,
-        int(binning[0]),
-        int(stride[0]),
-        int(average),
-        cols,
-        *out_shape,
-        *warp_only(device, binning[1], stride[1], int(digital)),
-        defines=defines,
-        group=None if device.is_gpu else (1, 1),
+        "sensor.bin", "bin", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -172,24 +164,24 @@ def cases():
         inputs = {"binning": binning, "stride": stride}
         name = f"{rows}x{cols}, binning {binning}, stride {stride}"
         values = (10.0 ** random.uniform(-6, 6, (rows, cols))).astype(np.float32)
-        yield Case(f"charges {name}", {"pixels": values, **inputs}, 0.0, charges, metric="exact")
+        yield exact_case(f"charges {name}", charges, pixels=values, **inputs)
         values = random.integers(0, 65536, (rows, cols), np.uint16)
         for average in (False, True):
-            yield Case(
+            yield exact_case(
                 f"{'means' if average else 'sums'} {name}",
-                {"pixels": values, **inputs, "average": average},
-                0.0,
                 numbers,
-                metric="exact",
+                pixels=values,
+                **inputs,
+                average=average,
             )
     values = np.ones((8, 12), np.float32)
     values[2, 3], values[5, 6], values[0, 11] = np.nan, np.inf, 1e-45
-    yield Case(
+    yield exact_case(
         "NaN and infinity stay in their block",
-        {"pixels": values, "binning": (2, 2), "stride": (2, 2)},
-        0.0,
         charges,
-        metric="exact",
+        pixels=values,
+        binning=(2, 2),
+        stride=(2, 2),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.noise import MOST
-from gpusim.kernels.stage import Array, Case, stage, warp_only
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 
 @stage
@@ -60,17 +60,18 @@ def chip(
     use = [int(plane is not None) for plane in planes[1:]]
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
+    arrays = [*planes, expected, *warp_only(device, *use)]
+    defines = {"RESPONSE": use[0], "DARK": use[1]}
+    numbers = [size, float(scale)]
+    grid = (size,)
     device.launch(
         "sensor.chip",
         "chip",
-        (size,),
-        *planes,
-        expected,
-        *warp_only(device, *use),
-        size,
-        float(scale),
+        grid,
+        *arrays,
+        *numbers,
         numbers={"dark_time": dark_time},
-        defines={"RESPONSE": use[0], "DARK": use[1]},
+        defines=defines,
     )
     return device.reshape(expected, tuple(mean.shape))
 
@@ -88,17 +89,13 @@ def cases():
             "dark": random.exponential(1, (rows, cols)).astype(np.float32),
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
-            yield Case(
+            yield exact_case(
                 f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
-                {
-                    "mean": mean.astype(np.float32),
-                    "scale": 0.3,
-                    "dark_time": 0.7,
-                    **{name: planes[name] for name in chosen},
-                },
-                0.0,
                 why,
-                metric="exact",
+                mean=mean.astype(np.float32),
+                scale=0.3,
+                dark_time=0.7,
+                **{name: planes[name] for name in chosen},
             )
 
 

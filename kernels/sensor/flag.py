@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage
 
 
 @stage
@@ -48,19 +48,9 @@ def flag(
     planes = [None if plane is None else device.array(plane) for plane in (response, dark)]
     use = [int(plane is not None) for plane in planes]
     flags = device.empty(out_shape, np.uint8)
-    device.launch(
-        "sensor.flag",
-        "flag",
-        out_shape,
-        *(planes[1 - n] if plane is None else plane for n, plane in enumerate(planes)),
-        flags,
-        *use,
-        float(least),
-        *map(int, binning),
-        *map(int, stride),
-        cols,
-        *out_shape,
-    )
+    arrays = [*(planes[1 - n] if plane is None else plane for n, plane in enumerate(planes)), flags]
+    numbers = [*use, float(least), *map(int, binning), *map(int, stride), cols, *out_shape]
+    device.launch("sensor.flag", "flag", out_shape, *arrays, *numbers)
     return flags
 
 
@@ -103,24 +93,18 @@ def cases():
                 : len(plane.flat[:: max(1, plane.size // 7)][:7])
             ]
         for chosen in (("response",), ("dark",), ("response", "dark")):
-            yield Case(
+            yield exact_case(
                 f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}",
-                {
-                    "least": 3.0,
-                    "binning": binning,
-                    "stride": stride,
-                    **{name: planes[name] for name in chosen},
-                },
-                0.0,
                 "comparisons only",
-                metric="exact",
+                least=3.0,
+                binning=binning,
+                stride=stride,
+                **{name: planes[name] for name in chosen},
             )
-    yield Case(
+    yield exact_case(
         "any dark current",
-        {"dark": np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)},
-        0.0,
         "comparisons only; denormals count",
-        metric="exact",
+        dark=np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32),
     )
 
 

@@ -33,7 +33,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import SLOWEST_SWITCHING
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
 OUT = 4  # place of its output among the arguments of the kernel `noise`
@@ -152,18 +152,14 @@ def noise(
     lines = None
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
+        numbers = [count, rows, cols, *first, float(row_noise), float(column_noise), int(read)]
+        grid = (count, -(-rows // width) + -(-cols // width))
         device.launch(
             "sensor.noise",
             "lines",
-            (count, -(-rows // width) + -(-cols // width)),
+            grid,
             lines,
-            count,
-            rows,
-            cols,
-            *first,
-            float(row_noise),
-            float(column_noise),
-            int(read),
+            *numbers,
             numbers=drawn,
             words=_line_words,
             defines=common,
@@ -291,7 +287,7 @@ def cases():
             inputs["amplitude"] = np.maximum(random.normal(-5, 10, mean.shape), 0).astype(
                 np.float32
             )
-        return Case(name, inputs, 0.0, why, metric="exact")
+        return exact_case(name, why, **inputs)
 
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         mean = 10.0 ** random.uniform(-3, 5, (rows, cols))

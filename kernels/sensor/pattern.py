@@ -15,7 +15,7 @@ on seed, plane and place in the whole frame.
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage
 
 # the plane's number separates their random numbers
 PLANES = (
@@ -83,18 +83,8 @@ def pattern(
     width = 8 if is_opencl_cpu(device) else 1  # see lanes.clh
     frame_cols = frame_cols or first[1] + cols
     values = device.empty((rows, cols))
-    device.launch(
-        "sensor.pattern",
-        "pattern",
-        (rows, -(-cols // width)),
-        values,
-        rows,
-        cols,
-        *first,
-        frame_cols,
-        PLANES.index(plane),
-        float(mean),
-        float(pixel),
+    numbers = [rows, cols, *first, frame_cols, PLANES.index(plane), float(mean), float(pixel)]
+    sizes = [
         float(row),
         float(column),
         int(dead > 0),
@@ -103,7 +93,10 @@ def pattern(
         signed(chance_word(share)),
         float(scale),
         *map(signed, seed_words(seed)),
-        defines={"WIDTH": width},
+    ]
+    grid = (rows, -(-cols // width))
+    device.launch(
+        "sensor.pattern", "pattern", grid, values, *numbers, *sizes, defines={"WIDTH": width}
     )
     return values
 
@@ -126,20 +119,16 @@ def cases():
             (3, 5, (0, 0), None),
             (63, 65, (7, 900), 70_000),
         ):
-            yield Case(
+            yield exact_case(
                 f"{plane} {rows}x{cols}",
-                {
-                    "rows": rows,
-                    "cols": cols,
-                    "plane": plane,
-                    **parts,
-                    "seed": 2**63 + 5,
-                    "first": first,
-                    "frame_cols": frame_cols,
-                },
-                0.0,
                 why,
-                metric="exact",
+                rows=rows,
+                cols=cols,
+                plane=plane,
+                **parts,
+                seed=2**63 + 5,
+                first=first,
+                frame_cols=frame_cols,
             )
     for name, own in (
         ("normal", {"pixel": 1.0}),
@@ -147,13 +136,7 @@ def cases():
         ("sparse", {"share": 1e-2, "scale": 10.0}),
         ("all", {"share": 1.0, "scale": 1.0}),
     ):
-        yield Case(
-            name,
-            {"rows": 33, "cols": 35, "plane": "dark", "seed": 3, **own},
-            0.0,
-            why,
-            metric="exact",
-        )
+        yield exact_case(name, why, rows=33, cols=35, plane="dark", seed=3, **own)
 
 
 def bench(rows, cols):

@@ -13,7 +13,7 @@ pixel for m of them.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 CHUNK = 512  # pixels that a CPU's work-item sums up: 2 KiB, so the sums stay in the nearest cache
 
@@ -40,19 +40,17 @@ def shutter(device: Device, rates: Array, weights: Array) -> Array:
     weights = np.ascontiguousarray(device.numpy(weights), np.float32)
     chunk = 1 if device.is_gpu else CHUNK
     mean = device.empty((rows, cols))
-    device.launch(
-        "sensor.shutter",
-        "shutter",
-        (rows, -(-cols // chunk) if device.kind == "opencl" else cols),
+    arrays = [
         device.array(rates),
         device.array(weights),
         device.array(spans(weights), np.int32),
         mean,
-        instants,
-        rows,
-        cols,
-        defines={"CHUNK": chunk},
-        group=None if device.is_gpu else (1, 1),
+    ]
+    sizes = [instants, rows, cols]
+    group = None if device.is_gpu else (1, 1)
+    grid = (rows, -(-cols // chunk) if device.kind == "opencl" else cols)
+    device.launch(
+        "sensor.shutter", "shutter", grid, *arrays, *sizes, defines={"CHUNK": chunk}, group=group
     )
     return mean
 
@@ -91,15 +89,11 @@ def cases():
             metric="local",
             why=f"{used} products and {used - 1} sums of positive float32 numbers round, each by half an ulp",
         )
-    yield Case(
+    yield exact_case(
         "a row that gathers nothing",
-        {
-            "rates": np.full((3, 2, 4), 7, np.float32),
-            "weights": np.array([[0, 0, 0], [0, 0.5, 0]], np.float32),
-        },
-        0.0,
         "7 x 0.5 is exact",
-        metric="exact",
+        rates=np.full((3, 2, 4), 7, np.float32),
+        weights=np.array([[0, 0, 0], [0, 0.5, 0]], np.float32),
     )
 
 

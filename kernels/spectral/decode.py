@@ -13,7 +13,7 @@ from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage, warp_only
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # number of codes
 
@@ -43,17 +43,17 @@ def decode(device: Device, codes: Array, curve: Array) -> Array:
     if len(codes.shape) == 2:
         codes = device.reshape(codes, (rows, cols, 1))
     # An inner loop that is not unrolled stops PoCL from vectorising.
+    arrays = [codes, curve, out]
+    defines = {"CHANNELS": channels}
+    sizes = [rows, cols, *warp_only(device, channels)]
+    grid = (rows, cols)
     device.launch(
         "spectral.decode",
         "decode_bytes" if kind == np.uint8 else "decode_words",
-        (rows, cols),
-        codes,
-        curve,
-        out,
-        rows,
-        cols,
-        *warp_only(device, channels),
-        defines={"CHANNELS": channels},
+        grid,
+        *arrays,
+        *sizes,
+        defines=defines,
     )
     return out
 
@@ -84,23 +84,11 @@ def cases():
     random, why = np.random.default_rng(8), "an entry of the table, nothing is computed"
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
-        yield Case(
-            f"every {kind}, grey",
-            {"codes": every.reshape(16, -1), "curve": srgb},
-            0.0,
-            why,
-            metric="exact",
-        )
+        yield exact_case(f"every {kind}, grey", why, codes=every.reshape(16, -1), curve=srgb)
         mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1).reshape(
             -1, 32, 3
         )
-        yield Case(
-            f"every {kind} in three channels",
-            {"codes": mixed, "curve": srgb},
-            0.0,
-            why,
-            metric="exact",
-        )
+        yield exact_case(f"every {kind} in three channels", why, codes=mixed, curve=srgb)
         for shape in (
             (1, 1, 3),
             (1, 1),
@@ -127,12 +115,11 @@ def cases():
                 1,
                 -1,
             )
-            yield Case(
+            yield exact_case(
                 f"{kind} {shape}, any curve",
-                {"codes": random.integers(0, count, shape).astype(kind), "curve": curve},
-                0.0,
                 why,
-                metric="exact",
+                codes=random.integers(0, count, shape).astype(kind),
+                curve=curve,
             )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage, warp_only
+from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 LINES = "spectral.integrate_lines"  # the kernels of CPUs
 SUMS = 2**13  # of one of their work-items: 32 KiB
@@ -44,23 +44,13 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64
+        own_defines = defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
         device.launch(
-            LINES,
-            name,
-            (-(-rows * cols // chunk),),
-            *given,
-            group=(1,),
-            defines=defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER},
+            LINES, name, (-(-rows * cols // chunk),), *given, group=(1,), defines=own_defines
         )
     else:
-        device.launch(
-            "spectral.integrate",
-            name,
-            (rows * cols,),
-            *given,
-            *warp_only(device, bands, planes),
-            defines=defines,
-        )
+        arrays = [*given, *warp_only(device, bands, planes)]
+        device.launch("spectral.integrate", name, (rows * cols,), *arrays, defines=defines)
     return out
 
 
@@ -95,12 +85,11 @@ def cases():
             metric="local",
             why="as for float32: every float16 is a float32, so the inputs are exact",
         )
-    yield Case(
+    yield exact_case(
         "darkness",
-        {"content": np.zeros((31, 4, 4), np.float32), "weights": np.ones((3, 31), np.float32)},
-        0.0,
         "sums of zeros are exact",
-        metric="exact",
+        content=np.zeros((31, 4, 4), np.float32),
+        weights=np.ones((3, 31), np.float32),
     )
     wild = np.ones((5, 3, 4), np.float16)
     wild[2, 0, :3] = np.nan, np.inf, 2.0**-24

@@ -31,18 +31,11 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
     ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
     planes, count = table.shape
     out = device.empty((planes, rows, cols))
+    arrays = [ids, shading, table, out]
+    defines = {"PLANES": planes}
+    sizes = [rows * cols, count, *warp_only(device, planes, cols)]
     device.launch(
-        "spectral.materials",
-        "materials",
-        (rows * cols,),
-        ids,
-        shading,
-        table,
-        out,
-        rows * cols,
-        count,
-        *warp_only(device, planes, cols),
-        defines={"PLANES": planes},
+        "spectral.materials", "materials", (rows * cols,), *arrays, *sizes, defines=defines
     )
     return out
 

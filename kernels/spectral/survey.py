@@ -85,20 +85,14 @@ def survey(
         return out
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
+    arrays = [*(() if ids is None else (ids,)), content, table, first, out]
+    sizes = [entries, rows, cols, count, unit]
     device.launch(
         "spectral.survey",
         "mixed" if ids is None else "labelled",
         grid,
-        *(() if ids is None else (ids,)),
-        content,
-        table,
-        first,
-        out,
-        entries,
-        rows,
-        cols,
-        count,
-        unit,
+        *arrays,
+        *sizes,
         defines=defines,
         group=group,
     )
@@ -120,35 +114,25 @@ def _by_groups(device, content, table, first, ids, out, entries, rows, cols, uni
     parts = device.empty((pairs, chunks, 3 * (count + 1)))
     defines = {"PROJECTIONS": count, "THREADS": THREADS}
     content = (content,) if ids is None else (ids, content)
+    arrays = [*content, table, first, parts]
+    sizes = [entries, rows, cols, chunks, unit]
+    group = (THREADS,)
+    grid = (pairs * chunks * THREADS,)
     device.launch(
         GROUPS,
         "mixed_groups" if ids is None else "labelled_groups",
-        (pairs * chunks * THREADS,),
-        *content,
-        table,
-        first,
-        parts,
-        entries,
-        rows,
-        cols,
-        chunks,
-        unit,
+        grid,
+        *arrays,
+        *sizes,
         defines=defines,
-        group=(THREADS,),
+        group=group,
     )
     items = pairs * 3 * (count + 1)
-    device.launch(
-        GROUPS,
-        "finish",
-        (-(-items // THREADS) * THREADS,),
-        parts,
-        out,
-        items,
-        chunks,
-        cols,
-        defines=defines,
-        group=(THREADS,),
-    )
+    arrays = [parts, out]
+    sizes = [items, chunks, cols]
+    group = (THREADS,)
+    grid = (-(-items // THREADS) * THREADS,)
+    device.launch(GROUPS, "finish", grid, *arrays, *sizes, defines=defines, group=group)
 
 
 def check_inputs(content, table, first, ids):

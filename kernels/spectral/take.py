@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage, warp_only
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 KERNELS = {
     np.dtype(np.float32): "take",
@@ -55,22 +55,13 @@ def take(
         cols = rows if whole else device.array(cols, np.int32)
         content = device.reshape(device.array(content, dtype), (planes, height, width))
         # Whole rows are a separate build on OpenCL: PoCL does not vectorise a look-up of columns.
+        arrays = [content, rows, cols, out]
+        defines = {"WHOLE_ROWS": int(whole)}
+        numbers = [planes, height, width, count * lines, lines, across]
+        sizes = [*warp_only(device, int(whole))]
+        grid = (planes, count * lines, across)
         device.launch(
-            "spectral.take",
-            KERNELS[dtype],
-            (planes, count * lines, across),
-            content,
-            rows,
-            cols,
-            out,
-            planes,
-            height,
-            width,
-            count * lines,
-            lines,
-            across,
-            *warp_only(device, int(whole)),
-            defines={"WHOLE_ROWS": int(whole)},
+            "spectral.take", KERNELS[dtype], grid, *arrays, *numbers, *sizes, defines=defines
         )
     return out if entries else device.reshape(out, (count, lines, across))
 
@@ -114,9 +105,7 @@ def cases():
     wild = np.array([np.nan, np.inf, -np.inf, -0.0, 1e-45, 3.4e38], np.float32)
 
     def case(name, content, rows=None, cols=None):
-        return Case(
-            name, {"content": content, "rows": rows, "cols": cols}, 0.0, why, metric="exact"
-        )
+        return exact_case(name, why, content=content, rows=rows, cols=cols)
 
     yield case("every float16", every.reshape(4, 64, 256))
     yield case(
