@@ -67,27 +67,12 @@ def blur(
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
         some = device.array(mix[:, first : first + size])
-        arguments = (
-            int(first == 0),
-            first,
-            count,
-            own_tables,
-            *warp_only(device, size, channels),
-            period[0],
-            half,
-            pitch,
-        )
+        arrays, grid = [spectra, tables, some, sums], (period[0], half)
+        numbers = [int(first == 0), first, count, own_tables]
+        sizes = [*warp_only(device, size, channels), period[0], half, pitch]
         defines = {"SIZE": size, "CHANNELS": channels}
-        arrays = [spectra, tables, some, sums]
-        grid = (period[0], half)
-        device.launch(
-            "optics.blur",
-            "accumulate" if tables.shape[3] == half else "accumulate_complex",
-            grid,
-            *arrays,
-            *arguments,
-            defines=defines,
-        )
+        kernel = "accumulate" if tables.shape[3] == half else "accumulate_complex"
+        device.launch("optics.blur", kernel, grid, *arrays, *numbers, *sizes, defines=defines)
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
     arrays = [blurred, out]

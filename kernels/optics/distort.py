@@ -22,6 +22,8 @@ two methods:
              arrives exactly once.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -74,33 +76,21 @@ def distort(
     out = device.empty((count, *shape))
     if method not in ("cubic", "area"):
         raise ValueError(f'method {method!r}: "cubic" or "area"')
-    per_map, sizes = count // maps, (source_rows, source_cols, nx, maps, *shape)
+    per_map = count // maps
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
     defines = {"PLANES": per_map, "BORDER": BORDERS[border]}
-    arrays = [device.reshape(grids, (maps, ny, 3 * nx)), lines]
-    extents = [maps, ny, 3 * nx, shape[0]]
-    device.launch(
-        "optics.distort", "along_columns", lines.shape, *arrays, *extents, defines=defines
-    )
-    if method == "cubic":
-        arrays = [planes, lines, *(() if light is None else (_shares(device, light, border),)), out]
-        extents = [*warp_only(device, BORDERS[border], per_map), *sizes]
-        grid = (maps, *shape)
-        device.launch(
-            "optics.distort",
-            "cubic" if light is None else "limited",
-            grid,
-            *arrays,
-            *extents,
-            defines=defines,
-        )
-    else:
-        arrays = [planes, lines, out]
+    launch = functools.partial(device.launch, "optics.distort", defines=defines)
+    nodes = device.reshape(grids, (maps, ny, 3 * nx))
+    launch("along_columns", lines.shape, nodes, lines, maps, ny, 3 * nx, shape[0])
+    grid, sizes = (maps, *shape), (source_rows, source_cols, nx, maps, *shape)
+    if method == "area":
+        numbers = [float(density), *warp_only(device, span, BORDERS[border], per_map)]
         own_defines = {**defines, "SPAN": span}
-        numbers = [float(density), *warp_only(device, span, BORDERS[border], per_map), *sizes]
-        device.launch(
-            "optics.distort", "area", (maps, *shape), *arrays, *numbers, defines=own_defines
-        )
+        launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
+        return out
+    share = [] if light is None else [_shares(device, light, border)]
+    sizes = (*warp_only(device, BORDERS[border], per_map), *sizes)
+    launch("limited" if share else "cubic", grid, planes, lines, *share, out, *sizes)
     return out
 
 
@@ -111,11 +101,9 @@ def _shares(device, light, border):
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
     room = device.empty((rows + 3, cols + 3))
     share = device.empty((rows, cols))
-    defines = {"PLANES": 1, "BORDER": 0}
-    device.launch(
-        "optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines
-    )
-    device.launch("optics.distort", "shares", share.shape, room, share, rows, cols, defines=defines)
+    launch = functools.partial(device.launch, "optics.distort", defines={"PLANES": 1, "BORDER": 0})
+    launch("rooms", room.shape, around, room, channels, *room.shape)
+    launch("shares", share.shape, room, share, rows, cols)
     return share
 
 

@@ -28,10 +28,7 @@ LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 BLOCK = 4  # rows of a matrix that a CPU makes at once: most of their entries have the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
 # its work-items at a time, whose results fill whole lines of the cache when they are turned
-GROUP = (
-    4,
-    16,
-)
+GROUP = (4, 16)
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
 WIDE, LINES = 32, 8  # columns of a work-group's result on a GPU, and its lines of work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
@@ -94,6 +91,10 @@ def far(
     return chain.add_far(device.array(onto), light, cfa, margin)
 
 
+def _pattern(device, cfa):
+    return np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+
+
 class _Chain:
     """Products on a device with arrays (batch, axis, lanes).
 
@@ -147,20 +148,14 @@ class _Chain:
         device, (rows, cols) = self.device, onto.shape[-2:]
         lines = self._product(light, self._matrices(self.down, "synthesis", margin))
         (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
-        pattern = (
-            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        )
+        pattern = _pattern(device, cfa)
         values, start = _along_rows(
             device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape
         )
         out = device.empty((planes, rows, cols))
-        arrays = [
-            device.reshape(onto, out.shape),
-            device.reshape(lines, (channels * rows * splines,)),
-            values,
-            start,
-            out,
-        ]
+        onto_planes = device.reshape(onto, out.shape)
+        lines = device.reshape(lines, (channels * rows * splines,))
+        arrays = [onto_planes, lines, values, start, out]
         sizes = [rows, cols, splines, len(pattern)]
         device.launch("optics.far", "refine", out.shape, *arrays, *sizes, defines=self.defines)
         return device.reshape(out, onto.shape)
@@ -173,28 +168,16 @@ class _Chain:
         """
         start, count, values, rows = bands
         (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
-        out = (
-            onto
-            if onto is not None
-            else self.device.empty(
-                (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes)
-            )
-        )
+        batch //= sums
+        out = onto
+        if out is None:
+            out = self.device.empty((batch, lanes, rows) if turned else (batch, rows, lanes))
         arrays = [given, values, start, count, out]
         numbers = [int(onto is not None), int(turned)]
-        sizes = [batch // sums * blocks, lanes, size, rows, blocks, most, matrices, sums]
-        group = self.group
-        grid = (batch // sums * blocks, -(-lanes // self.lanes))
-        self.device.launch(
-            "optics.far",
-            "product",
-            grid,
-            *arrays,
-            *numbers,
-            *sizes,
-            defines=self.defines,
-            group=group,
-        )
+        sizes = [batch * blocks, lanes, size, rows, blocks, most, matrices, sums]
+        grid = (batch * blocks, -(-lanes // self.lanes))
+        options = {"defines": self.defines, "group": self.group}
+        self.device.launch("optics.far", "product", grid, *arrays, *numbers, *sizes, **options)
         return out
 
     def _matrices(self, axis, name, of=None):
@@ -267,55 +250,33 @@ class _Grids:
             down, across, room = self._both_matrices(name, of, LOW)
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
-        arrays = [
-            given,
-            given if weights is None else constant(device, weights.tobytes(), weights.shape),
-            *down.arrays,
-            *across.arrays,
-            out,
-        ]
-        defines = {"HIGH": high, "LOCAL_BYTES": room}
+        mix = given if weights is None else constant(device, weights.tobytes(), weights.shape)
         numbers = [int(onto is not None), int(weights is not None), max(across.span, WIDE), stride]
-        sizes = [
-            parts,
-            planes,
-            *size,
-            down.rows,
-            across.rows,
-            down.blocks,
-            down.most,
-            across.most,
-            sums,
-            down.tiles,
-            across.tiles,
-        ]
-        group = (WIDE * LINES,)
-        grid = (groups * WIDE * LINES,)
+        sizes = [parts, planes, *size, down.rows, across.rows, down.blocks, down.most, across.most]
         device.launch(
-            GROUPS_STAGE, "both", grid, *arrays, *numbers, *sizes, group=group, defines=defines
+            GROUPS_STAGE,
+            "both",
+            (groups * WIDE * LINES,),
+            *(given, mix, *down.arrays, *across.arrays, out),
+            *numbers,
+            *(*sizes, sums, down.tiles, across.tiles),
+            group=(WIDE * LINES,),
+            defines={"HIGH": high, "LOCAL_BYTES": room},
         )
         return out
 
     def add_far(self, onto, light, cfa, margin):
         """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
-        pattern = (
-            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        )
+        pattern = _pattern(device, cfa)
         out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
         groups = prod(onto.shape) // (rows * cols) * prod(tiles)
-        arrays = [
-            onto,
-            light,
-            *_at_samples(device, self.down, margin),
-            *_at_samples(device, self.across, margin),
-            constant(device, pattern.tobytes(), pattern.shape, np.int32),
-            out,
-        ]
+        weights = *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin)
+        of = constant(device, pattern.tobytes(), pattern.shape, np.int32)
+        arrays = [onto, light, *weights, of, out]
         defines = {"HIGH": HIGH, "LOCAL_BYTES": STEP}
         sizes = [rows, cols, high, wide, *pattern.shape, *tiles]
-        group = (WIDE * LINES,)
-        grid = (groups * WIDE * LINES,)
+        group, grid = (WIDE * LINES,), (groups * WIDE * LINES,)
         device.launch(GROUPS_STAGE, "evaluate", grid, *arrays, *sizes, group=group, defines=defines)
         return out
 

@@ -17,7 +17,7 @@ one frame shows, are thus left out. If a tap outside the frame is needed, q of t
 OUTSIDE. The reference's weight is 1.
 """
 
-from typing import Any
+import functools
 
 import numpy as np
 
@@ -79,42 +79,25 @@ def average(
     )
     out = device.empty((rows, cols))
     cpu = is_opencl_cpu(device)  # a row per work-item
-    extra = warp_only(device, py, px)
-    common: dict[str, Any] = {
-        "defines": {
-            "FRAMES": count,
-            "TILE": TILE,
-            "PERIOD_Y": py,
-            "PERIOD_X": px,
-            "CPU": int(cpu),
-            "WIDTH": 8 if cpu else 1,
-            "OUTSIDE": f"{OUTSIDE}f",
-        }
+    defines = {
+        "FRAMES": count,
+        "TILE": TILE,
+        "PERIOD_Y": py,
+        "PERIOD_X": px,
+        "CPU": int(cpu),
+        "WIDTH": 8 if cpu else 1,
+        "OUTSIDE": f"{OUTSIDE}f",
     }
-    group = (1, 1, 1) if cpu else None
-    arrays = [raw, displacement, moved, misfit]
-    numbers = [int(reference), float(black_level)]
-    sizes = [gain, read * read, *tiles, count, rows, cols, h, w, *extra]
-    grid = (count, h, 1 if cpu else w)
-    device.launch(
-        "processor.average", "move", grid, *arrays, *numbers, *sizes, group=group, **common
-    )
-    arrays = [misfit, weights]
-    numbers = [int(reference), *bounds(period), count, h, w]
-    grid = (count, h, 1 if cpu else w)
-    device.launch("processor.average", "weigh", grid, *arrays, *numbers, group=group, **common)
-    arrays = [moved, weights, out]
+    launch = functools.partial(device.launch, "processor.average", defines=defines)
+    group, grid = (1, 1, 1) if cpu else None, (count, h, 1 if cpu else w)
+    numbers = [int(reference), float(black_level), gain, read * read]
+    sizes = [*tiles, count, rows, cols, h, w, *warp_only(device, py, px)]
+    launch("move", grid, raw, displacement, moved, misfit, *numbers, *sizes, group=group)
+    numbers = [int(reference), *bounds(period)]
+    launch("weigh", grid, misfit, weights, *numbers, count, h, w, group=group)
     sizes = [rows, cols, h, w, *warp_only(device, count, py, px)]
-    grid = (rows, 1 if cpu else cols)
-    device.launch(
-        "processor.average",
-        "average",
-        grid,
-        *arrays,
-        *sizes,
-        group=(1, 1) if cpu else None,
-        **common,
-    )
+    group, grid = (1, 1) if cpu else None, (rows, 1 if cpu else cols)
+    launch("average", grid, moved, weights, out, *sizes, group=group)
     return out
 
 

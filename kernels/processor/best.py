@@ -4,6 +4,8 @@ Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_
 camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -97,20 +99,22 @@ def best(
     red, blue = np.sqrt(balance) if root else balance
     noise = (gain * scale, read * scale)
     loss = root_loss(root_gain(*noise), noise[1]) if root and noisy else np.zeros(7, np.float32)
-    mosaic = (
-        device.array(loss),
-        float(black_level),
-        float(scale),
-        float(offset),
-        float(variance),
-        float(shot),
-        float(red),
-        float(blue),
-        *map(float, tap_shares(blur)),
-        float(gain_prior(blur)),
-        red_row,
-        red_col,
-    )
+    longest, shortest = map(float, tap_shares(blur))
+    mosaic: dict[str, Any] = {
+        "loss": device.array(loss),
+        "black_level": float(black_level),
+        "scale": float(scale),
+        "offset": float(offset),
+        "variance": float(variance),
+        "shot": float(shot),
+        "red": float(red),
+        "blue": float(blue),
+        "longest": longest,
+        "shortest": shortest,
+        "prior": float(gain_prior(blur)),
+        "red_row": red_row,
+        "red_col": red_col,
+    }
     columns = (cols + 1) // 2
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
@@ -137,32 +141,64 @@ def best(
         ]
         defines |= {"WIDTH": 1, **TILE}
     else:
-        width = 2 * (columns + MARGIN)
-        code, across, down, green, square, product, other = (
-            device.empty(((rows + 2 * MARGIN) * width,)) for _ in range(7)
+        _by_pixels(
+            device, raw, out, mosaic | {"cols": cols, "rows": rows, "root": root, "noisy": noisy}
         )
-        steps = [
-            (
-                kernel,
-                (rows + 2 * (MARGIN - low), (width - 2 * low) // sites),
-                None,
-                (*planes, low, width),
-            )
-            for kernel, low, sites, planes in (
-                ("encode_all", 0, 1, (raw, code)),
-                ("differences", 4, 1, (code, across, down)),
-                ("greens", 8, 2, (code, across, down, green)),
-                ("slopes", 10, 2, (code, green, square, product)),
-                ("diagonals", 12, 2, (code, green, square, product, other)),
-                ("colors", 14, 2, (raw, code, green, square, product, other, out)),
-            )
-        ]
-    shape = (half, rows, cols) if device.kind == "opencl" else (rows, cols, root, noisy)
+        return out
     for kernel, grid, group, arrays in steps:
+        numbers = [*mosaic.values(), half, rows, cols]
         device.launch(
-            "processor.best", kernel, grid, *arrays, *mosaic, *shape, defines=defines, group=group
+            "processor.best", kernel, grid, *arrays, *numbers, defines=defines, group=group
         )
     return out
+
+
+# Warp's kernels: pixels of the margin that they leave out, columns of an item, planes, and numbers
+PASSES = (
+    (
+        "encode_all",
+        0,
+        1,
+        "raw code",
+        "black_level scale offset red blue red_row red_col rows cols root",
+    ),
+    ("differences", 4, 1, "code across down", "variance shot red blue prior red_row red_col"),
+    (
+        "greens",
+        8,
+        2,
+        "code across down green",
+        "loss offset variance shot longest shortest red_row red_col root noisy",
+    ),
+    ("slopes", 10, 2, "code green square product", "red_row red_col"),
+    (
+        "diagonals",
+        12,
+        2,
+        "code green square product other",
+        "variance shot red blue prior red_row red_col",
+    ),
+    (
+        "colors",
+        14,
+        2,
+        "raw code green square product other out",
+        "loss black_level scale offset variance shot red blue prior red_row red_col cols root noisy",
+    ),
+)
+
+
+def _by_pixels(device, raw, out, numbers):
+    """Write the picture by six passes over whole planes, a pixel or two a thread."""
+    rows, width = raw.shape[0] + 2 * MARGIN, 2 * ((raw.shape[1] + 1) // 2 + MARGIN)
+    planes = {"raw": raw, "out": out} | {
+        name: device.empty((rows * width,))
+        for name in ("code", "across", "down", "green", "square", "product", "other")
+    }
+    for kernel, low, sites, arrays, names in PASSES:
+        grid = (rows - 2 * low, (width - 2 * low) // sites)
+        given = [*map(planes.get, arrays.split()), low, width, *map(numbers.get, names.split())]
+        device.launch("processor.best", kernel, grid, *given)
 
 
 def _tiles(rows, pairs):

@@ -30,6 +30,8 @@ most. In uniform surroundings both greens then have the same part in the mean, a
 even of their gains, has none.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -108,14 +110,8 @@ def denoise(
             f"{cfa.shape[0]}x{cfa.shape[1]}"
         )
     if strength == 0 or gain == read == 0:
-        return shade(
-            raw,
-            np.ones((int(cfa.max()) + 1, 2, 2), np.float32),
-            cfa=cfa,
-            black_level=black_level,
-            scale=scale,
-            device=device,
-        )
+        ones = np.ones((int(cfa.max()) + 1, 2, 2), np.float32)
+        return shade(raw, ones, cfa=cfa, black_level=black_level, scale=scale, device=device)
     lines = is_opencl_cpu(device)
     chunk, spare = (CHUNK, SPARE) if lines else (1, 4)
     constant = read * read + 0.375 * gain * gain
@@ -128,53 +124,16 @@ def denoise(
         for x in (0, cfa.shape[1] - 1)
     ]
     group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
-    arrays = [device.array(raw, np.uint16), code]
-    numbers = [float(black_level), float(gain), float(constant)]
-    sizes = [
-        float(-constant / gain if gain else -3e38),
-        *cfa.shape,
-        margin_y,
-        margin_x,
-        rows,
-        cols,
-        *code.shape,
-    ]
+    launch = functools.partial(device.launch, "processor.denoise", group=group, defines=defines)
+    lowest = float(-constant / gain if gain else -3e38)
+    numbers = [float(black_level), float(gain), float(constant), lowest]
+    sizes = [*cfa.shape, margin_y, margin_x, rows, cols]
     grid = (code.shape[0], 1) if lines else code.shape
-    device.launch(
-        "processor.denoise",
-        "stabilise",
-        grid,
-        *arrays,
-        *numbers,
-        *sizes,
-        group=group,
-        defines=defines,
-    )
-    arrays = [code, out]
-    numbers = [float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2)), float(gain / 4)]
-    sizes = [
-        float(np.sqrt(constant)),
-        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
-        float(CORRECTED_BLACK),
-        *twins,
-        *cfa.shape,
-        margin_y,
-        margin_x,
-        rows,
-        cols,
-        code.shape[1],
-    ]
-    grid = (bands, chunks)
-    device.launch(
-        "processor.denoise",
-        "denoise",
-        grid,
-        *arrays,
-        *numbers,
-        *sizes,
-        group=group,
-        defines=defines,
-    )
+    launch("stabilise", grid, device.array(raw, np.uint16), code, *numbers, *sizes, *code.shape)
+    numbers = [float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2))]
+    numbers += [float(gain / 4), float(np.sqrt(constant))]
+    numbers += [float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *twins]
+    launch("denoise", (bands, chunks), code, out, *numbers, *sizes, code.shape[1])
     return out
 
 

@@ -7,6 +7,8 @@ For previews and videos: the planes between the stages, 3 x 4 bytes per pixel wr
 twice, stay in registers.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -65,28 +67,16 @@ def develop(
     table = code_table(device, thresholds)
     out = device.empty((rows, cols, 3), np.uint8)
     run, shape = items(device, cols)
-    defines = shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)}
-    arrays = [
-        device.array(raw, np.uint16 if converter is None else np.float32),
-        device.array(matrix),
-        device.array(ceiling),
-        table.entries,
-        out,
-    ]
+    raw = device.array(raw, np.uint16 if converter is None else np.float32)
+    arrays = [raw, device.array(matrix), device.array(ceiling), table.entries, out]
     numbers = [*map(float, converter or (1, 0, 1)), float(black_level), float(scale)]
     sizes = [red_row, red_col, *table.numbers, run, rows, cols]
-    group = None if device.is_gpu else (1, 1)
     grid = (-(-rows // shape["ROWS"]), -(-cols // run))
-    device.launch(
-        "processor.develop",
-        "develop",
-        grid,
-        *arrays,
-        *numbers,
-        *sizes,
-        defines=defines,
-        group=group,
-    )
+    options: dict[str, Any] = {
+        "defines": shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)},
+        "group": None if device.is_gpu else (1, 1),
+    }
+    device.launch("processor.develop", "develop", grid, *arrays, *numbers, *sizes, **options)
     return out
 
 

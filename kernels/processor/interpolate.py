@@ -19,6 +19,7 @@ interpolates each sample of the period bilinearly in its own lattice and takes t
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -80,20 +81,15 @@ def interpolate(
     channels = len(tents)
     out = device.empty((channels, rows, cols))
     arrays = [device.array(raw, np.uint16), starts, offsets, weights, out]
-    defines = {"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1}
     numbers = [float(black_level), float(scale)]
     sizes = [*reach, *cfa.shape, weights.shape[1], rows, cols, *warp_only(device, channels)]
-    group = (1, 1) if blocks else None
     grid = (rows, 1) if blocks else (rows, cols)
+    options: dict[str, Any] = {
+        "defines": {"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
+        "group": (1, 1) if blocks else None,
+    }
     device.launch(
-        "processor.interpolate",
-        "interpolate",
-        grid,
-        *arrays,
-        *numbers,
-        *sizes,
-        defines=defines,
-        group=group,
+        "processor.interpolate", "interpolate", grid, *arrays, *numbers, *sizes, **options
     )
     return out
 

@@ -61,18 +61,11 @@ def chip(
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
     arrays = [*planes, expected, *warp_only(device, *use)]
-    defines = {"RESPONSE": use[0], "DARK": use[1]}
-    numbers = [size, float(scale)]
-    grid = (size,)
-    device.launch(
-        "sensor.chip",
-        "chip",
-        grid,
-        *arrays,
-        *numbers,
-        numbers={"dark_time": dark_time},
-        defines=defines,
-    )
+    options = {
+        "numbers": {"dark_time": dark_time},
+        "defines": {"RESPONSE": use[0], "DARK": use[1]},
+    }
+    device.launch("sensor.chip", "chip", (size,), *arrays, size, float(scale), **options)
     return device.reshape(expected, tuple(mean.shape))
 
 

@@ -39,19 +39,13 @@ def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slop
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable would double the cost.
-    arrays = [rates, cfa, mean]
-    defines = {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]}
-    numbers = [float(slope), rows, cols, *warp_only(device, *cfa.shape)]
-    grid = (rows, cols)
-    device.launch(
-        "sensor.collect",
-        "collect",
-        grid,
-        *arrays,
-        *numbers,
-        numbers={"exposure_time": exposure_time},
-        defines=defines,
-    )
+    arrays, grid = [rates, cfa, mean], (rows, cols)
+    sizes = [float(slope), rows, cols, *warp_only(device, *cfa.shape)]
+    options = {
+        "numbers": {"exposure_time": exposure_time},
+        "defines": {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
+    }
+    device.launch("sensor.collect", "collect", grid, *arrays, *sizes, **options)
     return mean
 
 

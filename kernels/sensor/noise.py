@@ -152,47 +152,29 @@ def noise(
     lines = None
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
-        numbers = [count, rows, cols, *first, float(row_noise), float(column_noise), int(read)]
+        sizes = [count, rows, cols, *first]
+        numbers = [float(row_noise), float(column_noise), int(read)]
         grid = (count, -(-rows // width) + -(-cols // width))
-        device.launch(
-            "sensor.noise",
-            "lines",
-            grid,
-            lines,
-            *numbers,
-            numbers=drawn,
-            words=_line_words,
-            defines=common,
-        )
+        options = {"numbers": drawn, "words": _line_words, "defines": common}
+        device.launch("sensor.noise", "lines", grid, lines, *sizes, *numbers, **options)
     planes = [
         expected if plane is None else plane for plane in (expected, offset, amplitude, lines)
     ]
     scale = (1.0, 0.0) if electrons else (gain, black_level)
-    device.launch(
-        "sensor.noise",
-        "noise",
-        (count, rows, -(-cols // width)),
-        *planes,
-        out,
-        rows,
-        cols,
-        signed((first[0] * frame_cols + first[1]) % 2**32),
-        frame_cols,
-        chance_word(telegraph_switching, 31),
-        float(full_well),
-        float(white_level or 0.0),
-        int(read),
-        numbers={
-            "dark_electrons": dark_electrons,
-            # a kernel without read noise takes none later: another is built then
-            **({"read_noise": read_noise} if common["READ_NOISE"] else {}),
-            "gain": scale[0],
-            "black_level": scale[1],
-            **drawn,
-        },
-        words=_noise_words,
-        defines=common,
-    )
+    first_pixel = signed((first[0] * frame_cols + first[1]) % 2**32)
+    fixed = [rows, cols, first_pixel, frame_cols, chance_word(telegraph_switching, 31)]
+    fixed += [float(full_well), float(white_level or 0.0), int(read)]
+    numbers = {
+        "dark_electrons": dark_electrons,
+        # a kernel without read noise takes none later: another is built then
+        **({"read_noise": read_noise} if common["READ_NOISE"] else {}),
+        "gain": scale[0],
+        "black_level": scale[1],
+        **drawn,
+    }
+    grid = (count, rows, -(-cols // width))
+    options = {"numbers": numbers, "words": _noise_words, "defines": common}
+    device.launch("sensor.noise", "noise", grid, *planes, out, *fixed, **options)
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 

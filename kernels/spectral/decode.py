@@ -43,18 +43,9 @@ def decode(device: Device, codes: Array, curve: Array) -> Array:
     if len(codes.shape) == 2:
         codes = device.reshape(codes, (rows, cols, 1))
     # An inner loop that is not unrolled stops PoCL from vectorising.
-    arrays = [codes, curve, out]
-    defines = {"CHANNELS": channels}
-    sizes = [rows, cols, *warp_only(device, channels)]
-    grid = (rows, cols)
-    device.launch(
-        "spectral.decode",
-        "decode_bytes" if kind == np.uint8 else "decode_words",
-        grid,
-        *arrays,
-        *sizes,
-        defines=defines,
-    )
+    kernel, defines = "decode_bytes" if kind == np.uint8 else "decode_words", {"CHANNELS": channels}
+    arrays, sizes = [codes, curve, out], [rows, cols, *warp_only(device, channels)]
+    device.launch("spectral.decode", kernel, (rows, cols), *arrays, *sizes, defines=defines)
     return out
 
 

@@ -34,17 +34,10 @@ def illuminate(device: Device, maps: Array, coefficients: Array) -> Array:
     coefficients = device.array(coefficients, np.float16 if is_half else np.float32)
     out = device.empty((lights * surfaces, *shape))
     if shape[0] * shape[1]:  # an inner loop that is not unrolled stops PoCL from vectorising
-        arrays = [maps, coefficients, out]
+        arrays, sizes = [maps, coefficients, out], [*shape, *warp_only(device, lights, surfaces)]
+        kernel = "illuminate_half" if is_half else "illuminate"
         defines = {"LIGHTS": lights, "SURFACES": surfaces}
-        sizes = [*shape, *warp_only(device, lights, surfaces)]
-        device.launch(
-            "spectral.illuminate",
-            "illuminate_half" if is_half else "illuminate",
-            shape,
-            *arrays,
-            *sizes,
-            defines=defines,
-        )
+        device.launch("spectral.illuminate", kernel, shape, *arrays, *sizes, defines=defines)
     return out
 
 

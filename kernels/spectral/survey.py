@@ -18,6 +18,9 @@ predicts a plan's error, without the moments themselves. Differences are taken b
 otherwise rounding would lose them in a smooth picture.
 """
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -80,22 +83,15 @@ def survey(
     out = device.empty((pairs, 3, count + 1))
     if not pairs:
         return out
+    kernel, inputs = ("mixed", [content]) if ids is None else ("labelled", [ids, content])
+    inputs += [table, first]
     if device.is_gpu:
-        _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit)
+        _by_groups(device, kernel, inputs, out, entries, rows, cols, unit)
         return out
-    defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
-    arrays = [*(() if ids is None else (ids,)), content, table, first, out]
     sizes = [entries, rows, cols, count, unit]
-    device.launch(
-        "spectral.survey",
-        "mixed" if ids is None else "labelled",
-        grid,
-        *arrays,
-        *sizes,
-        defines=defines,
-        group=group,
-    )
+    options: dict[str, Any] = {"defines": {"WIDTH": 8, "BLOCK": BLOCK}, "group": group}
+    device.launch("spectral.survey", kernel, grid, *inputs, out, *sizes, **options)
     return out
 
 
@@ -107,32 +103,17 @@ def _widen_rows(device, content, first):
     return device.reshape(content, content.shape[1:]), np.arange(0, rows.size, 2), rows.size
 
 
-def _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit):
+def _by_groups(device, kernel, inputs, out, entries, rows, cols, unit):
     """Reduce parts of rows by work-groups, then the parts of every row in their order."""
-    count, pairs = table.shape[0], first.shape[0]
+    pairs, _, sums = out.shape
     chunks = -(-cols // THREADS)
-    parts = device.empty((pairs, chunks, 3 * (count + 1)))
-    defines = {"PROJECTIONS": count, "THREADS": THREADS}
-    content = (content,) if ids is None else (ids, content)
-    arrays = [*content, table, first, parts]
-    sizes = [entries, rows, cols, chunks, unit]
-    group = (THREADS,)
-    grid = (pairs * chunks * THREADS,)
-    device.launch(
-        GROUPS,
-        "mixed_groups" if ids is None else "labelled_groups",
-        grid,
-        *arrays,
-        *sizes,
-        defines=defines,
-        group=group,
-    )
-    items = pairs * 3 * (count + 1)
-    arrays = [parts, out]
-    sizes = [items, chunks, cols]
-    group = (THREADS,)
-    grid = (-(-items // THREADS) * THREADS,)
-    device.launch(GROUPS, "finish", grid, *arrays, *sizes, defines=defines, group=group)
+    parts = device.empty((pairs, chunks, 3 * sums))
+    defines = {"PROJECTIONS": sums - 1, "THREADS": THREADS}
+    launch = partial(device.launch, GROUPS, defines=defines, group=(THREADS,))
+    grid, sizes = (pairs * chunks * THREADS,), [entries, rows, cols, chunks, unit]
+    launch(f"{kernel}_groups", grid, *inputs, parts, *sizes)
+    items = pairs * 3 * sums
+    launch("finish", (-(-items // THREADS) * THREADS,), parts, out, items, chunks, cols)
 
 
 def check_inputs(content, table, first, ids):
