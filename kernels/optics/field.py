@@ -14,6 +14,7 @@ that is mixed there. Eigen-kernels have one tile, and a term for each of them. T
 are transformed, summed, and transformed back once per channel.
 """
 
+import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -88,19 +89,8 @@ def field(
     if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    padded = blur(
-        device,
-        planes,
-        coefficients,
-        tables,
-        kernels.shape[1],
-        index,
-        edges,
-        mix,
-        border,
-        limit,
-        period,
-    )
+    own, light = kernels.shape[1], (planes, coefficients)
+    padded = blur(device, *light, tables, own, index, edges, mix, border, limit, period)
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
@@ -112,19 +102,8 @@ def field(
     numbers = [m // 2, n // 2, int(base is not None), *out.shape, tiles_y, tiles_x, *period]
     device.launch("optics.field", "assemble", out.shape, *arrays, *numbers)
     if threshold is not None:
-        _add_highlights(
-            device,
-            out,
-            planes,
-            coefficients,
-            np.asarray(device.numpy(kernels)),
-            index,
-            edges,
-            mix,
-            border,
-            limit,
-            margin,
-        )
+        kernels = np.asarray(device.numpy(kernels))
+        _add_highlights(device, out, *light, kernels, index, edges, mix, border, limit, margin)
     return out
 
 
@@ -134,11 +113,11 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
     (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
     on_device_index = device.array(index, np.int32)
-    sizes = warp_only(device, terms, channels)
     padded = device.empty((channels, tiles, *period))
-    batch = max(
-        1, BATCH_BYTES * (64 if device.is_gpu else 1) // (4 * terms * period[0] * period[1])
-    )
+    at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
+    batch = max(1, at_once // (4 * terms * period[0] * period[1]))
+    defines = {"TERMS": terms, "CHANNELS": channels}
+    launch = functools.partial(device.launch, "optics.field")
     for first in range(0, tiles, batch):
         size = min(batch, tiles - first)
         sums = None
@@ -146,24 +125,18 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
             weighted = device.empty((size * terms, *period))
             arrays = [planes, coefficients, edges_y, edges_x, weighted]
             numbers = [limit, p, first, BORDERS[border], rows, cols, len(edges[1]) - 1, terms]
-            extents = [*weighted.shape]
-            device.launch("optics.field", "weigh", weighted.shape, *arrays, *numbers, *extents)
+            launch("weigh", weighted.shape, *arrays, *numbers, *weighted.shape)
             spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
             arrays = [spectra, tables, on_device_index, device.array(mix[:, p]), sums]
-            defines = {"TERMS": terms, "CHANNELS": channels}
-            numbers = [int(p == 0)]
-            extents = [first, min(p, own - 1), *sizes, size, period[0], half, pitch, own]
-            grid = (size, period[0], half)
-            device.launch(
-                "optics.field", "accumulate", grid, *arrays, *numbers, *extents, defines=defines
-            )
+            numbers = [int(p == 0), first, min(p, own - 1), *warp_only(device, terms, channels)]
+            grid, sizes = (size, period[0], half), [size, period[0], half, pitch, own]
+            launch("accumulate", grid, *arrays, *numbers, *sizes, defines=defines)
         blurred = fft.inverse(device, sums, period[1])
-        arrays = [blurred, padded]
-        extents = [first, channels, size, tiles, *period]
-        device.launch("optics.field", "keep", (channels * size, *period), *arrays, *extents)
+        grid, sizes = (channels * size, *period), [first, channels, size, tiles, *period]
+        launch("keep", grid, blurred, padded, *sizes)
     return padded
 
 

@@ -15,6 +15,8 @@ M = P / (ph, pw). All phases together cost one inverse transform of the frame in
 channel.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -80,47 +82,27 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
+    of, channel_list = (
+        warp_only(device, device.array(cfa, np.int32)),
+        ",".join(map(str, cfa.ravel())),
+    )
+    phases = {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]}
+    launch = functools.partial(device.launch, "optics.mosaic")
     folded = device.empty((cfa.size, small[0], pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
-        arrays = [
-            spectra,
-            tables,
-            device.array(mix[:, first : first + size]),
-            *turns,
-            *warp_only(device, device.array(cfa, np.int32)),
-            folded,
-        ]
-        defines = {
-            "SIZE": size,
-            "CHANNELS": channels,
-            "PERIOD_Y": cfa.shape[0],
-            "PERIOD_X": cfa.shape[1],
-            "CFA": ",".join(map(str, cfa.ravel())),
-        }
+        some = device.array(mix[:, first : first + size])
+        arrays = [spectra, tables, some, *turns, *of, folded]
         numbers = [int(first == 0), first, count, own_tables]
-        sizes = [
-            *warp_only(device, size, channels, *cfa.shape),
-            *small,
-            half,
-            spectra.shape[2],
-            pitch,
-        ]
-        device.launch(
-            "optics.mosaic", "fold", (small[0], half), *arrays, *numbers, *sizes, defines=defines
-        )
+        sizes = [*warp_only(device, size, channels, *cfa.shape), *small, half]
+        pitches = spectra.shape[2], pitch
+        defines = phases | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list}
+        launch("fold", (small[0], half), *arrays, *numbers, *sizes, *pitches, defines=defines)
     pixels = fft.inverse(device, folded, small[1])
-    arrays = [pixels, out]
-    defines = {
-        "SIZE": 1,
-        "CHANNELS": 1,
-        "PERIOD_Y": cfa.shape[0],
-        "PERIOD_X": cfa.shape[1],
-        "CFA": "0",
-    }
     sizes = [*start, *out.shape, *warp_only(device, *cfa.shape), *small]
-    device.launch("optics.mosaic", "interleave", out.shape, *arrays, *sizes, defines=defines)
+    defines = phases | {"SIZE": 1, "CHANNELS": 1, "CFA": "0"}
+    launch("interleave", out.shape, pixels, out, *sizes, defines=defines)
 
 
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
@@ -140,33 +122,25 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
         "BORDER": BORDERS[border],
         "REGISTERS": fft.REGISTERS,
     }
+    launch = functools.partial(device.launch, LINES)
     pitch, groups = cols + cols % 2, -(-cols // (2 * columns_forward))
     folded = device.empty((cfa.size, small[0] // 2 + 1, small[1], 2))
     halves = device.empty((min(BATCH, count), stored, pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         group = fft.threads(device, period[0], columns_forward)
-        arrays = [planes, roots_y, halves]
         defines = shape | {
             "THREADS": group,
             "COLUMNS_FORWARD": columns_forward,
             "LOCAL_BYTES": fft.room(period[0], columns_forward),
             "FORWARD": fft.passes(period[0], columns_forward, -1),
         }
-        sizes = [first, before[0], rows, cols, pitch, groups]
+        arrays, sizes = [planes, roots_y, halves], [first, before[0], rows, cols, pitch, groups]
         grid = (size * groups * group,)
-        device.launch(
-            LINES, "columns_forward", grid, *arrays, *sizes, group=(group,), defines=defines
-        )
+        launch("columns_forward", grid, *arrays, *sizes, group=(group,), defines=defines)
         group = fft.threads(device, period[1], rows_forward)
-        arrays = [
-            halves,
-            tables,
-            fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)),
-            roots_y,
-            roots_x,
-            folded,
-        ]
+        some = fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size))
+        arrays = [halves, tables, some, roots_y, roots_x, folded]
         defines = shape | {
             "THREADS": group,
             "ROWS_FORWARD": rows_forward,
@@ -183,21 +157,18 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
         numbers = [int(first == 0), first, count, int(tables.shape[0] > 1)]
         sizes = [before[1], size, cols, pitch]
         grid = ((small[0] // 2 + 1) * group,)
-        device.launch(
-            LINES, "fold", grid, *arrays, *numbers, *sizes, group=(group,), defines=defines
-        )
+        launch("fold", grid, *arrays, *numbers, *sizes, group=(group,), defines=defines)
     side_by_side = columns_inverse * cfa.size // 2
     group = fft.threads(device, small[0], side_by_side)
-    arrays = [folded, roots_y, out]
     defines = shape | {
         "THREADS": group,
         "COLUMNS_INVERSE": columns_inverse,
         "LOCAL_BYTES": fft.room(small[0], side_by_side),
         "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
     }
-    sizes = [1 / (period[0] * period[1]), *start, *out.shape]
+    arrays, sizes = [folded, roots_y, out], [1 / (period[0] * period[1]), *start, *out.shape]
     grid = (-(-small[1] // columns_inverse) * group,)
-    device.launch(LINES, "columns_inverse", grid, *arrays, *sizes, group=(group,), defines=defines)
+    launch("columns_inverse", grid, *arrays, *sizes, group=(group,), defines=defines)
 
 
 def _lines(local_bytes, period, cfa_shape):

@@ -46,13 +46,8 @@ def near(
         _gaussians(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
     )
     out = device.empty(tables.shape)
-    arrays = [
-        device.array(tables),
-        device.array(energies.reshape(groups * planes, -1)),
-        device.array(down),
-        device.array(across),
-        out,
-    ]
+    mixed = device.array(energies.reshape(groups * planes, -1))
+    arrays = [device.array(tables), mixed, device.array(down), device.array(across), out]
     sizes = [rows, cols, energies.shape[-1]]
     device.launch("optics.near", "near", (groups * planes, rows, cols), *arrays, *sizes)
     return out

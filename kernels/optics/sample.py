@@ -51,16 +51,9 @@ def sample(
     ):
         weights = np.ascontiguousarray(np.transpose(device.numpy(weights)))
         size = (fine_rows, rows, fine_cols) if name == "columns" else (rows, fine_cols, cols)
-        arrays = [
-            source,
-            device.array(start, np.int32),
-            device.array(weights),
-            target,
-            *warp_only(device, taps),
-        ]
-        device.launch(
-            "optics.sample", name, target.shape, *arrays, count, *size, defines={"TAPS": taps}
-        )
+        arrays = [source, device.array(start, np.int32), device.array(weights), target]
+        sizes, defines = [*warp_only(device, taps), count, *size], {"TAPS": taps}
+        device.launch("optics.sample", name, target.shape, *arrays, *sizes, defines=defines)
     return out
 
 

@@ -55,8 +55,8 @@ def splat(
     strength, cores, profiles = (device.array(values) for values in (strength, cores, profiles))
     out = device.empty((rows, cols))
     arrays = [mosaic, cfa, places, strength, cores, profiles, out]
-    numbers = [1 / step, float(spread), int(parts), rows, cols, *cfa.shape, places.shape[0]]
-    sizes = [cores.shape[1], cores.shape[2], profiles.shape[2]]
+    numbers = [1 / step, float(spread), int(parts)]
+    sizes = [rows, cols, *cfa.shape, places.shape[0], *cores.shape[1:3], profiles.shape[2]]
     device.launch("optics.splat", "splat", (rows, cols), *arrays, *numbers, *sizes)
     return out
 

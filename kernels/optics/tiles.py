@@ -32,10 +32,7 @@ MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
 # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
-REGISTERS = (
-    80,
-    128,
-)
+REGISTERS = (80, 128)
 FEW = 32
 PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
 RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
@@ -100,28 +97,12 @@ def tiles(
     # from a tile's corner
     outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
     count = tuple(-(-n // made.valid) for n in shape)
-    if device.on_host:
-        make = _by_lanes if device.kind == "opencl" else _by_batches
-    else:
-        make = (
-            _by_groups
-            if _room(side, pattern.shape, len(outputs)) <= device.local_bytes
-            else _by_batches
-        )
-    make(
-        device,
-        planes,
-        tables,
-        mix,
-        outputs,
-        pattern.shape,
-        border,
-        side,
-        overlap,
-        margin,
-        count,
-        out,
-    )
+    fits = _room(side, pattern.shape, len(outputs)) <= device.local_bytes
+    make = _by_groups if fits and not device.on_host else _by_batches
+    if device.on_host and device.kind == "opencl":
+        make = _by_lanes
+    arrays = planes, tables, mix, outputs
+    make(device, *arrays, pattern.shape, border, side, overlap, margin, count, out)
     return device.reshape(out, shape) if cfa is not None else out
 
 
@@ -134,19 +115,23 @@ def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
         parts, theirs = (
             device.stack([device.part(array, int(k)) for k in used]) for array in (planes, own)
         )
-        channel = tiles(
-            parts,
-            device.reshape(theirs, (1, *theirs.shape)),
-            weights[None, used],
-            None,
-            border,
-            side,
-            overlap,
-            margin,
-            device=device,
-        )
+        theirs, mixed = device.reshape(theirs, (1, *theirs.shape)), weights[None, used]
+        channel = tiles(parts, theirs, mixed, None, border, side, overlap, margin, device=device)
         channels.append(device.part(channel, 0))
     return device.stack(channels)
+
+
+def _shared_defines(side, overlap, period, outputs, channels, border):
+    return {
+        "SIDE": side,
+        "OVERLAP": overlap,
+        "PERIOD_Y": period[0],
+        "PERIOD_X": period[1],
+        "OUTPUTS": len(outputs),
+        "OF": ", ".join(map(str, outputs)),
+        "CHANNELS": channels,
+        "BORDER": BORDERS[border],
+    }
 
 
 def _by_lanes(
@@ -155,16 +140,8 @@ def _by_lanes(
     """Blur on a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     even = number + number % 2
-    defines = {
-        "SIDE": side,
-        "OVERLAP": overlap,
-        "PERIOD_Y": period[0],
-        "PERIOD_X": period[1],
-        "OUTPUTS": len(outputs),
-        "OF": ", ".join(map(str, outputs)),
-        "CHANNELS": channels,
+    defines = _shared_defines(side, overlap, period, outputs, channels, border) | {
         "PAIRS": min(even // 2, PAIRS),
-        "BORDER": BORDERS[border],
         "COLUMNS": _passes(side, 1, -1, "LOAD", "TO_B"),
         "ROWS": _passes(side, 1, -1, "LOAD", "SAVE"),
         "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
@@ -172,13 +149,11 @@ def _by_lanes(
     }
     weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
     arrays = [tables, device.array(mix), weights]
-    numbers = [int(tables.shape[0] > 1), number]
-    device.launch(LANES_STAGE, "weights", (side, side // 2 + 1), *arrays, *numbers, defines=defines)
+    launch = functools.partial(device.launch, LANES_STAGE, defines=defines)
+    launch("weights", (side, side // 2 + 1), *arrays, int(tables.shape[0] > 1), number)
     arrays = [planes, weights, fft.roots(device, side), _turns(device, side, period[0]), out]
     sizes = [margin, number, rows, cols, *out.shape[1:], count[1]]
-    device.launch(
-        LANES_STAGE, "tiles", (count[0] * count[1],), *arrays, *sizes, group=(1,), defines=defines
-    )
+    launch("tiles", (count[0] * count[1],), *arrays, *sizes, group=(1,))
 
 
 def _by_batches(
@@ -189,28 +164,23 @@ def _by_batches(
     small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
     of, mix = device.array(outputs, np.int32), device.array(mix)
     pitch = fft.pitch_of(device, small[1])
+    launch = functools.partial(device.launch, "optics.tiles")
     for first in range(0, all_tiles, TILES):
         some = min(TILES, all_tiles - first)
         parts = device.empty((some * number, side, side))
-        arrays = [planes, parts]
-        numbers = [BORDERS[border], first, valid, overlap - margin, some * number, number, rows]
-        sizes = [cols, side, count[1]]
-        device.launch("optics.tiles", "cut", parts.shape, *arrays, *numbers, *sizes)
+        numbers = [BORDERS[border], first, valid, overlap - margin]
+        sizes = [some * number, number, rows, cols, side, count[1]]
+        launch("cut", parts.shape, planes, parts, *numbers, *sizes)
         spectra = fft.forward(device, parts)
         folded = device.empty((some * len(outputs), small[0], pitch, 2))
         arrays = [spectra, tables, mix, fft.roots(device, side), of, folded]
-        numbers = [int(tables.shape[0] > 1)]
         sizes = [some, number, channels, len(outputs), *period, side, spectra.shape[2], pitch]
-        device.launch(
-            "optics.tiles", "fold", (some, small[0], small[1] // 2 + 1), *arrays, *numbers, *sizes
-        )
+        grid = (some, small[0], small[1] // 2 + 1)
+        launch("fold", grid, *arrays, int(tables.shape[0] > 1), *sizes)
         pixels = fft.inverse(device, folded, small[1])
-        arrays = [pixels, out]
         numbers = [first, valid, overlap, 1 / prod(period), some * images, images, len(outputs)]
         sizes = [*shape, *period, side, count[1]]
-        device.launch(
-            "optics.tiles", "place", (some * images, valid, valid), *arrays, *numbers, *sizes
-        )
+        launch("place", (some * images, valid, valid), pixels, out, *numbers, *sizes)
 
 
 def _by_groups(
@@ -225,19 +195,11 @@ def _by_groups(
     sums = 2 * len(outputs) * -(-(small[0] // 2 + 1) * small[1] // group)
     first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
     *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
-    defines = {
+    defines = _shared_defines(side, overlap, period, outputs, channels, border) | {
         "THREADS": group,
         "REGISTERS": REGISTERS[sums > FEW],
         "LOCAL_BYTES": room,
-        "SIDE": side,
-        "OVERLAP": overlap,
-        "PERIOD_Y": period[0],
-        "PERIOD_X": period[1],
-        "OUTPUTS": len(outputs),
-        "OF": ", ".join(map(str, outputs)),
-        "CHANNELS": channels,
         "OWN_TABLES": int(tables.shape[0] > 1),
-        "BORDER": BORDERS[border],
         "FIRST": first,
         "COLUMNS": " ".join(columns),
         "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),
@@ -250,13 +212,8 @@ def _by_groups(
         "TURNS_Y": fft.roots_text(period[0]),
         "TURNS_X": fft.roots_text(period[1]),
     }
-    arrays = [
-        planes,
-        tables,
-        fft.constant(device, mix.tobytes(), mix.shape),
-        fft.roots(device, side),
-        out,
-    ]
+    weights, roots = fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side)
+    arrays = [planes, tables, weights, roots, out]
     sizes = [margin, 0, number, rows, cols, *out.shape[1:], count[1]]
     grid = (count[0] * count[1] * group,)
     device.launch(GROUPS_STAGE, "tiles", grid, *arrays, *sizes, group=(group,), defines=defines)

@@ -13,7 +13,7 @@ from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 DOMAINS = ("root", "linear")
 
@@ -79,27 +79,15 @@ def adaptive(
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
     red, blue = map(float, np.sqrt(factors) if root else factors)
-    mosaic: tuple = (
-        float(black_level),
-        float(limit),
-        red,
-        blue,
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-    )
-    if device.kind != "opencl":
-        mosaic += (int(root),)
+    phases = red_row, red_col, run, rows, cols, *warp_only(device, int(root))
+    mosaic = float(black_level), float(limit), red, blue, *phases
     options: dict[str, Any] = {
         "defines": {"ROOT": int(root)},
         "group": None if device.is_gpu else (1, 1),
     }
     device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
-    device.launch(
-        "processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options
-    )
+    given = raw, difference, out, float(scale)
+    device.launch("processor.adaptive", "colors", grid, *given, *mosaic, **options)
     return out
 
 

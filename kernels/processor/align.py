@@ -33,8 +33,8 @@ Sums are whole numbers, so all devices choose the same displacement. If a frame 
 else, a displacement is found nonetheless: `processor.average` decides whether it fits.
 """
 
+import functools
 from numbers import Real
-from typing import Any
 
 import numpy as np
 
@@ -85,50 +85,38 @@ def align(
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
     lanes = 8 if is_opencl_cpu(device) else 1
-    common: dict[str, Any] = {
-        "defines": {
-            "WIDTH": lanes,
-            "TILE": TILE,
-            "PAD": PAD,
-            "LIKELY": LIKELY,
-            "SAVED": SAVED,
-            "SURE": f"{SURE}f",
-            "PERIOD_Y": int(period[0]),
-            "PERIOD_X": int(period[1]),
-        }
+    period_y, period_x = map(int, period)
+    defines = {
+        "WIDTH": lanes,
+        "TILE": TILE,
+        "PAD": PAD,
+        "LIKELY": LIKELY,
+        "SAVED": SAVED,
+        "SURE": f"{SURE}f",
+        "PERIOD_Y": period_y,
+        "PERIOD_X": period_x,
     }
-    extra = warp_only(device, *map(int, period))
-    sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
-    arrays = [raw, planes[0]]
-    extents = [count, rows, cols, *size, *extra]
-    device.launch("processor.align", "blocks", planes[0].shape, *arrays, *extents, **common)
+    launch = functools.partial(device.launch, "processor.align", defines=defines)
+    sizes, planes = [size], [device.empty((count, *(n + 2 * PAD for n in size)), np.int32)]
+    numbers = [count, rows, cols, *size, *warp_only(device, period_y, period_x)]
+    launch("blocks", planes[0].shape, raw, planes[0], *numbers)
     while min(sizes[-1]) // 2 >= TILE and len(sizes) < (levels or MOST_LEVELS):
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
-        planes.append(
-            device.empty((count, sizes[-1][0] + 2 * PAD, sizes[-1][1] + 2 * PAD), np.int32)
-        )
-        arrays = [planes[-2], planes[-1]]
-        extents = [count, *sizes[-2], *sizes[-1]]
-        device.launch("processor.align", "halve", planes[-1].shape, *arrays, *extents, **common)
+        planes.append(device.empty((count, *(n + 2 * PAD for n in sizes[-1])), np.int32))
+        launch("halve", planes[-1].shape, planes[-2], planes[-1], count, *sizes[-2], *sizes[-1])
     group = (1, 1, 1) if lanes == 8 else None
     parents, parent_tiles = planes[-1], (0, 0)  # none yet: any array stands for them
     for (h, w), plane in zip(reversed(sizes), reversed(planes), strict=True):
         tiles = -(-h // TILE), -(-w // TILE)
         found = device.empty((count, *tiles, 3), np.int32)
         parents = device.reshape(parents, (int(np.prod(parents.shape)),))
-        arrays = [plane, parents, found]
-        numbers = [int(reference)]
-        extents = [COARSE if parent_tiles == (0, 0) else FINE, *parent_tiles, h, w, *tiles, count]
-        grid = (count, *tiles)
-        device.launch(
-            "processor.align", "search", grid, *arrays, *numbers, *extents, group=group, **common
-        )
+        radius = COARSE if parent_tiles == (0, 0) else FINE
+        numbers = [int(reference), radius, *parent_tiles, h, w, *tiles, count]
+        launch("search", (count, *tiles), plane, parents, found, *numbers, group=group)
         parents, parent_tiles = found, tiles
     out = device.empty((count, *parent_tiles, 2))
-    arrays = [planes[0], parents, out]
     numbers = [int(reference), *size, *parent_tiles, count]
-    grid = (count, *parent_tiles)
-    device.launch("processor.align", "fraction", grid, *arrays, *numbers, group=group, **common)
+    launch("fraction", (count, *parent_tiles), planes[0], parents, out, *numbers, group=group)
     return out
 
 

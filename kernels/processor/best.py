@@ -4,6 +4,7 @@ Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_
 camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -126,9 +127,8 @@ def best(
         ring = 32 if noisy else 16
         strips = -(-rows // height)
         scratch = device.empty((strips, PLANES, ring, 2 * half))
-        steps: list[tuple] = [
-            ("strip", (strips,), (1,), (raw, scratch, out, height, ring * 2 * half))
-        ]
+        arrays = (raw, scratch, out, height, ring * 2 * half)
+        steps: list[tuple] = [("strip", (strips,), (1,), arrays)]
         defines["WIDTH"] = 8
     elif device.kind == "opencl":  # three passes over tiles
         half = -(-(columns + ROOM) // 32) * 32
@@ -141,51 +141,32 @@ def best(
         ]
         defines |= {"WIDTH": 1, **TILE}
     else:
-        _by_pixels(
-            device, raw, out, mosaic | {"cols": cols, "rows": rows, "root": root, "noisy": noisy}
-        )
+        sizes = {"rows": rows, "cols": cols, "root": root, "noisy": noisy}
+        _by_pixels(device, raw, out, mosaic | sizes)
         return out
+    launch = functools.partial(device.launch, "processor.best", defines=defines)
     for kernel, grid, group, arrays in steps:
-        numbers = [*mosaic.values(), half, rows, cols]
-        device.launch(
-            "processor.best", kernel, grid, *arrays, *numbers, defines=defines, group=group
-        )
+        launch(kernel, grid, *arrays, *mosaic.values(), half, rows, cols, group=group)
     return out
 
 
-# Warp's kernels: pixels of the margin that they leave out, columns of an item, planes, and numbers
+# Warp's kernels: pixels of the margin that they leave out, columns of an item, planes
 PASSES = (
-    (
-        "encode_all",
-        0,
-        1,
-        "raw code",
-        "black_level scale offset red blue red_row red_col rows cols root",
-    ),
-    ("differences", 4, 1, "code across down", "variance shot red blue prior red_row red_col"),
-    (
-        "greens",
-        8,
-        2,
-        "code across down green",
-        "loss offset variance shot longest shortest red_row red_col root noisy",
-    ),
-    ("slopes", 10, 2, "code green square product", "red_row red_col"),
-    (
-        "diagonals",
-        12,
-        2,
-        "code green square product other",
-        "variance shot red blue prior red_row red_col",
-    ),
-    (
-        "colors",
-        14,
-        2,
-        "raw code green square product other out",
-        "loss black_level scale offset variance shot red blue prior red_row red_col cols root noisy",
-    ),
+    ("encode_all", 0, 1, "raw code"),
+    ("differences", 4, 1, "code across down"),
+    ("greens", 8, 2, "code across down green"),
+    ("slopes", 10, 2, "code green square product"),
+    ("diagonals", 12, 2, "code green square product other"),
+    ("colors", 14, 2, "raw code green square product other out"),
 )
+NUMBERS = {  # of each kernel
+    "encode_all": "black_level scale offset red blue red_row red_col rows cols root",
+    "differences": "variance shot red blue prior red_row red_col",
+    "greens": "loss offset variance shot longest shortest red_row red_col root noisy",
+    "slopes": "red_row red_col",
+    "diagonals": "variance shot red blue prior red_row red_col",
+    "colors": "loss black_level scale offset variance shot red blue prior red_row red_col cols root noisy",
+}
 
 
 def _by_pixels(device, raw, out, numbers):
@@ -195,18 +176,17 @@ def _by_pixels(device, raw, out, numbers):
         name: device.empty((rows * width,))
         for name in ("code", "across", "down", "green", "square", "product", "other")
     }
-    for kernel, low, sites, arrays, names in PASSES:
+    for kernel, low, sites, arrays in PASSES:
         grid = (rows - 2 * low, (width - 2 * low) // sites)
-        given = [*map(planes.get, arrays.split()), low, width, *map(numbers.get, names.split())]
+        given = [*(planes[name] for name in arrays.split()), low, width]
+        given += [numbers[name] for name in NUMBERS[kernel].split()]
         device.launch("processor.best", kernel, grid, *given)
 
 
 def _tiles(rows, pairs):
     """Return grid and group of work-items over whole tiles."""
-    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (
-        1,
-        TILE["GROUP"],
-    )
+    group = (1, TILE["GROUP"])
+    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), group
 
 
 def code_noise(root, gain, read):

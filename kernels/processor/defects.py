@@ -95,46 +95,26 @@ def defects(
     )
     grid, group = ((rows, 1), (1, 1)) if lines else ((rows, cols), None)
     defines = {"LINES": int(lines), "COUNT": count, "PERIOD_X": cfa.shape[1]}
+    launch = functools.partial(device.launch, "processor.defects", group=group, defines=defines)
     raw = device.array(raw, np.uint16)
 
     def replace(values, flags):
         out = device.empty((rows, cols), np.uint16)
         arrays = [values, flags, starts, entries, out]
         sizes = [*cfa.shape, rows, cols]
-        device.launch(
-            "processor.defects", "replace", grid, *arrays, *sizes, group=group, defines=defines
-        )
+        launch("replace", grid, *arrays, *sizes)
         return out
 
     if known is not None:
-        raw = replace(
-            raw,
-            device.array(
-                known if isinstance(known, device.array_type) else np.asarray(known) != 0, np.uint8
-            ),
-        )
+        flags = known if isinstance(known, device.array_type) else np.asarray(known) != 0
+        raw = replace(raw, device.array(flags, np.uint8))
     if detect is not None:
         flags = device.empty((rows, cols), np.uint8)
         arrays = [raw, near, masks, flags]
-        numbers = [float(black_level), float(detect * detect * gain)]
-        sizes = [
-            float(detect * detect * read * read),
-            reach,
-            *cfa.shape,
-            rows,
-            cols,
-            *warp_only(device, count),
-        ]
-        device.launch(
-            "processor.defects",
-            "mark",
-            grid,
-            *arrays,
-            *numbers,
-            *sizes,
-            group=group,
-            defines=defines,
-        )
+        constant = float(detect * detect * read * read)
+        numbers = [float(black_level), float(detect * detect * gain), constant, reach]
+        sizes = [*cfa.shape, rows, cols, *warp_only(device, count)]
+        launch("mark", grid, *arrays, *numbers, *sizes)
         raw = replace(raw, flags)
     return raw
 

@@ -15,7 +15,7 @@ from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bayer import RED, check_mosaic
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 TILES = "processor.learned_tiles"  # the kernel of GPUs
@@ -140,22 +140,11 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
         "PERIOD_Y": period_y,
         "PERIOD_X": period_x,
     }
-    arrays = [
-        raw,
-        prepared.limits,
-        prepared.knots,
-        prepared.weights,
-        prepared.planes,
-        prepared.factors,
-        prepared.loss,
-        out,
-    ]
-    own_defines = prepared.defines | defines
-    sizes = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
-    grid = (across * down * items,)
-    device.launch(
-        TILES, "learned_tiles", grid, *arrays, *sizes, defines=own_defines, group=(items,)
-    )
+    arrays = [raw, prepared.limits, prepared.knots, prepared.weights, prepared.planes]
+    arrays += [prepared.factors, prepared.loss, out]
+    numbers = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
+    options = {"defines": prepared.defines | defines, "group": (items,)}
+    device.launch(TILES, "learned_tiles", (across * down * items,), *arrays, *numbers, **options)
 
 
 def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
@@ -172,42 +161,22 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
         group=(1, 1) if opencl else None,
         defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
     )
-    arrays = [raw, prepared.factors, codes]
     numbers = [*from_black[:2], *shift, *layout.period, rows, cols, stride]
-    sizes = [*(() if opencl else (reach, root))]
-    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, *arrays, *numbers, *sizes)
+    numbers += warp_only(device, reach, root)
+    grid = (codes.shape[0], 1) if opencl else codes.shape
+    launch("encode", grid, raw, prepared.factors, codes, *numbers)
     along, high = (128, 16) if opencl else (64, 1)
-    rest = (
-        ()
-        if opencl
-        else (
-            prepared.filters,
-            reach,
-            layout.box,
-            root,
-            layout.strengths.shape[1],
-            len(layout.ratios),
-            len(layout.shares),
-            along,
-        )
-    )
     arrays = [codes, prepared.limits, prepared.knots, units, levels]
-    sizes = [*measures, *shift, *layout.period, rows, cols, stride, *rest]
-    launch("classify", (-(-rows // high), -(-cols // along)), *arrays, *sizes)
-    rest = (
-        ()
-        if opencl
-        else (
-            prepared.taps,
-            reach,
-            root,
-            prepared.defines["UNBIASED"],
-            layout.classes,
-            layout.shape[-1],
-        )
-    )
+    numbers = [*measures, *shift, *layout.period, rows, cols, stride]
+    numbers += warp_only(device, prepared.filters, reach, layout.box, root)
+    bounds, ratios, shares = layout.strengths.shape[1], len(layout.ratios), len(layout.shares)
+    numbers += warp_only(device, bounds, ratios, shares, along)
+    launch("classify", (-(-rows // high), -(-cols // along)), *arrays, *numbers)
     arrays = [raw, codes, units, levels, prepared.weights, prepared.planes, prepared.loss, out]
-    launch("apply", (rows, 1 if opencl else cols), *arrays, *decoding, rows, cols, stride, *rest)
+    numbers = [*decoding, rows, cols, stride, *warp_only(device, prepared.taps, reach, root)]
+    unbiased = prepared.defines["UNBIASED"]
+    numbers += warp_only(device, unbiased, layout.classes, layout.shape[-1])
+    launch("apply", (rows, 1 if opencl else cols), *arrays, *numbers)
 
 
 class _Prepared:

@@ -39,8 +39,9 @@ def quantise(device: Device, raw: Array, *, black_level: float, scale: float) ->
     rows, cols = raw.shape
     numbers = device.empty((rows, cols), np.uint16)
     arrays = [device.array(raw), numbers]
-    parameters = [float(black_level), float(scale), LIGHT, float(CORRECTED_BLACK)]
-    sizes = [float(CORRECTED_WHITE), *warp_only(device, cols), rows * cols]
+    parameters = [float(black_level), float(scale), LIGHT]
+    parameters += [float(CORRECTED_BLACK), float(CORRECTED_WHITE)]
+    sizes = [*warp_only(device, cols), rows * cols]
     device.launch("processor.quantise", "quantise", (rows * cols,), *arrays, *parameters, *sizes)
     return numbers
 

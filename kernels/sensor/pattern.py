@@ -18,12 +18,7 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage
 
 # the plane's number separates their random numbers
-PLANES = (
-    "response",
-    "offset",
-    "dark",
-    "telegraph",
-)
+PLANES = ("response", "offset", "dark", "telegraph")
 
 
 @stage
@@ -83,21 +78,13 @@ def pattern(
     width = 8 if is_opencl_cpu(device) else 1  # see lanes.clh
     frame_cols = frame_cols or first[1] + cols
     values = device.empty((rows, cols))
-    numbers = [rows, cols, *first, frame_cols, PLANES.index(plane), float(mean), float(pixel)]
-    sizes = [
-        float(row),
-        float(column),
-        int(dead > 0),
-        signed(chance_word(dead)),
-        int(share > 0),
-        signed(chance_word(share)),
-        float(scale),
-        *map(signed, seed_words(seed)),
-    ]
-    grid = (rows, -(-cols // width))
-    device.launch(
-        "sensor.pattern", "pattern", grid, values, *numbers, *sizes, defines={"WIDTH": width}
-    )
+    sizes = [rows, cols, *first, frame_cols, PLANES.index(plane)]
+    numbers = [float(mean), float(pixel), float(row), float(column)]
+    for chance in (dead, share):
+        numbers += [int(chance > 0), signed(chance_word(chance))]
+    numbers += [float(scale), *map(signed, seed_words(seed))]
+    grid, defines = (rows, -(-cols // width)), {"WIDTH": width}
+    device.launch("sensor.pattern", "pattern", grid, values, *sizes, *numbers, defines=defines)
     return values
 
 

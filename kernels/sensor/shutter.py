@@ -10,6 +10,8 @@ reads only the instants between a row's first and last weight that is not zero: 
 pixel for m of them.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -40,18 +42,12 @@ def shutter(device: Device, rates: Array, weights: Array) -> Array:
     weights = np.ascontiguousarray(device.numpy(weights), np.float32)
     chunk = 1 if device.is_gpu else CHUNK
     mean = device.empty((rows, cols))
-    arrays = [
-        device.array(rates),
-        device.array(weights),
-        device.array(spans(weights), np.int32),
-        mean,
-    ]
+    arrays = [device.array(rates), device.array(weights), device.array(spans(weights), np.int32)]
     sizes = [instants, rows, cols]
-    group = None if device.is_gpu else (1, 1)
     grid = (rows, -(-cols // chunk) if device.kind == "opencl" else cols)
-    device.launch(
-        "sensor.shutter", "shutter", grid, *arrays, *sizes, defines={"CHUNK": chunk}, group=group
-    )
+    group = None if device.is_gpu else (1, 1)
+    options: dict[str, Any] = {"defines": {"CHUNK": chunk}, "group": group}
+    device.launch("sensor.shutter", "shutter", grid, *arrays, mean, *sizes, **options)
     return mean
 
 
