@@ -20,6 +20,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
+from gpusim.kernels.common.cases import gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
@@ -102,33 +103,26 @@ def cases():
         (33, 30, 9, 3, 1, "edge", (45, 40), 0),
         (33, 30, 2, 1, 0, "zero", (40, 45), 3),
     ):
-        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
-        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
-        tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        tables = gaussian_tables(widths, period)
         if rows == 33:  # kernels that are off their centres: complex tables
             fy = np.fft.fftfreq(period[0])[:, None]
             shifts = random.uniform(-2, 2, (2, *widths.shape))
+            fx = np.arange(period[1] // 2 + 1) / period[1]
             phases = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
-            tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(
-                np.float64
-            )
+            spread = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+            tables = (spread * phases).view(np.float64)
             # a frequency that is its own opposite has a real value
             for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):
                 for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
+        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
+        sampling = {"border": border, "period": period, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": tables.astype(np.float32),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "border": border,
-                "period": period,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )

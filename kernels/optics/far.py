@@ -18,6 +18,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.common.fft import constant
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.ladder import LEAST
@@ -376,20 +377,19 @@ def cases():
         "by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are "
         "below 1e-6"
     )
-    bayer = np.array([[0, 1], [1, 2]], np.int32)
     for rows, cols, count, channels, cfa, border, margin, first in (
         (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8),
-        (40, 97, 3, 3, bayer, "edge", 0, 5.8),
-        (97, 40, 2, 3, bayer, "reflect", 0, 11.6),
+        (40, 97, 3, 3, RGGB, "edge", 0, 5.8),
+        (97, 40, 2, 3, RGGB, "reflect", 0, 11.6),
         (150, 130, 2, 2, None, "edge", 9, 23.3),
-        (64, 65, 31, 3, bayer, "zero", 0, 8.0),
+        (64, 65, 31, 3, RGGB, "zero", 0, 8.0),
         (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
         (300, 20, 1, 1, None, "edge", 0, 4.0),
         (70, 51, 2, 2, None, "edge", -3, 11.6),
         (51, 70, 1, 2, None, "reflect", -2, 8.0),
         (31, 31, 1, 1, None, "zero", -1, 5.0),
-        (90, 131, 4, 3, bayer, "edge", 0, 4.0),
-        (120, 88, 2, 3, bayer, "reflect", 5, 4.0),
+        (90, 131, 4, 3, RGGB, "edge", 0, 4.0),
+        (120, 88, 2, 3, RGGB, "reflect", 5, 4.0),
         (101, 99, 3, 2, None, "zero", -1, 5.0),
     ):
         sigmas = np.append(first * 1.6 ** np.arange(9), np.inf)
@@ -402,10 +402,7 @@ def cases():
                 "onto": np.zeros(shape if cfa is not None else (channels, *shape), np.float32),
                 "planes": planes.astype(np.float32),
                 "weights": random.random((channels, count, len(sigmas))),
-                "sigmas": sigmas,
-                "cfa": cfa,
-                "border": border,
-                "margin": margin,
+                **{"sigmas": sigmas, "cfa": cfa, "border": border, "margin": margin},
             },
             1.5e-5 + 1e-6 + 2 * (np.pi * first / 2.8) ** -4,
             why,
@@ -421,6 +418,6 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "weights": random.random((3, 4, len(sigmas))),
         "sigmas": sigmas,
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "cfa": RGGB,
         "border": "edge",
     }

@@ -22,6 +22,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.common.cases import RGGB, gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import transform_lengths
 
@@ -221,23 +222,16 @@ def cases():
         (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0),
     ):
         channels = int(np.max(cfa)) + 1
-        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
-        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
-        tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        tables = gaussian_tables(widths, period)
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
+        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
+        sampling = {"cfa": np.array(cfa, np.int32), "border": border}
+        sampling |= {"period": period, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": tables.astype(np.float32),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "cfa": np.array(cfa, np.int32),
-                "border": border,
-                "period": period,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )
@@ -251,7 +245,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "cfa": RGGB,
         "border": "edge",
         "period": period,
     }

@@ -78,19 +78,12 @@ def pupil(
     fx = np.arange(cols // 2 + 1) / cols
     low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
     replicas = np.arange(low, high + 1)[:, None]
-    weights = [
-        np.sinc(width * f)
-        * np.cos(np.pi * spot * f)
-        * np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
-        for f, width, spot, move in zip(
-            (replicas + fy, replicas + fx),
-            np.broadcast_to(aperture, 2),
-            spots,
-            displacement,
-            strict=True,
-        )
-    ]
-    weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
+    weights = []
+    axes = (replicas + fy, replicas + fx), np.broadcast_to(aperture, 2), spots, displacement
+    for f, width, spot, move in zip(*axes, strict=True):
+        spread = np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
+        one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
+        weights.append(one.real if real else np.stack([one.real, one.imag], axis=-1))
     common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
     # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
     block = min(len(q), BLOCK) if is_opencl_cpu(device) else 1
@@ -133,58 +126,22 @@ def cases():
     defocus = np.array([0.8, 1.5])[:, None, None] * blur
     spherical = 0.5 * disc_power(2)[None] - 0.4 * blur
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
-    flat = np.zeros((1, 3, 3))
+    flat, disc, six = np.zeros((1, 3, 3)), Pupil(), Pupil(6, 0.2, 0.3)
     for name, outline, waves, q, aperture, rows, cols, spots, diffuser, *displacement in (
         ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
         ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
         ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
         ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
-        ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
+        ("six blades, defocus", six, defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
         ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0),
         ("oblong, displaced", Pupil(), flat, (0.4,), (1.0, 0.5), 8, 9, (0, 0), 0, 0.5, -0.25),
-        (
-            "defocus, displaced",
-            Pupil(),
-            defocus,
-            (0.6, 1.1),
-            (0.4, 0.8),
-            9,
-            10,
-            (0, 0),
-            0.2,
-            0.1,
-            1.0,
-        ),
-        (
-            "six blades, displaced",
-            Pupil(6, 0.2, 0.3),
-            defocus[:1],
-            (0.9,),
-            0.8,
-            7,
-            10,
-            (0, 1.0),
-            0,
-            -3.0,
-            0.3,
-        ),
+        ("defocus, displaced", disc, defocus, (0.6, 1.1), (0.4, 0.8), 9, 10, (0, 0), 0.2, 0.1, 1.0),
+        ("six blades, displaced", six, defocus[:1], (0.9,), 0.8, 7, 10, (0, 1.0), 0, -3.0, 0.3),
     ):
-        yield Case(
-            name,
-            {
-                "outline": outline,
-                "waves": waves,
-                "q": np.array(q, np.float32),
-                "aperture": aperture,
-                "rows": rows,
-                "cols": cols,
-                "spots": spots,
-                "diffuser": diffuser,
-                "displacement": tuple(displacement) or (0, 0),
-            },
-            3e-5,
-            why,
-        )
+        lens = {"outline": outline, "waves": waves, "q": np.array(q, np.float32)}
+        table = {"aperture": aperture, "rows": rows, "cols": cols, "spots": spots}
+        more = {"diffuser": diffuser, "displacement": tuple(displacement) or (0, 0)}
+        yield Case(name, {**lens, **table, **more}, 3e-5, why)
 
 
 def bench(rows, cols):

@@ -22,6 +22,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.common.cases import RGGB, gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import LANES, LONGEST, Tiling
 
@@ -307,26 +308,18 @@ def cases():
         (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0),
     ):
         channels = (11 if count == 11 else 3) if cfa is None else int(np.max(cfa)) + 1
-        f = np.arange(side // 2 + 1) / side
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         planes = random.random((count, rows, cols))
         if own:
             planes[0, rows // 2, cols // 2] = 1e6
+        tables = gaussian_tables(widths, (side, side)).astype(np.float32)
+        light = {"planes": planes.astype(np.float32), "tables": tables}
+        sampling = {"cfa": None if cfa is None else np.array(cfa, np.int32), "border": border}
+        sampling |= {"side": side, "overlap": overlap, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
             f"{border}, tiles of {side} - 2 x {overlap}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": np.exp(-2 * (np.pi * widths) ** 2 * (f[:, None] ** 2 + f**2)).astype(
-                    np.float32
-                ),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "cfa": None if cfa is None else np.array(cfa, np.int32),
-                "border": border,
-                "side": side,
-                "overlap": overlap,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )
@@ -342,7 +335,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, 33, 33), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "cfa": RGGB,
         "border": "edge",
         "side": 64,
         "overlap": 8,

@@ -11,6 +11,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.kernels.common.cases import FLAT, bench_mosaic, conditioned_case
 from gpusim.kernels.processor.adaptive import DOMAINS
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
@@ -237,50 +238,31 @@ def cases():
     for domain in DOMAINS:
         for phase in RED:
             for rows, cols in ((1, 4), (2, 2), (3, 5), (33, 70)):
-                raw = (
-                    np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
-                    + random.integers(300, 600, (rows, cols))
-                ).astype(np.uint16)
+                ramp = np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
+                raw = (ramp + random.integers(300, 600, (rows, cols))).astype(np.uint16)
                 raw.flat[0], raw.flat[-1] = 50, 2500
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
             yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
-        yield _case(
-            f"{domain} noisy ramp",
-            random.poisson(ramp).astype(np.uint16),
-            "GBRG",
-            domain,
-            noise=noise,
-        )
-        yield _case(
-            f"{domain} only read noise",
-            random.poisson(ramp).astype(np.uint16),
-            "BGGR",
-            domain,
-            noise=(0.0, 3.0),
-        )
-        for number, balance in enumerate(((1.7, 2.9), (0.6, 1.0))):
+        for name, phase, own in (
+            ("noisy ramp", "GBRG", noise),
+            ("only read noise", "BGGR", (0.0, 3.0)),
+        ):
+            raw = random.poisson(ramp).astype(np.uint16)
+            yield _case(f"{domain} {name}", raw, phase, domain, noise=own)
+        for phase, balance, own in (
+            ("GRBG", (1.7, 2.9), (0.0, 0.0)),
+            ("BGGR", (0.6, 1.0), noise),
+        ):
             raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
-            yield _case(
-                f"{domain} balanced {balance}",
-                raw,
-                ("GRBG", "BGGR")[number],
-                domain,
-                noise=noise if number else (0.0, 0.0),
-                balance=balance,
-            )
+            more = {"noise": own, "balance": balance}
+            yield _case(f"{domain} balanced {balance}", raw, phase, domain, **more)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(
             f"{domain} flat",
-            {
-                "raw": np.full((9, 9), 4096 + 64, np.uint16),
-                "phase": "RGGB",
-                "black_level": 64.0,
-                "scale": 1 / 4096,
-                "domain": domain,
-            },
+            {**FLAT, "domain": domain},
             8 * 2.0**-24,
             "all differences are 0 and the gains 1: what rounds are the means of equal numbers",
         )
@@ -291,30 +273,11 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.best_ref import best as reference
 
-    options = {
-        "phase": phase,
-        "black_level": black_level,
-        "scale": scale,
-        "domain": domain,
-        **knowledge,
-    }
-    encode, decode = CODES[domain]
-    code = encode(raw - black_level)
-    exact = reference(raw, **options)
-    random = np.random.default_rng(4)
-    step, worst = 1e-7, 0.0
-    for _ in range(3):
-        nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
-        worst = max(
-            worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max()
-        )
-    condition = max(worst / step / np.abs(exact).max(), 1.0)
-    if condition > WORST_CONDITION:
-        raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
-    return Case(
+    levels = {"black_level": black_level, "scale": scale}
+    return conditioned_case(
         name,
-        {"raw": raw, **options},
-        2 * 48 * 2.0**-24 * condition,
+        {"raw": raw, "phase": phase, **levels, "domain": domain, **knowledge},
+        *(reference, CODES[domain], 48, 3, WORST_CONDITION),
         "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
         "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
         "samples by 2^-24 of the largest, whose effect the reference shows; 2 because three random changes "
@@ -324,5 +287,4 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(5, rows, cols), "phase": "RGGB"}

@@ -7,6 +7,7 @@ camera red, green and blue, 1 at the white level if scale = 1 / (white_level - b
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import SATURATED, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage
 
@@ -74,34 +75,15 @@ def cases():
     )
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130), (9, 12)):
-            raw = random.integers(0, 65536, (rows, cols), np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(
-                f"{phase} {rows}x{cols}",
-                {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024},
-                2.0**-23 * (1 + 2.0**-24),
-                why,
-                metric="local",
-            )
-    yield exact_case(
-        "black",
-        "64 - 64 is exact",
-        raw=np.full((6, 6), 64, np.uint16),
-        phase="RGGB",
-        black_level=64.0,
-        scale=2.0,
-    )
-    yield exact_case(
-        "saturated",
-        "a flat field stays flat, and 16-bit integers are exact",
-        raw=np.full((6, 6), 65535, np.uint16),
-        phase="RGGB",
-        black_level=0.0,
-        scale=1.0,
-    )
+            raw = random_mosaic(random, 65535, (rows, cols))
+            inputs = {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}
+            tolerance = 2.0**-23 * (1 + 2.0**-24)
+            yield Case(f"{phase} {rows}x{cols}", inputs, tolerance, why, metric="local")
+    black = {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB"}
+    yield exact_case("black", "64 - 64 is exact", **black, black_level=64.0, scale=2.0)
+    yield SATURATED
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(2, rows, cols), "phase": "RGGB"}

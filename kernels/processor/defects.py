@@ -29,6 +29,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
@@ -215,41 +216,16 @@ def cases():
                 ("both", {"known": known, "detect": 6.0}),
                 *([("known", {"known": known}), ("found", {"detect": 4.0})] if whole else []),
             ):
-                yield exact_case(
-                    f"{name} {rows}x{cols} {label}",
-                    why,
-                    raw=raw,
-                    cfa=cfa,
-                    black_level=64.25,
-                    noise=(1.0, 3.0),
-                    **options,
-                )
+                inputs = {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0)}
+                yield exact_case(f"{name} {rows}x{cols} {label}", why, **inputs, **options)
     raw = random.integers(0, 65536, (24, 40), np.uint16)
     cluster = np.zeros(raw.shape, np.uint8)
     cluster[5:14, 8:19] = 1
-    yield exact_case(
-        "cluster of 9x11",
-        why,
-        raw=raw,
-        known=cluster,
-        cfa=np.array(BAYER, np.int32),
-        black_level=0.0,
-    )
-    yield exact_case(
-        "all defective",
-        "nothing is replaced",
-        raw=raw,
-        known=np.ones_like(cluster),
-        cfa=np.array(BAYER, np.int32),
-        black_level=0.0,
-    )
-    yield exact_case(
-        "nothing asked",
-        "nothing is replaced",
-        raw=raw,
-        cfa=np.array(BAYER, np.int32),
-        black_level=0.0,
-    )
+    inputs = {"raw": raw, "cfa": RGGB, "black_level": 0.0}
+    yield exact_case("cluster of 9x11", why, **inputs, known=cluster)
+    nothing = "nothing is replaced"
+    yield exact_case("all defective", nothing, **inputs, known=np.ones_like(cluster))
+    yield exact_case("nothing asked", nothing, **inputs)
 
 
 def bench(rows, cols):
@@ -261,7 +237,7 @@ def bench(rows, cols):
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),
         "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8),
-        "cfa": np.array(BAYER, np.int32),
+        "cfa": RGGB,
         "black_level": 64.0,
         "noise": (1.0, 3.0),
         "detect": 6.0,

@@ -36,6 +36,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import (
@@ -156,52 +157,25 @@ def cases():
     ):
         cfa = np.array(cfa, np.int32)
         for rows, cols in (cfa.shape, (9, 11), (45, 131)):
-            level = np.where(
-                np.add.outer(np.arange(rows), 2 * np.arange(cols)) % 70 < 40, 200.0, 1500.0
-            )
-            raw = (
-                64 + np.round(random.poisson(level) + 3 * random.standard_normal((rows, cols)))
-            ).clip(0, 4095)
-            raw = raw.astype(np.uint16)
+            ramp = np.add.outer(np.arange(rows), 2 * np.arange(cols))
+            light = random.poisson(np.where(ramp % 70 < 40, 200.0, 1500.0))
+            raw = 64 + np.round(light + 3 * random.standard_normal((rows, cols)))
+            raw = raw.clip(0, 4095).astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
             for noise in ((1.0, 3.0), (0.0, 20.0), (1.0, 0.0)) if rows == 45 else ((1.0, 3.0),):
-                yield Case(
-                    f"{name} {rows}x{cols}, noise {noise}",
-                    {
-                        "raw": raw,
-                        "cfa": cfa,
-                        "black_level": 64.0,
-                        "scale": 1 / 4031,
-                        "noise": noise,
-                    },
-                    1.0,
-                    why,
-                    metric="exact",
-                )
+                inputs = {"cfa": cfa, "black_level": 64.0, "scale": 1 / 4031, "noise": noise}
+                title = f"{name} {rows}x{cols}, noise {noise}"
+                yield Case(title, {"raw": raw, **inputs}, 1.0, why, metric="exact")
     raw = random.integers(0, 65536, (40, 70), np.uint16)
-    options = {
-        "raw": raw,
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 4096.0,
-        "scale": 1 / 61439,
-    }
-    for name, more in (
-        ("noise-free", {"noise": (0.0, 0.0)}),
-        ("strength 0", {"noise": (1.0, 2.0), "strength": 0.0}),
-    ):
-        yield exact_case(
-            name, "nothing changes: see processor.shade with gains of 1", **options, **more
-        )
+    options = {"raw": raw, "cfa": RGGB, "black_level": 4096.0, "scale": 1 / 61439}
+    why = "nothing changes: see processor.shade with gains of 1"
+    yield exact_case("noise-free", why, **options, noise=(0.0, 0.0))
+    yield exact_case("strength 0", why, **options, noise=(1.0, 2.0), strength=0.0)
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
-    return {
-        "raw": raw.astype(np.uint16),
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-        "noise": (0.2, 1.0),
-    }
+    levels = {"black_level": 64.0, "scale": 1 / 959}
+    return {"raw": raw.astype(np.uint16), "cfa": RGGB, **levels, "noise": (0.2, 1.0)}

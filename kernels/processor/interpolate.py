@@ -25,6 +25,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
+from gpusim.kernels.common.cases import RGGB, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
@@ -260,25 +261,17 @@ def cases():
         cfa = np.array(cfa, np.int32)
         rows, cols = least_frame(cfa)
         for size in ((rows, cols), (rows + 1, cols + 5), (19, 150)):
-            raw = random.integers(0, 65536, size, np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(
-                f"{name} {size[0]}x{size[1]}",
-                {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024},
-                (2 * 40 + 5) * 2.0**-24,
-                why,
-            )
+            raw = random_mosaic(random, 65535, size)
+            inputs = {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024}
+            yield Case(f"{name} {size[0]}x{size[1]}", inputs, (2 * 40 + 5) * 2.0**-24, why)
     yield exact_case(
         "saturated",
         "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
         raw=np.full((40, 50), 65535, np.uint16),
-        cfa=np.array(BAYER, np.int32),
-        black_level=0.0,
-        scale=1.0,
+        **{"cfa": RGGB, "black_level": 0.0, "scale": 1.0},
     )
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit X-Trans mosaic."""
-    raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "cfa": np.array(X_TRANS, np.int32), "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(2, rows, cols), "cfa": np.array(X_TRANS, np.int32)}

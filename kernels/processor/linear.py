@@ -6,6 +6,7 @@ Ports: raw (rows, cols) uint16 [DN] -> grey (1, rows, cols) float32, (DN - black
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import bench_mosaic
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
@@ -48,11 +49,7 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: a 10-bit frame."""
-    return {
-        "raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-    }
+    return bench_mosaic(5, rows, cols)
 
 
 def operations(raw, black_level, scale):

@@ -12,6 +12,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import RGGB, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
@@ -90,35 +91,23 @@ def cases():
     for name, cfa in (("Bayer", BAYER), ("X-Trans", X_TRANS), ("grey", ((0,),))):
         cfa = np.array(cfa, np.int32)
         for rows, cols, ny, nx in ((1, 1, 2, 2), (3, 5, 4, 3), (63, 130, 5, 9), (40, 33, 17, 65)):
-            raw = random.integers(0, 4096, (rows, cols), np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 4095
+            raw = random_mosaic(random, 4095, (rows, cols))
             gains = random.uniform(0, 8, (cfa.max() + 1, ny, nx)).astype(np.float32)
-            yield Case(
-                f"{name} {rows}x{cols}, {ny}x{nx} nodes",
-                {"raw": raw, "gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031},
-                1.0,
-                why,
-                metric="exact",
-            )
-    raw = random.integers(0, 65536, (20, 30), np.uint16)
+            inputs = {"gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031}
+            title = f"{name} {rows}x{cols}, {ny}x{nx} nodes"
+            yield Case(title, {"raw": raw, **inputs}, 1.0, why, metric="exact")
     yield exact_case(
         "no correction",
         "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
-        raw=raw,
+        raw=random.integers(0, 65536, (20, 30), np.uint16),
         gains=np.ones((3, 3, 3), np.float32),
-        cfa=np.array(BAYER, np.int32),
-        black_level=4096.0,
-        scale=1 / 61439,
+        **{"cfa": RGGB, "black_level": 4096.0, "scale": 1 / 61439},
     )
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit Bayer mosaic, 17 x 17 nodes."""
     random = np.random.default_rng(10)
-    return {
-        "raw": random.integers(0, 1024, (rows, cols), np.uint16),
-        "gains": random.uniform(1, 4, (3, 17, 17)).astype(np.float32),
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-    }
+    raw = random.integers(0, 1024, (rows, cols), np.uint16)
+    gains = random.uniform(1, 4, (3, 17, 17)).astype(np.float32)
+    return {"raw": raw, "gains": gains, "cfa": RGGB, "black_level": 64.0, "scale": 1 / 959}
