@@ -177,28 +177,20 @@ def cases():
         f"exponent {power}": thresholds(lambda v, power=power: v**power)
         for power in (1.0, 1.8, 2.2, 2.6, 4.0)
     }
-    curves["powers of two"] = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)]).astype(
-        np.float32
-    )
+    powers = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)])
+    curves["powers of two"] = powers.astype(np.float32)
     for name, edges in curves.items():
-        near = np.stack(
-            [np.nextafter(edges, np.float32(0)), edges, np.nextafter(edges, np.float32(np.inf))]
-        )
-        yield exact_case(
-            f"one step around every boundary, {name}", why, rgb=near[:, None], thresholds=edges
-        )
-    odd = np.array(
-        [np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, np.nextafter(np.float32(1), 0)],
-        np.float32,
-    )
-    yield exact_case(
-        "NaN, infinities, extremes", why, rgb=np.tile(odd, 5).reshape(3, 5, 3), thresholds=srgb
-    )
+        near = [np.nextafter(edges, np.float32(end)) for end in (0, np.inf)]
+        near = np.stack([near[0], edges, near[1]])
+        title = f"one step around every boundary, {name}"
+        yield exact_case(title, why, rgb=near[:, None], thresholds=edges)
+    below = np.nextafter(np.float32(1), 0)
+    odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, below], np.float32)
+    odd = np.tile(odd, 5).reshape(3, 5, 3)
+    yield exact_case("NaN, infinities, extremes", why, rgb=odd, thresholds=srgb)
 
 
 def bench(rows, cols):
     """Return inputs: a full range of values, sRGB."""
-    return {
-        "rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
-        "thresholds": thresholds(DISPLAYS["srgb"].decode),
-    }
+    rgb = np.random.default_rng(6).random((3, rows, cols), np.float32)
+    return {"rgb": rgb, "thresholds": thresholds(DISPLAYS["srgb"].decode)}

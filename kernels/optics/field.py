@@ -329,22 +329,20 @@ def cases():
         )
         if threshold:
             why += "; values above the threshold are summed directly, relative to the local value"
+        inputs = {
+            "planes": planes.astype(np.float32),
+            "coefficients": random.random((terms, rows, cols)).astype(np.float32),
+            "kernels": (kernels / m**2).astype(np.float32),
+            "index": random.integers(0, 7, (number, terms)).astype(np.int32),
+            "mix": random.random((channels, count)).astype(np.float32),
+            **{"edges": edges, "border": border, "threshold": threshold, "base": None},
+            "margin": {15: 3, 21: -2}.get(m, 0),
+        }
+        if m == 15:
+            inputs["base"] = random.random((channels, rows - 6, cols - 6)).astype(np.float32)
         yield Case(
             f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "coefficients": random.random((terms, rows, cols)).astype(np.float32),
-                "kernels": (kernels / m**2).astype(np.float32),
-                "index": random.integers(0, 7, (number, terms)).astype(np.int32),
-                "edges": edges,
-                "mix": random.random((channels, count)).astype(np.float32),
-                "border": border,
-                "margin": {15: 3, 21: -2}.get(m, 0),
-                "threshold": threshold,
-                "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32)
-                if m == 15
-                else None,
-            },
+            inputs,
             4e-6,
             why,
             metric="local" if threshold else "peak",
@@ -356,25 +354,20 @@ def bench(rows, cols):
     """Return inputs: one plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
     random = np.random.default_rng(11)
     y, x = (np.round(np.linspace(0, size - 1, 8)).astype(int) for size in (rows, cols))
-    fractions = [
-        np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1)
-        for size, at, cell in (
-            (rows, y, np.repeat(np.arange(7), np.diff([0, *y[1:-1], rows]))),
-            (cols, x, np.repeat(np.arange(7), np.diff([0, *x[1:-1], cols]))),
-        )
-    ]
+    fractions = []
+    for size, at in ((rows, y), (cols, x)):
+        cell = np.repeat(np.arange(7), np.diff([0, *at[1:-1], size]))
+        fractions.append(np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1))
     v, u = fractions[0][:, None], fractions[1]
     corner = np.arange(7)[:, None] * 8 + np.arange(7)
     kernels = random.random((64, 1, 31, 31))
+    index = np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1).reshape(49, 4)
+    coefficients = np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
     return {
         "planes": random.random((1, rows, cols), np.float32),
-        "coefficients": np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]).astype(
-            np.float32
-        ),
+        "coefficients": coefficients.astype(np.float32),
         "kernels": (kernels / kernels.sum(axis=(2, 3), keepdims=True)).astype(np.float32),
-        "index": np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1)
-        .reshape(49, 4)
-        .astype(np.int32),
+        "index": index.astype(np.int32),
         "edges": [np.array([-15, *at[1:-1], size + 15]) for at, size in ((y, rows), (x, cols))],
         "mix": np.ones((1, 1), np.float32),
         "border": "edge",

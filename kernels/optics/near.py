@@ -69,11 +69,8 @@ def cases():
     """
     random = np.random.default_rng(12)
     why = "a float32 sum of up to 15 terms, each below the largest value, and the rounding of each of its factors"
-    for groups, planes, period, count in (
-        (1, 1, (1, 2), 1),
-        (3, 4, (45, 64), 9),
-        (1, 31, (160, 81), 15),
-    ):
+    sizes = (1, 1, (1, 2), 1), (3, 4, (45, 64), 9), (1, 31, (160, 81), 15)
+    for groups, planes, period, count in sizes:
         shape = groups, planes, period[0] // 2 + 1, period[1] // 2 + 1
         yield Case(
             f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians",

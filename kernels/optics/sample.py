@@ -102,14 +102,8 @@ def cases():
 def bench(rows, cols):
     """Return inputs: three channels of a frame from three samples a pixel at full fill."""
     random = np.random.default_rng(12)
-    return {
-        "planes": random.random((3, 3 * rows, 3 * cols), np.float32),
-        **{
-            f"start_{axis}": 3 * np.arange(n, dtype=np.int32)
-            for axis, n in (("y", rows), ("x", cols))
-        },
-        **{
-            f"weights_{axis}": np.full((n, 3), 1 / 3, np.float32)
-            for axis, n in (("y", rows), ("x", cols))
-        },
-    }
+    inputs = {"planes": random.random((3, 3 * rows, 3 * cols), np.float32)}
+    for axis, n in (("y", rows), ("x", cols)):
+        inputs[f"start_{axis}"] = 3 * np.arange(n, dtype=np.int32)
+        inputs[f"weights_{axis}"] = np.full((n, 3), 1 / 3, np.float32)
+    return inputs

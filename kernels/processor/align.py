@@ -185,20 +185,11 @@ def cases():
         ((4, 1), 64, 16, [(0, 0), (2, 1)]),
     ):
         raw = _moving_picture(random, np.array(shifts), rows, cols, 4 * max(period))
-        yield Case(
-            f"{len(shifts)} frames {rows}x{cols}, period {period}",
-            {"raw": raw, "period": period, "reference": shifts.index((0, 0))},
-            2e-4,
-            why,
-            metric="exact",
-        )
-    yield Case(
-        "one level",
-        {"raw": _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1},
-        2e-4,
-        why,
-        metric="exact",
-    )
+        inputs = {"raw": raw, "period": period, "reference": shifts.index((0, 0))}
+        name = f"{len(shifts)} frames {rows}x{cols}, period {period}"
+        yield Case(name, inputs, 2e-4, why, metric="exact")
+    raw = _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8)
+    yield Case("one level", {"raw": raw, "levels": 1}, 2e-4, why, metric="exact")
     raw = np.full((2, 40, 40), 65535, np.uint16)
     raw[1, 20:] = 0
     yield Case("nothing to go by", {"raw": raw}, 2e-4, why, metric="exact")

@@ -163,40 +163,25 @@ def cases():
         tiles = (max(1, -(-(n // p) // TILE)) for n, p in zip((rows, cols), period, strict=True))
         displacement = random.normal(0, 0.2, (count, *tiles, 2)).astype(np.float32)
         displacement[-1] = np.rint(5 * displacement[-1])
-        yield Case(
-            f"{count} frames {rows}x{cols}, period {period}",
-            {
-                "raw": np.rint(raw).astype(np.uint16),
-                "displacement": displacement,
-                "period": period,
-                "reference": count // 2,
-                "black_level": 100.0,
-                "noise": (0.15, 5.0),
-            },
-            3e-4,
-            why,
-        )
-    raw = np.full((4, 20, 20), 65535, np.uint16)
+        frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
+        options = {"period": period, "reference": count // 2}
+        options |= {"black_level": 100.0, "noise": (0.15, 5.0)}
+        name = f"{count} frames {rows}x{cols}, period {period}"
+        yield Case(name, frames | options, 3e-4, why)
     yield exact_case(
         "full",
         "equal whole numbers, their sum and its quarter are exact",
-        raw=raw,
+        raw=np.full((4, 20, 20), 65535, np.uint16),
         displacement=np.zeros((4, 1, 1, 2), np.float32),
-        black_level=0.0,
-        noise=(1.0, 1.0),
+        **{"black_level": 0.0, "noise": (1.0, 1.0)},
     )
 
 
 def bench(rows, cols):
     """Return inputs: eight frames of a Bayer mosaic, displaced by fractions."""
     random = np.random.default_rng(9)
-    raw = np.rint(
-        300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
-    ).astype(np.uint16)
+    raw = 300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
     tiles = (max(1, -(-(n // 2) // TILE)) for n in (rows, cols))
-    return {
-        "raw": raw,
-        "displacement": random.normal(0, 3, (8, *tiles, 2)).astype(np.float32),
-        "black_level": 64.0,
-        "noise": (0.16, 100.0),
-    }
+    displacement = random.normal(0, 3, (8, *tiles, 2)).astype(np.float32)
+    frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
+    return {**frames, "black_level": 64.0, "noise": (0.16, 100.0)}

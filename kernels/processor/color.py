@@ -59,17 +59,11 @@ def cases():
     One to six channels, negative entries, values above 1, ceilings, infinities and NaN.
     """
     random = np.random.default_rng(5)
-    for channels, rows, cols in (
-        (3, 1, 1),
-        (3, 3, 5),
-        (3, 63, 65),
-        (1, 2, 2),
-        (4, 17, 9),
-        (6, 8, 31),
-    ):
-        camera = (
-            random.random((channels, rows, cols)) * 10.0 ** random.uniform(-3, 3, (1, rows, cols))
-        ).astype(np.float32)
+    sizes = (3, 1, 1), (3, 3, 5), (3, 63, 65), (1, 2, 2), (4, 17, 9), (6, 8, 31)
+    for channels, rows, cols in sizes:
+        camera = random.random((channels, rows, cols))
+        camera *= 10.0 ** random.uniform(-3, 3, (1, rows, cols))
+        camera = camera.astype(np.float32)
         matrix = random.normal(0, 1, (3, channels)).astype(np.float32)
         for ceiling in (None, random.uniform(0.5, 1, channels).astype(np.float32)):
             clipped = camera if ceiling is None else np.minimum(camera, ceiling[:, None, None])

@@ -110,20 +110,13 @@ def cases():
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (33, 35), (16, 130)):
             raw = random.integers(0, 1100, (rows, cols), np.uint16)
-            yield _case(
-                f"{phase} {rows}x{cols}",
-                raw,
-                matrix,
-                next(powers),
-                phase,
-                ceiling if rows % 2 else None,
-            )
+            own = ceiling if rows % 2 else None
+            yield _case(f"{phase} {rows}x{cols}", raw, matrix, next(powers), phase, own)
     electrons = random.uniform(-300, 5000, (19, 24)).astype(np.float32)
     electrons[3:6, 7:9] = np.array([[np.nan, np.inf], [-np.inf, 1e30], [-0.0, 1e-30]])
     for phase in RED:
-        yield _case(
-            f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, (0.2371, 63.7, 1023)
-        )
+        converter = 0.2371, 63.7, 1023
+        yield _case(f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, converter)
 
 
 def _case(

@@ -168,19 +168,13 @@ def cases():
         "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3"
     )
     for rows, cols, radius in ((1, 1, 2), (5, 3, 5), (33, 70, 3), (24, 49, 5)):
-        yield Case(
-            f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why
-        )
-    yield exact_case(
-        "dark", "sums of zeros", **_pair(9, 9) | {"ambient": np.zeros((3, 9, 9), np.float32)}
-    )
+        inputs = {**_pair(rows, cols), "radius": radius}
+        yield Case(f"{rows}x{cols}, radius {radius}", inputs, 1e-3, why)
+    dark = _pair(9, 9) | {"ambient": np.zeros((3, 9, 9), np.float32)}
+    yield exact_case("dark", "sums of zeros", **dark)
     same = _pair(20, 31)
-    yield Case(
-        "no better",
-        {**same, "flash": same["ambient"], "flash_noise": same["ambient_noise"]},
-        1e-3,
-        why,
-    )
+    same |= {"flash": same["ambient"], "flash_noise": same["ambient_noise"]}
+    yield Case("no better", same, 1e-3, why)
 
 
 def bench(rows, cols):

@@ -330,35 +330,18 @@ def cases():
             ramp = np.add.outer(29 * np.arange(size[0]), 11 * np.arange(size[1])) % 3000
             raw = (ramp + random.integers(0, 1000, size)).astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
+            options = {"domain": domain, "noise": noise}
             for phase in RED:
-                yield _case(
-                    f"{domain} {noise} {phase} {size[0]}x{size[1]}",
-                    raw,
-                    bayer_table(),
-                    phase=phase,
-                    domain=domain,
-                    noise=noise,
-                )
+                name = f"{domain} {noise} {phase} {size[0]}x{size[1]}"
+                yield _case(name, raw, bayer_table(), phase=phase, **options)
             if size[0] > 2 and domain == "root":
-                yield _case(
-                    f"balanced {noise} {size[0]}x{size[1]}",
-                    raw,
-                    bayer_table(),
-                    phase=phase,
-                    domain="root",
-                    noise=noise,
-                    balance=(1.9, 3.7),
-                )
-    yield _case(
-        "no constant, levels",
-        raw,
-        _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False),
-        phase="GBRG",
-        domain="root",
-        noise=(9.0, 14.0),
-        balance=(0.6, 2.5),
-    )
-    yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), domain="root", noise=(9.0, 14.0))
+                name, options["balance"] = f"balanced {noise} {size[0]}x{size[1]}", (1.9, 3.7)
+                yield _case(name, raw, bayer_table(), phase=phase, **options)
+    noisy = {"domain": "root", "noise": (9.0, 14.0)}
+    plain = _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False)
+    options = {"phase": "GBRG", **noisy, "balance": (0.6, 2.5)}
+    yield _case("no constant, levels", raw, plain, **options)
+    yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), **noisy)
     yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
 
 
@@ -367,40 +350,25 @@ def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
     random = np.random.default_rng(9)
     dy, dx = np.mgrid[-3:4, -3:4]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
-    layout = Layout(
-        mosaic,
-        tuple(outputs),
-        "root",
-        taps,
-        np.arange(len(taps)),
-        (contrast, contrast),
-        box,
-        (12, 24),
-        [0.0],
-        [0.01],
-        [[0.05, 0.2]],
-        levels,
-    )
-    return FilterTable(
-        layout,
-        random.normal(0.04, 0.1, layout.shape),
-        random.normal(0, 0.1, layout.shape[:-1]) if constant else None,
-    )
+    contrasts = contrast, contrast
+    shape = (box, (12, 24), [0.0], [0.01], [[0.05, 0.2]], levels)
+    groups = np.arange(len(taps))
+    layout = Layout(mosaic, tuple(outputs), "root", taps, groups, contrasts, *shape)
+    filters = random.normal(0.04, 0.1, layout.shape)
+    offsets = random.normal(0, 0.1, layout.shape[:-1]) if constant else None
+    return FilterTable(layout, filters, offsets)
 
 
 def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
     """Return a case; its tolerance is all roundings of the largest sum of a filter of the table."""
     from gpusim.kernels.processor.learned_ref import learned as reference
 
-    code = Code(
-        options["domain"], black_level, scale, options["noise"], options.get("balance", (1.0, 1.0))
-    )
+    balance = options.get("balance", (1.0, 1.0))
+    code = Code(options["domain"], black_level, scale, options["noise"], balance)
     inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
     taps = np.bincount(table.layout.groups)
-    largest = (np.abs(table.filters) @ taps).max() * (
-        np.abs(code.encode_raw(raw)).max() + code.black_level
-    )
-    largest /= min(code.factors.values())
+    strongest = np.abs(code.encode_raw(raw)).max() + code.black_level
+    largest = (np.abs(table.filters) @ taps).max() * strongest / min(code.factors.values())
     roundings = len(taps) + 12 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
     peak = np.abs(reference(**inputs)).max() / scale
     slope = 1.0 if code.domain == "linear" else 2 * np.sqrt(peak + code.offset)

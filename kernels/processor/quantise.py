@@ -63,26 +63,14 @@ def cases():
     """
     random = np.random.default_rng(13)
     why = "the same four float32 operations, rounded in the same way, and an exact rounding"
-    for rows, cols, black, white in (
-        (1, 1, 0.0, 65535.0),
-        (1, 17, 64.25, 1023.0),
-        (63, 65, -3.1, 5e-4),
-        (31, 33, 64.0, 1e9),
-    ):
-        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols)).astype(
-            np.float32
-        )
-        yield exact_case(
-            f"{rows}x{cols}, black {black:g}, white {white:g}",
-            why,
-            raw=raw,
-            black_level=black,
-            scale=1 / (white - black),
-        )
-    hard = np.array(
-        [[np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]],
-        np.float32,
-    )
+    sizes = (1, 1, 0.0, 65535.0), (1, 17, 64.25, 1023.0), (63, 65, -3.1, 5e-4), (31, 33, 64.0, 1e9)
+    for rows, cols, black, white in sizes:
+        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols))
+        name = f"{rows}x{cols}, black {black:g}, white {white:g}"
+        levels = {"black_level": black, "scale": 1 / (white - black)}
+        yield exact_case(name, why, raw=raw.astype(np.float32), **levels)
+    hard = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]
+    hard = np.array([hard], np.float32)
     yield exact_case("hard values", why, raw=hard, black_level=64.0, scale=1 / 959)
     steps = (np.arange(-16384, 16384, dtype=np.float32) / 2)[None] * np.float32(LIGHT)
     yield exact_case("halves", why, raw=steps, black_level=0.0, scale=1.0)
@@ -90,8 +78,5 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: electrons up to a full well."""
-    return {
-        "raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32),
-        "black_level": 0.0,
-        "scale": 1e-4,
-    }
+    raw = 1e4 * np.random.default_rng(13).random((rows, cols), np.float32)
+    return {"raw": raw, "black_level": 0.0, "scale": 1e-4}

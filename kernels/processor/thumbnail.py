@@ -98,17 +98,13 @@ def cases():
     ):
         camera = random.normal(0.4, 0.3, (channels, height, width)).astype(np.float32)
         for ceiling in (np.inf, 0.9, random.uniform(0.6, 1, channels).astype(np.float32)):
-            yield _case(
-                f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d",
-                {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols},
-            )
+            name = f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d"
+            yield _case(name, {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols})
     camera = np.full((3, 40, 40), 0.5, np.float32)
     camera[1, :10, :10] = 1.0  # a whole block clipped, in one channel
     camera[0, 25, 25], camera[2, 35, 5], camera[0, 5, 35] = np.nan, np.inf, 1e30
-    yield _case(
-        "a clipped block, NaN, infinity, huge",
-        {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4},
-    )
+    inputs = {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4}
+    yield _case("a clipped block, NaN, infinity, huge", inputs)
 
 
 def _case(name, inputs):

@@ -74,22 +74,16 @@ def cases():
     random = np.random.default_rng(5)
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
-        mean = np.resize(
-            [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7], (rows, cols)
-        )
+        values = [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7]
+        numbers = {"mean": np.resize(values, (rows, cols)).astype(np.float32)}
+        numbers |= {"scale": 0.3, "dark_time": 0.7}
         planes = {
             "response": random.normal(1, 0.4, (rows, cols)).astype(np.float32),
             "dark": random.exponential(1, (rows, cols)).astype(np.float32),
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
-            yield exact_case(
-                f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
-                why,
-                mean=mean.astype(np.float32),
-                scale=0.3,
-                dark_time=0.7,
-                **{name: planes[name] for name in chosen},
-            )
+            inputs = numbers | {name: planes[name] for name in chosen}
+            yield exact_case(f"{rows}x{cols} {' '.join(chosen) or 'mean only'}", why, **inputs)
 
 
 def bench(rows, cols):

@@ -14,6 +14,7 @@ strong edges become 0. NaN stays NaN.
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
@@ -56,49 +57,21 @@ def cases():
         "three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
         "below 10 ulp"
     )
-    for pattern in (
-        [[0, 1], [1, 2]],
-        [[1, 0], [2, 1]],
-        [[1, 2], [0, 1]],
-        [[2, 1], [1, 0]],
-        [[0]],
-        [[0, 1, 2], [3, 0, 1]],
-    ):
+    bayer = [[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]]
+    for pattern in (*bayer, [[0]], [[0, 1, 2], [3, 0, 1]]):
         for rows, cols, slope in ((1, 1, 0.0), (3, 5, 1e-3), (63, 65, 0.027)):
-            yield Case(
-                f"{rows}x{cols}, cfa {pattern}",
-                {
-                    "rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
-                    "cfa": np.array(pattern, np.int32),
-                    "exposure_time": 0.013,
-                    "slope": slope,
-                },
-                10 * 2.0**-23,
-                why,
-                metric="local",
-            )
+            rates = (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32)
+            inputs = {"rates": rates, "cfa": np.array(pattern, np.int32), "slope": slope}
+            inputs["exposure_time"] = 0.013
+            name = f"{rows}x{cols}, cfa {pattern}"
+            yield Case(name, inputs, 10 * 2.0**-23, why, metric="local")
     overshot = random.normal(0, 1, (3, 7, 9)).astype(np.float32)
     overshot[:, 2, 3] = np.nan
-    yield Case(
-        "below zero and NaN",
-        {
-            "rates": overshot,
-            "cfa": np.array([[0, 1], [1, 2]], np.int32),
-            "exposure_time": 0.013,
-            "slope": 1e-3,
-        },
-        10 * 2.0**-23,
-        why,
-        metric="local",
-    )
+    inputs = {"rates": overshot, "cfa": RGGB, "exposure_time": 0.013, "slope": 1e-3}
+    yield Case("below zero and NaN", inputs, 10 * 2.0**-23, why, metric="local")
 
 
 def bench(rows, cols):
     """Return inputs: a Bayer mosaic with fall-off."""
-    random = np.random.default_rng(4)
-    return {
-        "rates": random.random((3, rows, cols), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
-        "exposure_time": 0.01,
-        "slope": 3e-4,
-    }
+    rates = np.random.default_rng(4).random((3, rows, cols), np.float32)
+    return {"rates": rates, "cfa": RGGB, "exposure_time": 0.01, "slope": 3e-4}

@@ -84,34 +84,23 @@ def cases():
             "response": np.where(random.random((rows, cols)) < 0.02, 0, 1).astype(np.float32),
             "dark": np.where(random.random((rows, cols)) < 0.02, 5.0, 0).astype(np.float32),
         }
-        hard = np.resize(
-            [np.nan, np.inf, -np.inf, 1e-45, -0.0, 3.0, np.nextafter(np.float32(3), np.float32(9))],
-            7,
-        )
+        above = np.nextafter(np.float32(3), np.float32(9))
+        hard = np.array([np.nan, np.inf, -np.inf, 1e-45, -0.0, 3.0, above])
         for plane in planes.values():
-            plane.flat[:: max(1, plane.size // 7)][:7] = hard[
-                : len(plane.flat[:: max(1, plane.size // 7)][:7])
-            ]
+            places = np.arange(0, plane.size, max(1, plane.size // 7))[:7]
+            plane.flat[places] = hard[: len(places)]
         for chosen in (("response",), ("dark",), ("response", "dark")):
-            yield exact_case(
-                f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}",
-                "comparisons only",
-                least=3.0,
-                binning=binning,
-                stride=stride,
-                **{name: planes[name] for name in chosen},
-            )
-    yield exact_case(
-        "any dark current",
-        "comparisons only; denormals count",
-        dark=np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32),
-    )
+            name = f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}"
+            inputs = {"least": 3.0, "binning": binning, "stride": stride}
+            inputs |= {name: planes[name] for name in chosen}
+            yield exact_case(name, "comparisons only", **inputs)
+    dark = np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)
+    yield exact_case("any dark current", "comparisons only; denormals count", dark=dark)
 
 
 def bench(rows, cols):
     """Return inputs: a thousandth of the pixels dead, as many hot."""
     random = np.random.default_rng(14)
-    return {
-        "response": (random.random((rows, cols)) > 1e-3).astype(np.float32),
-        "dark": (random.random((rows, cols)) < 1e-3).astype(np.float32),
-    }
+    response = (random.random((rows, cols)) > 1e-3).astype(np.float32)
+    dark = (random.random((rows, cols)) < 1e-3).astype(np.float32)
+    return {"response": response, "dark": dark}

@@ -178,6 +178,7 @@ def cases():
     random = np.random.default_rng(11)
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
+        wild = [np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30]
         for name, rates in (
             ("light", random.gamma(2.0, 300.0, (rows, cols))),
             ("equal", np.full((rows, cols), 0.1)),
@@ -186,18 +187,12 @@ def cases():
             ("zeros", np.zeros((rows, cols))),
             ("denormals", 1e-40 * random.random((rows, cols))),
             ("1e-30 to 1e30", 10.0 ** random.uniform(-30, 30, (rows, cols))),
-            (
-                "NaN and infinities",
-                random.choice([np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30], (rows, cols)),
-            ),
+            ("NaN and infinities", random.choice(wild, (rows, cols))),
             ("NaN", np.full((rows, cols), np.nan)),
         ):
             fractions = next(quantiles)
-            yield _case(
-                f"{name} {rows}x{cols}, {len(fractions)} quantiles",
-                rates.astype(np.float32),
-                fractions,
-            )
+            name = f"{name} {rows}x{cols}, {len(fractions)} quantiles"
+            yield _case(name, rates.astype(np.float32), fractions)
 
 
 def _weights(size):
@@ -206,14 +201,11 @@ def _weights(size):
 
 
 def _case(name, rates, fractions):
-    inputs = {
-        "rates": rates,
-        "weights_y": _weights(rates.shape[0]),
-        "weights_x": _weights(rates.shape[1]),
-        "fractions": fractions,
-    }
+    weights_y, weights_x = map(_weights, rates.shape)
+    weighting = {"weights_y": weights_y, "weights_x": weights_x}
+    inputs = {"rates": rates, **weighting, "fractions": fractions}
     finite = np.where(np.isfinite(rates), rates, 0).astype(np.float64)
-    weights = np.outer(inputs["weights_y"], inputs["weights_x"]).astype(np.float64)
+    weights = np.outer(weights_y, weights_x).astype(np.float64)
     plain, centre = finite / max(np.isfinite(rates).sum(), 1), weights * finite
     floor = max(np.abs(plain).sum(), np.abs(centre).sum())  # of sums that cancel
     lost = max(np.abs(part).sum() / max(abs(part.sum()), floor, 1e-300) for part in (plain, centre))
@@ -233,9 +225,6 @@ def _case(name, rates, fractions):
 def bench(rows, cols):
     """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
-    return {
-        "rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32),
-        "weights_y": _weights(rows),
-        "weights_x": _weights(cols),
-        "fractions": (),
-    }
+    rates = random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32)
+    weights = {"weights_y": _weights(rates.shape[0]), "weights_x": _weights(cols)}
+    return {"rates": rates, **weights, "fractions": ()}

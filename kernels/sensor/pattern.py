@@ -91,32 +91,13 @@ def pattern(
 def cases():
     """Yield cases: every plane with every part, tiles, odd sizes: bit for bit."""
     why = "both sides do the same correctly rounded float32 operations in the same order"
-    parts = {
-        "mean": 1.0,
-        "pixel": 0.02,
-        "row": 0.01,
-        "column": 0.005,
-        "dead": 0.05,
-        "share": 0.1,
-        "scale": 3.0,
-    }
+    parts = {"mean": 1.0, "pixel": 0.02, "row": 0.01, "column": 0.005}
+    parts |= {"dead": 0.05, "share": 0.1, "scale": 3.0, "seed": 2**63 + 5}
+    sizes = (1, 1, (0, 0), None), (3, 5, (0, 0), None), (63, 65, (7, 900), 70_000)
     for plane in PLANES:
-        for rows, cols, first, frame_cols in (
-            (1, 1, (0, 0), None),
-            (3, 5, (0, 0), None),
-            (63, 65, (7, 900), 70_000),
-        ):
-            yield exact_case(
-                f"{plane} {rows}x{cols}",
-                why,
-                rows=rows,
-                cols=cols,
-                plane=plane,
-                **parts,
-                seed=2**63 + 5,
-                first=first,
-                frame_cols=frame_cols,
-            )
+        for rows, cols, first, frame_cols in sizes:
+            tile = {"rows": rows, "cols": cols, "first": first, "frame_cols": frame_cols}
+            yield exact_case(f"{plane} {rows}x{cols}", why, plane=plane, **parts, **tile)
     for name, own in (
         ("normal", {"pixel": 1.0}),
         ("dead", {"mean": 1.0, "dead": 1.0}),
@@ -128,13 +109,5 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: response of pixels, rows and columns with dead pixels."""
-    return {
-        "rows": rows,
-        "cols": cols,
-        "plane": "response",
-        "mean": 1.0,
-        "pixel": 0.01,
-        "row": 1e-3,
-        "column": 1e-3,
-        "dead": 1e-4,
-    }
+    parts = {"mean": 1.0, "pixel": 0.01, "row": 1e-3, "column": 1e-3, "dead": 1e-4}
+    return {"rows": rows, "cols": cols, "plane": "response", **parts}

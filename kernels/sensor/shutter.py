@@ -67,13 +67,8 @@ def cases():
     is read.
     """
     random = np.random.default_rng(7)
-    for instants, used, rows, cols in (
-        (1, 1, 1, 1),
-        (5, 5, 3, 5),
-        (9, 3, 63, 65),
-        (40, 12, 30, 1030),
-        (70, 64, 5, 9),
-    ):
+    sizes = (1, 1, 1, 1), (5, 5, 3, 5), (9, 3, 63, 65), (40, 12, 30, 1030), (70, 64, 5, 9)
+    for instants, used, rows, cols in sizes:
         rates = (10.0 ** random.uniform(-3, 6, (instants, rows, cols))).astype(np.float32)
         weights = _moving_window(random, instants, used, rows)
         for y, (first, end) in enumerate(spans(weights)):

@@ -76,47 +76,20 @@ def cases():
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
         yield exact_case(f"every {kind}, grey", why, codes=every.reshape(16, -1), curve=srgb)
-        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1).reshape(
-            -1, 32, 3
-        )
+        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1)
+        mixed = mixed.reshape(-1, 32, 3)
         yield exact_case(f"every {kind} in three channels", why, codes=mixed, curve=srgb)
-        for shape in (
-            (1, 1, 3),
-            (1, 1),
-            (3, 5, 3),
-            (1, 17, 3),
-            (17, 1, 3),
-            (33, 65, 3),
-            (7, 129, 4),
-            (9, 31, 1),
-            (5, 6, 5),
-            (0, 4, 3),
-            (4, 0, 3),
-        ):
-            curve = (random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)).astype(
-                np.float32
-            )
-            curve[random.integers(0, count, 8)] = (
-                np.nan,
-                np.inf,
-                -np.inf,
-                -0.0,
-                3e38,
-                1.2e-38,
-                1,
-                -1,
-            )
-            yield exact_case(
-                f"{kind} {shape}, any curve",
-                why,
-                codes=random.integers(0, count, shape).astype(kind),
-                curve=curve,
-            )
+        shapes = (1, 1, 3), (1, 1), (3, 5, 3), (1, 17, 3), (17, 1, 3), (33, 65, 3), (7, 129, 4)
+        for shape in (*shapes, (9, 31, 1), (5, 6, 5), (0, 4, 3), (4, 0, 3)):
+            curve = random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)
+            curve = curve.astype(np.float32)
+            extremes = np.nan, np.inf, -np.inf, -0.0, 3e38, 1.2e-38, 1, -1
+            curve[random.integers(0, count, 8)] = extremes
+            codes = random.integers(0, count, shape).astype(kind)
+            yield exact_case(f"{kind} {shape}, any curve", why, codes=codes, curve=curve)
 
 
 def bench(rows, cols):
     """Return inputs: a frame of 8 bits, sRGB."""
-    return {
-        "codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
-        "curve": DISPLAYS["srgb"].table(np.uint8),
-    }
+    codes = np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8)
+    return {"codes": codes, "curve": DISPLAYS["srgb"].table(np.uint8)}

@@ -62,33 +62,22 @@ def cases():
     coefficients, NaN.
     """
     random = np.random.default_rng(31)
-    for lights, surfaces, *shape in (
-        (1, 1, 1, 1),
-        (2, 3, 5, 7),
-        (3, 31, 63, 65),
-        (2, 6, 1, 129),
-        (5, 1, 17, 1),
-        (2, 3, 0, 4),
-    ):
-        maps = 10.0 ** random.uniform(-3, 4, (lights, *shape)) * (
-            random.random((lights, *shape)) > 0.2
-        )
+    sizes = (1, 1, 1, 1), (2, 3, 5, 7), (3, 31, 63, 65), (2, 6, 1, 129), (5, 1, 17, 1), (2, 3, 0, 4)
+    for lights, surfaces, *shape in sizes:
+        maps = 10.0 ** random.uniform(-3, 4, (lights, *shape))
+        maps = (maps * (random.random((lights, *shape)) > 0.2)).astype(np.float32)
         coefficients = random.normal(0, 1, (surfaces, *shape))
         for kind in (np.float32, np.float16):
             yield Case(
                 f"{lights} lights, {surfaces} surfaces of {np.dtype(kind)}, {shape[0]}x{shape[1]}",
-                {"maps": maps.astype(np.float32), "coefficients": coefficients.astype(kind)},
+                {"maps": maps, "coefficients": coefficients.astype(kind)},
                 2.0**-24,
                 "one float32 product of exact inputs rounds once: half an ulp",
                 metric="local",
             )
     wild = np.array([[[np.nan, np.inf, -0.0, 1e-20]]], np.float32)
-    yield exact_case(
-        "NaN and infinity",
-        "a product with a power of two is exact",
-        maps=np.full((2, 1, 4), 0.5, np.float32),
-        coefficients=wild,
-    )
+    halves, why = np.full((2, 1, 4), 0.5, np.float32), "a product with a power of two is exact"
+    yield exact_case("NaN and infinity", why, maps=halves, coefficients=wild)
 
 
 def bench(rows, cols):

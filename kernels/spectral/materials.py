@@ -43,12 +43,8 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
 def cases():
     """Yield cases: one material to hundreds, shading over nine decades."""
     random = np.random.default_rng(2)
-    for rows, cols, planes, count in (
-        (1, 1, 3, 1),
-        (3, 5, 3, 24),
-        (63, 65, 31, 26),
-        (5, 200, 4, 300),
-    ):
+    sizes = (1, 1, 3, 1), (3, 5, 3, 24), (63, 65, 31, 26), (5, 200, 4, 300)
+    for rows, cols, planes, count in sizes:
         yield Case(
             f"{rows}x{cols}, {count} materials, {planes} planes",
             {

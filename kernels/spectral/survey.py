@@ -159,15 +159,10 @@ def cases():
         shape = f"{rows}x{cols}, {entries} entries, {count} projections"
         light = 10.0 ** random.uniform(-3, 5, (rows, cols))
         yield _case(f"cube {shape}", random.random((entries, rows, cols)) * light, table, first)
-        yield _case(
-            f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first
-        )
-        yield _case(
-            f"float16 {shape}",
-            random.normal(0, 1, (entries, rows, cols)).astype(np.float16),
-            table,
-            first,
-        )
+        basis = random.normal(0, 1, (entries, rows, cols)) * light
+        yield _case(f"basis {shape}", basis, table, first)
+        halves = random.normal(0, 1, (entries, rows, cols)).astype(np.float16)
+        yield _case(f"float16 {shape}", halves, table, first)
         ids = random.integers(0, entries, (rows, cols)).astype(np.uint16)
         yield _case(f"materials {shape}", light, table, first, ids)
     table = random.normal(0, 1, (6, 31))
@@ -186,14 +181,8 @@ def cases():
     yield _case("materials with NaN and infinity", shading, table, np.arange(12), ids)
     light = 1e23 * random.random((31, 12, 40))
     yield _case("the sun", light, table, np.arange(12), scale=(2.0**-77, 2.0**-79))
-    yield _case(
-        "materials in the sun",
-        light[3],
-        table * 2.0**20,
-        np.arange(12),
-        ids,
-        scale=(2.0**-77, 2.0**-97),
-    )
+    steep, scale = table * 2.0**20, (2.0**-77, 2.0**-97)
+    yield _case("materials in the sun", light[3], steep, np.arange(12), ids, scale=scale)
     yield _case("faint light", light * 1e-60, table, np.arange(12), scale=(2.0**123, 2.0**121))
 
 

@@ -86,11 +86,8 @@ def check_inputs(content, rows, cols):
             f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w) with "
             "the same n"
         )
-    return (
-        np.dtype(kind.type if kind.type in (np.float16, np.uint16) else np.float32),
-        shape,
-        (*of_rows, of_cols[1]),
-    )
+    kept = kind.type in (np.float16, np.uint16)
+    return np.dtype(kind.type if kept else np.float32), shape, (*of_rows, of_cols[1])
 
 
 def cases():
@@ -107,23 +104,13 @@ def cases():
     def case(name, content, rows=None, cols=None):
         return exact_case(name, why, content=content, rows=rows, cols=cols)
 
-    yield case("every float16", every.reshape(4, 64, 256))
-    yield case(
-        "every float16 by columns",
-        every.reshape(4, 64, 256),
-        cols=np.arange(256, dtype=np.int32)[None, ::-1],
-    )
-    yield case("every number", numbers.reshape(256, 256))
-    yield case(
-        "every number by columns",
-        numbers.reshape(256, 256),
-        cols=np.arange(256, dtype=np.int32)[None, ::-1],
-    )
-    yield case(
-        "NaN and infinities",
-        wild.reshape(1, 2, 3),
-        *(np.array([chosen], np.int32) for chosen in ([0, 1], [2, 1, 0, 9])),
-    )
+    backwards = np.arange(256, dtype=np.int32)[None, ::-1]
+    kinds = {"float16": every.reshape(4, 64, 256), "number": numbers.reshape(256, 256)}
+    for name, values in kinds.items():
+        yield case(f"every {name}", values)
+        yield case(f"every {name} by columns", values, cols=backwards)
+    chosen = (np.array([some], np.int32) for some in ([0, 1], [2, 1, 0, 9]))
+    yield case("NaN and infinities", wild.reshape(1, 2, 3), *chosen)
     for entries, rows, cols, windows in (
         (1, 1, 1, (1, 1, 1)),
         (3, 5, 9, (2, 4, 3)),
@@ -144,12 +131,9 @@ def cases():
             yield case(f"{dtype.__name__} {name}", values.astype(dtype), *chosen)
         yield case(f"whole rows {name}", values.astype(np.float16), chosen[0])
         yield case(f"shading {name}", values[0].astype(np.float32), *chosen)
-        yield case(f"numbers {name}", random.integers(0, 2**16, (rows, cols), np.uint16), *chosen)
-        yield case(
-            f"whole rows of numbers {name}",
-            random.integers(0, 2**16, (rows, cols), np.uint16),
-            chosen[0],
-        )
+        drawn = [random.integers(0, 2**16, (rows, cols), np.uint16) for _ in range(2)]
+        yield case(f"numbers {name}", drawn[0], *chosen)
+        yield case(f"whole rows of numbers {name}", drawn[1], chosen[0])
 
 
 def bench(rows, cols):
@@ -158,8 +142,5 @@ def bench(rows, cols):
     Twelve windows of 64 x 64 from a 31-band cube without other samples: all is read.
     """
     chosen = np.arange(12 * 64, dtype=np.int32).reshape(12, 64)
-    return {
-        "content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32),
-        "rows": chosen % 64,
-        "cols": chosen,
-    }
+    content = np.random.default_rng(5).random((31, 64, 12 * 64), np.float32)
+    return {"content": content, "rows": chosen % 64, "cols": chosen}
