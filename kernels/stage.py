@@ -257,9 +257,5 @@ def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
     leaf = name.rpartition(".")[2]
     reference = getattr(import_module(f"{module.__name__}_ref"), leaf)
     for case in module.cases():
-        yield (
-            case,
-            case.error(
-                getattr(module, leaf)(**case.inputs, device=device), reference(**case.inputs)
-            ),
-        )
+        result = getattr(module, leaf)(**case.inputs, device=device)
+        yield case, case.error(result, reference(**case.inputs))

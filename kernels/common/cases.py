@@ -6,7 +6,23 @@ import numpy as np
 
 from gpusim.kernels.stage import Case, exact_case
 
-RGGB = np.array([[0, 1], [1, 2]], np.int32)  # channels of Bayer's mosaic
+
+def mosaic(*rows: str) -> np.ndarray:
+    """Return the channels of a mosaic whose rows are given in letters, R, G and B for 0, 1 and 2."""
+    return np.array([["RGB".index(letter) for letter in row] for row in rows], np.int32)
+
+
+RGGB = mosaic("RG", "GB")
+MOSAICS = {
+    "Bayer": RGGB,
+    "GRBG": mosaic("GR", "BG"),
+    "GBRG": mosaic("GB", "RG"),
+    "BGGR": mosaic("BG", "GR"),
+    "quad-Bayer": mosaic("RRGG", "RRGG", "GGBB", "GGBB"),
+    "X-Trans": mosaic("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG"),
+    "stripes": mosaic("RGB"),
+    "grey": mosaic("R"),
+}
 FLAT = {
     "raw": np.full((9, 9), 4096 + 64, np.uint16),
     **{"phase": "RGGB", "black_level": 64.0, "scale": 1 / 4096},

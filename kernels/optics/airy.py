@@ -87,9 +87,5 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: 31 bands of a 1.4 um f/1.8 camera."""
-    return {
-        "q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6,
-        "aperture": 1.0,
-        "rows": rows,
-        "cols": cols,
-    }
+    q = np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6
+    return {"q": q, "aperture": 1.0, "rows": rows, "cols": cols}

@@ -227,11 +227,8 @@ class _Grids:
             _tile_bands(self.device, axis, name, of, *by)
             for axis, by in ((self.down, (4, high)), (self.across, (1, WIDE)))
         )
-        return (
-            down,
-            across,
-            -(-4 * (4 * LINES * max(across.span, WIDE) + WIDE * down.span) // STEP) * STEP,
-        )
+        values = 4 * LINES * max(across.span, WIDE) + WIDE * down.span
+        return down, across, -(-4 * values // STEP) * STEP
 
     def _both(self, given, name, of=None, weights=None, onto=None, in_parts=False):
         """Multiply (batch, parts, rows, cols) along both axes and sum the parts.
@@ -343,12 +340,8 @@ def _bands(device, axis, name, of, block):
     """
     made = getattr(axis, name)
     bands = (made if of is None else made(of)).in_blocks(block)
-    return (
-        device.array(bands.start, np.int32),
-        device.array(bands.count, np.int32),
-        device.array(bands.values),
-        bands.rows,
-    )
+    start, count = (device.array(numbers, np.int32) for numbers in (bands.start, bands.count))
+    return start, count, device.array(bands.values), bands.rows
 
 
 @functools.lru_cache(maxsize=32)

@@ -270,9 +270,8 @@ def _add_highlights(
         at = row_of[y + m // 2], col_of[x + n // 2]
         light = np.where(values[:, *at] > threshold, values[:, *at], 0).astype(np.float64)
         weight = weights[:, min(max(y, 0), rows - 1), min(max(x, 0), cols - 1)].astype(np.float64)
-        own = np.tensordot(
-            weight, kernels[index[tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]]], 1
-        )
+        tile = tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]
+        own = np.tensordot(weight, kernels[index[tile]], 1)
         mixed[k] = np.einsum("cp,pij->cij", mix * light, np.broadcast_to(own, (len(light), m, n)))
     places -= margin
     bins_y, bins_x = (-(-length // BIN) for length in out.shape[1:])
@@ -285,14 +284,8 @@ def _add_highlights(
     starts = np.cumsum([0, *(len(lists[k]) for k in squares)])
     listed = np.concatenate([np.array(lists[k], np.int32) for k in squares])
     corners = BIN * np.stack(np.divmod(squares, bins_x), axis=1)
-    arrays = [
-        device.array(places, np.int32),
-        device.array(mixed),
-        device.array(corners, np.int32),
-        device.array(starts, np.int32),
-        device.array(listed, np.int32),
-        out,
-    ]
+    lists = [device.array(numbers, np.int32) for numbers in (corners, starts, listed)]
+    arrays = [device.array(places, np.int32), device.array(mixed), *lists, out]
     sizes = [*out.shape, m, n, len(squares)]
     device.launch("optics.field", "spread", (channels, len(squares) * BIN, BIN), *arrays, *sizes)
 

@@ -245,9 +245,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": RGGB,
-        "border": "edge",
-        "period": period,
+        **{"cfa": RGGB, "border": "edge", "period": period},
     }
 
 
@@ -258,7 +256,6 @@ def operations(planes, tables, mix, cfa, border, period):
     each phase.
     """
     frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
-    back = cfa.size * fft.operations(
-        [length // n for length, n in zip(period, phases, strict=True)]
-    )
+    small = [length // n for length, n in zip(period, phases, strict=True)]
+    back = cfa.size * fft.operations(small)
     return len(planes) * fft.operations(period) + 4 * frequencies * mix.size + back

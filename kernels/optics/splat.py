@@ -83,20 +83,15 @@ def cases():
         places = [random.integers(-3, n + 3, 10) for n in (rows, cols)]
         places = np.stack([*places, random.integers(0, 2, 10), np.full(10, reach)], axis=1)
         places[0, :2] = 0
-        yield Case(
-            f"{rows}x{cols}, {parts} parts, reach {reach}",
-            {
-                "mosaic": np.full((rows, cols), 1e-3, np.float32),
-                "cfa": RGGB,
-                "places": places.astype(np.int32),
-                "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
-                **{"cores": cores, "profiles": profiles, "step": 0.05},
-                **{"parts": parts, "spread": 1 / parts},
-            },
-            1e-5,
-            why,
-            metric="local",
-        )
+        lights = {
+            "mosaic": np.full((rows, cols), 1e-3, np.float32),
+            **{"cfa": RGGB, "places": places.astype(np.int32)},
+            "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
+        }
+        spread = {"cores": cores, "profiles": profiles, "step": 0.05}
+        spread |= {"parts": parts, "spread": 1 / parts}
+        name = f"{rows}x{cols}, {parts} parts, reach {reach}"
+        yield Case(name, lights | spread, 1e-5, why, metric="local")
 
 
 def bench(rows, cols):
@@ -108,9 +103,7 @@ def bench(rows, cols):
     places = np.stack([*places, np.arange(16), np.full(16, max(rows, cols))], axis=1)
     return {
         "mosaic": mosaic,
-        "cfa": RGGB,
-        "places": places.astype(np.int32),
-        "strength": np.ones(16, np.float32),
+        **{"cfa": RGGB, "places": places.astype(np.int32), "strength": np.ones(16, np.float32)},
         "cores": random.random((16, 3, 33, 33), np.float32),
         "profiles": random.random((16, 3, length), np.float32),
         **{"step": 1 / 64, "parts": 2, "spread": 0.5},

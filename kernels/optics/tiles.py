@@ -335,10 +335,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, 33, 33), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": RGGB,
-        "border": "edge",
-        "side": 64,
-        "overlap": 8,
+        **{"cfa": RGGB, "border": "edge", "side": 64, "overlap": 8},
     }
 
 
@@ -350,8 +347,5 @@ def operations(planes, tables, mix, cfa, border, side, overlap):
     """
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
-    return number * (
-        len(planes) * fft.operations((side, side))
-        + 4 * side * (side // 2 + 1) * np.size(mix)
-        + back
-    )
+    there = len(planes) * fft.operations((side, side))
+    return number * (there + 4 * side * (side // 2 + 1) * np.size(mix) + back)

@@ -29,9 +29,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.common.cases import RGGB
+from gpusim.kernels.common.cases import MOSAICS, RGGB
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
 from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage, warp_only
 
@@ -139,17 +139,10 @@ def _tables(device, cfa, shape):
     )
     starts = np.cumsum([0] + [len(entries) for _, _, entries in phases], dtype=np.int32)
     entries = np.array([entry for _, _, entries in phases for entry in entries], np.int32)
-    masks = np.where(
-        np.arange(shape[1] + LANES) % shape[1] == np.arange(shape[1])[:, None], 65535, 0
-    )
-    return (
-        device.array(near, np.int32),
-        count,
-        device.array(starts, np.int32),
-        device.array(entries, np.int32),
-        device.array(masks, np.uint16),
-        int(abs(near).max()),
-    )
+    columns = np.arange(shape[1])
+    masks = np.where(np.arange(shape[1] + LANES) % shape[1] == columns[:, None], 65535, 0)
+    lists = [device.array(numbers, np.int32) for numbers in (near, starts, entries)]
+    return lists[0], count, *lists[1:], device.array(masks, np.uint16), int(abs(near).max())
 
 
 def _neighbours(cfa, y, x):
@@ -168,15 +161,10 @@ def _neighbours(cfa, y, x):
     radius = same[min(NEAR, len(same)) - 1][0]
     near = [(dy, dx) for square, dy, dx in same if square <= radius]
     rings = sorted({square for square, _, _ in same if square > radius})
-    entries = [
-        (
-            dy,
-            dx,
-            int(channel(-dy, -dx) == channel(0, 0)),
-            0 if square <= radius else 1 + rings.index(square),
-        )
-        for square, dy, dx in same
-    ]
+    entries = []
+    for square, dy, dx in same:
+        ring = 0 if square <= radius else 1 + rings.index(square)
+        entries.append((dy, dx, int(channel(-dy, -dx) == channel(0, 0)), ring))
     beyond = [
         next((n * dy, n * dx) for n in range(2, 10) if channel(n * dy, n * dx) == channel(dy, dx))
         for dy, dx in BESIDE
@@ -192,19 +180,10 @@ def cases():
     """
     random = np.random.default_rng(9)
     why = "integers, and three float32 roundings in the same order"
-    mosaics = {
-        "RGGB": BAYER,
-        "GRBG": ((1, 0), (2, 1)),
-        "GBRG": ((1, 2), (0, 1)),
-        "BGGR": ((2, 1), (1, 0)),
-        "quad-Bayer": QUAD,
-        "X-Trans": X_TRANS,
-        "grey": ((0,),),
-        "stripes": ((0, 1, 2),),
-        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
-    }
+    names = "GRBG", "GBRG", "BGGR", "quad-Bayer", "X-Trans", "grey", "stripes"
+    mosaics = {"RGGB": RGGB} | {name: MOSAICS[name] for name in names}
+    mosaics["four of 8x8"] = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
     for name, cfa in mosaics.items():
-        cfa = np.array(cfa, np.int32)
         for rows, cols in ((1, 1), (1, 7), (2, 2), (5, 3), (31, 90)):
             raw = random.poisson(700, (rows, cols)).astype(np.uint16)
             bad = random.random((rows, cols))
@@ -237,8 +216,5 @@ def bench(rows, cols):
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),
         "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8),
-        "cfa": RGGB,
-        "black_level": 64.0,
-        "noise": (1.0, 3.0),
-        "detect": 6.0,
+        **{"cfa": RGGB, "black_level": 64.0, "noise": (1.0, 3.0), "detect": 6.0},
     }

@@ -36,9 +36,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.common.cases import RGGB
+from gpusim.kernels.common.cases import MOSAICS, RGGB, mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import (
     CORRECTED_BLACK,
     CORRECTED_WHITE,
@@ -146,16 +146,10 @@ def cases():
         "standard deviation of noise; that is at most 61439 / 4031 sqrt(4095 g + s^2) < 1000 steps, so .4: the "
         "rounding to whole numbers differs by one step at most"
     )
-    for name, cfa in (
-        ("Bayer", BAYER),
-        ("GRBG", ((1, 0), (2, 1))),
-        ("GBRG", ((1, 2), (0, 1))),
-        ("checkers", ((0, 1), (1, 0))),
-        ("X-Trans", X_TRANS),
-        ("grey", ((0,),)),
-        ("8x8", random.permutation(np.arange(64) % 4).reshape(8, 8)),
-    ):
-        cfa = np.array(cfa, np.int32)
+    eight = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
+    mosaics = MOSAICS | {"checkers": mosaic("RG", "GR"), "8x8": eight}
+    for name in ("Bayer", "GRBG", "GBRG", "checkers", "X-Trans", "grey", "8x8"):
+        cfa = mosaics[name]
         for rows, cols in (cfa.shape, (9, 11), (45, 131)):
             ramp = np.add.outer(np.arange(rows), 2 * np.arange(cols))
             light = random.poisson(np.where(ramp % 70 < 40, 200.0, 1500.0))

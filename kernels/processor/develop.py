@@ -142,14 +142,9 @@ def _case(
         name,
         "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
         "less than its distance from every threshold: the codes are equal",
-        raw=raw,
-        matrix=matrix,
-        thresholds=edges.astype(np.float32),
-        phase=phase,
-        black_level=black_level,
-        scale=scale,
-        ceiling=ceiling,
-        converter=converter,
+        **{"raw": raw, "matrix": matrix, "thresholds": edges.astype(np.float32)},
+        **{"phase": phase, "black_level": black_level, "scale": scale},
+        **{"ceiling": ceiling, "converter": converter},
     )
 
 
@@ -157,12 +152,6 @@ def bench(rows, cols):
     """Return inputs: a 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
-    return {
-        "raw": raw,
-        "matrix": matrix,
-        "thresholds": thresholds(DISPLAYS["srgb"].decode),
-        "phase": "RGGB",
-        "black_level": 64.0,
-        "scale": 1 / 959,
-        "ceiling": np.ones(3, np.float32),
-    }
+    display = {"matrix": matrix, "thresholds": thresholds(DISPLAYS["srgb"].decode)}
+    levels = {"phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {"raw": raw, **display, **levels, "ceiling": np.ones(3, np.float32)}

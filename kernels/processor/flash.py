@@ -139,26 +139,18 @@ def check_inputs(ambient, flash, ambient_noise, flash_noise, radius, reach):
 def _pair(rows, cols):
     """Return a noisy picture of patches, and one by flash with a shadow and a highlight."""
     random = np.random.default_rng(12)
-    patches = (
-        random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
-        .repeat(7, 1)
-        .repeat(9, 2)[:, :rows, :cols]
-    )
+    patches = random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
+    patches = patches.repeat(7, 1).repeat(9, 2)[:, :rows, :cols]
     own = 0.1 * patches * np.linspace(0.5, 1, cols)
     lit = 0.2 * own + patches * (np.arange(cols) % 40 > 9)
     lit[:, : rows // 4, : cols // 4] = 1.2
     noise = np.hstack([np.full((3, 3), 0.002) + 0.004 * np.eye(3), np.full((3, 1), 2e-4)])
-    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(
-        noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
-    )
+    variance = noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
+    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(variance)
     by_flash = lit + random.normal(0, 0.02, lit.shape)
-    return {
-        "ambient": ambient.astype(np.float32),
-        "flash": by_flash.astype(np.float32),
-        "ambient_noise": noise.tolist(),
-        "flash_noise": (noise / 10).tolist(),
-        "full": 1.15,
-    }
+    pictures = {"ambient": ambient.astype(np.float32), "flash": by_flash.astype(np.float32)}
+    noises = {"ambient_noise": noise.tolist(), "flash_noise": (noise / 10).tolist()}
+    return {**pictures, **noises, "full": 1.15}
 
 
 def cases():

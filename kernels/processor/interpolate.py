@@ -25,7 +25,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.common.cases import RGGB, bench_mosaic, random_mosaic
+from gpusim.kernels.common.cases import MOSAICS, RGGB, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
 from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
@@ -155,12 +155,8 @@ def _tent(sampled):
     """
     for k in range(1, max(sampled.shape) + 1):
         half = tuple(min(k, period) for period in sampled.shape)
-        weights = np.array(
-            [
-                [_weights(sampled, half, y, x) for x in range(sampled.shape[1])]
-                for y in range(sampled.shape[0])
-            ]
-        )
+        rows, cols = map(range, sampled.shape)
+        weights = np.array([[_weights(sampled, half, y, x) for x in cols] for y in rows])
         blocks = np.lib.stride_tricks.sliding_window_view(weights, half, axis=(2, 3))
         if not np.isnan(weights).any() and (blocks > 0).any(axis=(4, 5)).all():
             return half, weights
@@ -218,23 +214,8 @@ def _tables(device, blocks, cfa, shape):
     if blocks:
         weights = np.pad(weights, ((0, 0), (0, BLOCK - 1)), mode="wrap")
     reach = tuple(int(n) for n in abs(offsets).max(axis=(0, 1)))
-    return (
-        device.array(np.array(starts, np.int32), np.int32),
-        device.array(offsets, np.int32),
-        device.array(weights),
-        reach,
-    )
-
-
-BAYER, QUAD = ((0, 1), (1, 2)), ((0, 0, 1, 1), (0, 0, 1, 1), (1, 1, 2, 2), (1, 1, 2, 2))
-X_TRANS = (
-    (1, 1, 0, 1, 1, 2),
-    (1, 1, 2, 1, 1, 0),
-    (2, 0, 1, 0, 2, 1),
-    (1, 1, 2, 1, 1, 0),
-    (1, 1, 0, 1, 1, 2),
-    (0, 2, 1, 2, 0, 1),
-)
+    starts = device.array(np.array(starts, np.int32), np.int32)
+    return starts, device.array(offsets, np.int32), device.array(weights), reach
 
 
 def cases():
@@ -248,17 +229,11 @@ def cases():
         "(weight, product, sums), n of the sum of weights at borders, the quotient, black level, scale; 1 for "
         "65535 / 65471"
     )
-    mosaics = {
-        "Bayer": BAYER,
-        "quad-Bayer": QUAD,
-        "X-Trans": X_TRANS,
-        "stripes": ((0, 1, 2),),
-        "grey": ((0,),),
-        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
-        "rare of 5x7": np.arange(35).reshape(5, 7) // 17,
-    }
+    names = "Bayer", "quad-Bayer", "X-Trans", "stripes", "grey"
+    mosaics = {name: MOSAICS[name] for name in names}
+    mosaics["four of 8x8"] = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
+    mosaics["rare of 5x7"] = np.arange(35, dtype=np.int32).reshape(5, 7) // 17
     for name, cfa in mosaics.items():
-        cfa = np.array(cfa, np.int32)
         rows, cols = least_frame(cfa)
         for size in ((rows, cols), (rows + 1, cols + 5), (19, 150)):
             raw = random_mosaic(random, 65535, size)
@@ -274,4 +249,4 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: a 10-bit X-Trans mosaic."""
-    return {**bench_mosaic(2, rows, cols), "cfa": np.array(X_TRANS, np.int32)}
+    return {**bench_mosaic(2, rows, cols), "cfa": MOSAICS["X-Trans"]}

@@ -132,14 +132,8 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     )
     strip = (items - 2 * layout.box) // 8 * 8
     across, down = -(-cols // strip), -(-rows // high)
-    defines = {
-        "ITEMS": items,
-        "STRIP": strip,
-        "ROWS": high,
-        "RUN": run,
-        "PERIOD_Y": period_y,
-        "PERIOD_X": period_x,
-    }
+    defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run}
+    defines |= {"PERIOD_Y": period_y, "PERIOD_X": period_x}
     arrays = [raw, prepared.limits, prepared.knots, prepared.weights, prepared.planes]
     arrays += [prepared.factors, prepared.loss, out]
     numbers = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
@@ -155,12 +149,8 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
     codes = device.empty((rows + 2 * reach, stride))
     units = device.empty((rows, cols), np.uint16)
     levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
-    launch = functools.partial(
-        device.launch,
-        "processor.learned",
-        group=(1, 1) if opencl else None,
-        defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
-    )
+    defines, group = prepared.defines | {"STRIP": 128, "ROWS": 16}, (1, 1) if opencl else None
+    launch = functools.partial(device.launch, "processor.learned", defines=defines, group=group)
     numbers = [*from_black[:2], *shift, *layout.period, rows, cols, stride]
     numbers += warp_only(device, reach, root)
     grid = (codes.shape[0], 1) if opencl else codes.shape

@@ -157,14 +157,8 @@ def cases():
         "in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
         "and sums 2 n + 12 times the largest rate; no pixel of these is at a threshold"
     )
-    for count, rows, cols, period in (
-        (1, 1, 1, (1, 1)),
-        (2, 3, 2, (2, 2)),
-        (3, 33, 61, (2, 2)),
-        (3, 9, 130, (6, 6)),
-        (5, 16, 40, (1, 1)),
-        (2, 7, 8, (4, 8)),
-    ):
+    sizes = (1, 1, 1, (1, 1)), (2, 3, 2, (2, 2)), (3, 33, 61, (2, 2)), (3, 9, 130, (6, 6))
+    for count, rows, cols, period in (*sizes, (5, 16, 40, (1, 1)), (2, 7, 8, (4, 8))):
         time = 0.01 * 4.0 ** np.arange(count)
         # [e- s-1] x 100: the longest frames are full
         light = 2000 * 10 ** random.uniform(-3, 1, (rows, cols))
@@ -199,12 +193,6 @@ def bench(rows, cols):
     time = (1.0, 4.0, 16.0)
     raw = 64 + 2 * random.random((1, rows, cols)) * 50 * np.reshape(time, (3, 1, 1))
     raw += random.normal(0, 2, (3, rows, cols))
-    return {
-        "raw": np.clip(raw, 0, 1023).astype(np.uint16),
-        "dark": [64.0] * 3,
-        "gain": [0.16] * 3,
-        "time": time,
-        "floor": [25.0] * 3,
-        "ceiling": [1020.0] * 3,
-        "period": (2, 2),
-    }
+    raw = np.clip(raw, 0, 1023).astype(np.uint16)
+    sensor = {"dark": [64.0] * 3, "gain": [0.16] * 3, "floor": [25.0] * 3, "ceiling": [1020.0] * 3}
+    return {"raw": raw, "time": time, **sensor, "period": (2, 2)}

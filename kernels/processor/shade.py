@@ -12,9 +12,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.common.cases import RGGB, random_mosaic
+from gpusim.kernels.common.cases import MOSAICS, RGGB, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
 from gpusim.kernels.stage import Array, Case, exact_case, stage
 
@@ -88,8 +88,8 @@ def cases():
         "product below 61439 x 8 x 6 2^-24 < 0.2 steps where nothing is clipped: the rounding to whole numbers may "
         "differ by one"
     )
-    for name, cfa in (("Bayer", BAYER), ("X-Trans", X_TRANS), ("grey", ((0,),))):
-        cfa = np.array(cfa, np.int32)
+    for name in ("Bayer", "X-Trans", "grey"):
+        cfa = MOSAICS[name]
         for rows, cols, ny, nx in ((1, 1, 2, 2), (3, 5, 4, 3), (63, 130, 5, 9), (40, 33, 17, 65)):
             raw = random_mosaic(random, 4095, (rows, cols))
             gains = random.uniform(0, 8, (cfa.max() + 1, ny, nx)).astype(np.float32)

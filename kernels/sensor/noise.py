@@ -107,18 +107,9 @@ def noise(
         Farrell and Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    check(
-        full_well,
-        gain,
-        white_level,
-        photon,
-        telegraph_switching,
-        black_level,
-        dark_electrons=dark_electrons,
-        read_noise=read_noise,
-        row_noise=row_noise,
-        column_noise=column_noise,
-    )
+    limits = full_well, gain, white_level, photon, telegraph_switching, black_level
+    noises = {"dark_electrons": dark_electrons, "read_noise": read_noise}
+    check(*limits, **noises, row_noise=row_noise, column_noise=column_noise)
     check_drawn(seed, frame, frames, read)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):

@@ -144,16 +144,15 @@ def cases():
     zeros, NaN.
     """
     random = np.random.default_rng(11)
-    for rows, cols, entries, count in (
+    sizes = (
         (1, 1, 31, 3),
         (1, 9, 5, 1),
         (7, 1, 3, 16),
         (5, 2, 1, 5),
         (3, 8, 31, 12),
         (33, 65, 70, 7),
-        (20, 300, 6, 4),
-        (9, 1025, 130, 12),
-    ):
+    )
+    for rows, cols, entries, count in (*sizes, (20, 300, 6, 4), (9, 1025, 130, 12)):
         table = random.normal(0, 10.0 ** random.uniform(-4, 4, (count, 1)), (count, entries))
         first = random.integers(-2, rows + 2, 5)
         shape = f"{rows}x{cols}, {entries} entries, {count} projections"
