@@ -124,8 +124,9 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
         for p in range(count):
             weighted = device.empty((size * terms, *period))
             arrays = [planes, coefficients, edges_y, edges_x, weighted]
-            numbers = [limit, p, first, BORDERS[border], rows, cols, len(edges[1]) - 1, terms]
-            launch("weigh", weighted.shape, *arrays, *numbers, *weighted.shape)
+            numbers = [limit, p, first, BORDERS[border]]
+            sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
+            launch("weigh", weighted.shape, *arrays, *numbers, *sizes)
             spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:

@@ -105,8 +105,8 @@ def pupil(
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))
     arrays = [table, *common, tables]
-    numbers = [low, high, angle, sides, inner, sectors, (table.shape[1] - 1) // sectors]
-    sizes = [table.shape[2], *shape]
+    numbers = [low, high, angle, sides, inner, sectors]
+    sizes = [(table.shape[1] - 1) // sectors, table.shape[2], *shape]
     device.launch("optics.pupil", "polar", grid, *arrays, *numbers, *sizes, **launching)
     return tables
 

@@ -179,8 +179,8 @@ def _by_batches(
         grid = (some, small[0], small[1] // 2 + 1)
         launch("fold", grid, *arrays, int(tables.shape[0] > 1), *sizes)
         pixels = fft.inverse(device, folded, small[1])
-        numbers = [first, valid, overlap, 1 / prod(period), some * images, images, len(outputs)]
-        sizes = [*shape, *period, side, count[1]]
+        numbers = [first, valid, overlap, 1 / prod(period)]
+        sizes = [some * images, images, len(outputs), *shape, *period, side, count[1]]
         launch("place", (some * images, valid, valid), pixels, out, *numbers, *sizes)
 
 

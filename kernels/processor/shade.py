@@ -71,8 +71,9 @@ def shade(
     arrays = [device.array(gains), device.array(cfa, np.int32), lines]
     device.launch("processor.shade", "widen", lines.shape, *arrays, *cfa.shape, ny, nx, cols)
     arrays = [device.array(raw, np.uint16), lines, out]
-    numbers = [float(black_level), float(scale * (CORRECTED_WHITE - CORRECTED_BLACK))]
-    sizes = [float(CORRECTED_BLACK), cfa.shape[0], ny, rows, cols]
+    levels = CORRECTED_WHITE - CORRECTED_BLACK
+    numbers = [float(black_level), float(scale * levels), float(CORRECTED_BLACK)]
+    sizes = [cfa.shape[0], ny, rows, cols]
     device.launch("processor.shade", "shade", (rows, cols), *arrays, *numbers, *sizes)
     return out
 

@@ -8,6 +8,8 @@ the same way. The rows of every column are added first, from the top, then the c
 the left: the same float32 additions on every device.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -52,20 +54,16 @@ def thumbnail(
     run = 1 if device.is_gpu else CHUNK
     sums = device.empty((channels + 1, rows, width))
     out = device.empty((channels, rows, cols))
-    sizes = warp_only(device, channels)
-    defines = {"CHANNELS": channels, "RUN": run}
-    one = None if device.is_gpu else (1, 1)
+    launch = functools.partial(
+        device.launch,
+        "processor.thumbnail",
+        defines={"CHANNELS": channels, "RUN": run},
+        group=None if device.is_gpu else (1, 1),
+    )
     arrays = [device.array(camera), device.array(np.broadcast_to(ceiling, channels)), sums]
-    extents = [height, width, rows, run, *sizes]
-    grid = (rows, -(-width // run))
-    device.launch(
-        "processor.thumbnail", "columns", grid, *arrays, *extents, defines=defines, group=one
-    )
-    arrays = [sums, out]
-    extents = [width, rows, cols, *sizes]
-    device.launch(
-        "processor.thumbnail", "blocks", (rows, cols), *arrays, *extents, defines=defines, group=one
-    )
+    sizes = [height, width, rows, run, *warp_only(device, channels)]
+    launch("columns", (rows, -(-width // run)), *arrays, *sizes)
+    launch("blocks", (rows, cols), sums, out, width, rows, cols, *warp_only(device, channels))
     return out
 
 

@@ -44,13 +44,12 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64
-        own_defines = defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
-        device.launch(
-            LINES, name, (-(-rows * cols // chunk),), *given, group=(1,), defines=own_defines
-        )
+        defines |= {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
+        grid = (-(-rows * cols // chunk),)
+        device.launch(LINES, name, grid, *given, group=(1,), defines=defines)
     else:
-        arrays = [*given, *warp_only(device, bands, planes)]
-        device.launch("spectral.integrate", name, (rows * cols,), *arrays, defines=defines)
+        sizes = warp_only(device, bands, planes)
+        device.launch("spectral.integrate", name, (rows * cols,), *given, *sizes, defines=defines)
     return out
 
 
