@@ -85,8 +85,8 @@ def distort(
     grid, sizes = (maps, *shape), (source_rows, source_cols, nx, maps, *shape)
     if method == "area":
         numbers = [float(density), *warp_only(device, span, BORDERS[border], per_map)]
-        defines |= {"SPAN": span}
-        launch("area", grid, planes, lines, out, *numbers, *sizes, defines=defines)
+        own_defines = {**defines, "SPAN": span}
+        launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
         return out
     share = [] if light is None else [_shares(device, light, border)]
     sizes = (*warp_only(device, BORDERS[border], per_map), *sizes)

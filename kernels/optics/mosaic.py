@@ -83,10 +83,8 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
-    of, channel_list = (
-        warp_only(device, device.array(cfa, np.int32)),
-        ",".join(map(str, cfa.ravel())),
-    )
+    of = [] if device.kind == "opencl" else [device.array(cfa, np.int32)]
+    channel_list = ",".join(map(str, cfa.ravel()))
     phases = {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]}
     launch = functools.partial(device.launch, "optics.mosaic")
     folded = device.empty((cfa.size, small[0], pitch, 2))
