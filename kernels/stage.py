@@ -88,6 +88,20 @@ class Case:
         )
 
 
+def exact_case(name: str, why: str, **inputs: Any) -> Case:
+    """Return a case in which devices and the reference must agree bit for bit.
+
+    Args:
+        name: Content of the case, in a few words.
+        why: Why they agree.
+        **inputs: Arguments of the stage's function.
+
+    Returns:
+        The case.
+    """
+    return Case(name, inputs, 0.0, why, metric="exact")
+
+
 def stage(function: Callable[..., Result]) -> Callable[..., Result]:
     """Make `function(device, ...)` the public function of the stage that its module is named after.
 
@@ -171,6 +185,27 @@ def dtype_name(array: Array) -> str:
     return getattr(array.dtype, "name", None) or array.dtype.__name__
 
 
+def is_opencl_cpu(device: Device) -> bool:
+    """Return whether the device is a CPU that runs OpenCL.
+
+    Its kernels spell out their vectors and their loops along a row.
+    """
+    return device.kind == "opencl" and not device.is_gpu
+
+
+def warp_only(device: Device, *numbers: Any) -> tuple:
+    """Return the arguments that only Warp kernels take, because OpenCL has them as defines.
+
+    Args:
+        device: The device.
+        *numbers: The arguments, in the kernel's order.
+
+    Returns:
+        The arguments, or none for OpenCL.
+    """
+    return () if device.kind == "opencl" else numbers
+
+
 def stage_names() -> list[str]:
     """Return every stage as `area.name`, in the order in which light passes them.
 
@@ -222,9 +257,5 @@ def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
     leaf = name.rpartition(".")[2]
     reference = getattr(import_module(f"{module.__name__}_ref"), leaf)
     for case in module.cases():
-        yield (
-            case,
-            case.error(
-                getattr(module, leaf)(**case.inputs, device=device), reference(**case.inputs)
-            ),
-        )
+        result = getattr(module, leaf)(**case.inputs, device=device)
+        yield case, case.error(result, reference(**case.inputs))

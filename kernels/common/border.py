@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gpusim.backends import Device
+from gpusim.kernels.stage import is_opencl_cpu
 
 BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 
@@ -33,24 +34,12 @@ def extend(
     """
     count, rows, cols = planes.shape
     extended = device.empty((count - first if size is None else size, *period))
-    if device.kind == "opencl" and not device.is_gpu:
+    if is_opencl_cpu(device):
         grid, group = extended.shape[:2], (1, 1)
     else:
         grid, group = extended.shape, None
-    device.launch(
-        "common.border",
-        "extend",
-        grid,
-        planes,
-        extended,
-        BORDERS[border],
-        first,
-        *before,
-        extended.shape[0],
-        rows,
-        cols,
-        *period,
-        group=group,
-        defines={"GPU": 1} if device.is_gpu else None,
-    )
+    arrays = [planes, extended]
+    defines = {"GPU": 1} if device.is_gpu else None
+    sizes = [BORDERS[border], first, *before, extended.shape[0], rows, cols, *period]
+    device.launch("common.border", "extend", grid, *arrays, *sizes, group=group, defines=defines)
     return extended

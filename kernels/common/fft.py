@@ -95,17 +95,8 @@ def inverse(device: Device, spectra: Any, cols: int) -> Any:
         return _host_inverse(device, spectra, cols)
     _columns(device, spectra, spectra, 0, 1)
     planes = device.empty((count, rows, cols))
-    _rows(
-        device,
-        "rows_inverse",
-        spectra,
-        planes,
-        (1 / (rows * cols),),
-        count * rows,
-        (pitch,),
-        cols,
-        1,
-    )
+    scale = 1 / (rows * cols)
+    _rows(device, "rows_inverse", spectra, planes, (scale,), count * rows, (pitch,), cols, 1)
     return planes
 
 
@@ -163,57 +154,26 @@ def _local_forward(device, planes, first, size, border, period):
     before_y, before_x = middle((rows, cols), period)
     halves = device.empty((size, rows, pitch, 2))
     spectra = device.empty((size, period[0], pitch, 2))
-    _rows(
-        device,
-        "rows_forward",
-        planes,
-        halves,
-        (first * rows, before_x),
-        size * rows,
-        (cols, pitch),
-        period[1],
-        -1,
-        border,
-    )
+    lines, start, sizes = size * rows, (first * rows, before_x), (cols, pitch)
+    _rows(device, "rows_forward", planes, halves, start, lines, sizes, period[1], -1, border)
     _columns(device, halves, spectra, before_y, -1, border)
     return spectra
 
 
 def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
     group = threads(device, length, 1)
-    device.launch(
-        "common.fft",
-        kernel,
-        (-(-rows // 2) * group,),
-        source,
-        roots(device, length),
-        target,
-        *parameters,
-        rows,
-        *sizes,
-        group=(group,),
-        defines=_defines(length, 1, group, sign, border),
-    )  # two rows to a line
+    options = {"group": (group,), "defines": _defines(length, 1, group, sign, border)}
+    arrays, grid = [source, roots(device, length), target], (-(-rows // 2) * group,)
+    device.launch("common.fft", kernel, grid, *arrays, *parameters, rows, *sizes, **options)
 
 
 def _columns(device, source, target, before, sign, border="zero"):
     (count, rows, pitch, _), length = source.shape, target.shape[1]
     lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= device.local_bytes)
     group, groups = threads(device, length, lines), pitch // lines
-    device.launch(
-        "common.fft",
-        "columns",
-        (count * groups * group,),
-        source,
-        roots(device, length),
-        target,
-        before,
-        rows,
-        pitch,
-        groups,
-        group=(group,),
-        defines=_defines(length, lines, group, sign, border),
-    )
+    options = {"group": (group,), "defines": _defines(length, lines, group, sign, border)}
+    arrays, sizes = [source, roots(device, length), target], [before, rows, pitch, groups]
+    device.launch("common.fft", "columns", (count * groups * group,), *arrays, *sizes, **options)
 
 
 def _defines(length, lines, group, sign, border):

@@ -28,7 +28,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage
 
 MANTISSA = 23  # bits
 MOST_BINS = 2**15  # 128 KiB; the table should stay in a core's own cache
@@ -57,19 +57,11 @@ def encode(device: Device, rgb: Array, thresholds: Array) -> Array:
     out = device.empty((rows, cols, 3), np.uint8)
     step = 4 if device.kind == "opencl" else 1
     run = step if device.is_gpu else 2048  # pixels of an item; a GPU wants many small ones
-    device.launch(
-        "display.encode",
-        "encode",
-        (-(-pixels // run),),
-        device.array(rgb),
-        table.entries,
-        out,
-        *table.numbers,
-        run,
-        pixels,
-        defines=defines,
-        group=None if device.is_gpu else (1,),
-    )
+    arrays = [device.array(rgb), table.entries, out]
+    sizes = [*table.numbers, run, pixels]
+    group = None if device.is_gpu else (1,)
+    grid = (-(-pixels // run),)
+    device.launch("display.encode", "encode", grid, *arrays, *sizes, defines=defines, group=group)
     return out
 
 
@@ -178,43 +170,27 @@ def cases():
     srgb = thresholds(DISPLAYS["srgb"].decode)
     for rows, cols in ((1, 1), (2, 2), (3, 5), (63, 65)):
         rgb = random.uniform(-0.2, 1.3, (3, rows, cols)).astype(np.float32)
-        yield Case(f"{rows}x{cols}", {"rgb": rgb, "thresholds": srgb}, 0.0, why, metric="exact")
+        yield exact_case(f"{rows}x{cols}", why, rgb=rgb, thresholds=srgb)
     grid = (np.arange(3 * 2**16) / (3 * 2**16 - 1)).astype(np.float32).reshape(3, 256, 256)
-    yield Case("grid", {"rgb": grid, "thresholds": srgb}, 0.0, why, metric="exact")
+    yield exact_case("grid", why, rgb=grid, thresholds=srgb)
     curves = {"sRGB": srgb} | {
         f"exponent {power}": thresholds(lambda v, power=power: v**power)
         for power in (1.0, 1.8, 2.2, 2.6, 4.0)
     }
-    curves["powers of two"] = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)]).astype(
-        np.float32
-    )
+    powers = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)])
+    curves["powers of two"] = powers.astype(np.float32)
     for name, edges in curves.items():
-        near = np.stack(
-            [np.nextafter(edges, np.float32(0)), edges, np.nextafter(edges, np.float32(np.inf))]
-        )
-        yield Case(
-            f"one step around every boundary, {name}",
-            {"rgb": near[:, None], "thresholds": edges},
-            0.0,
-            why,
-            metric="exact",
-        )
-    odd = np.array(
-        [np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, np.nextafter(np.float32(1), 0)],
-        np.float32,
-    )
-    yield Case(
-        "NaN, infinities, extremes",
-        {"rgb": np.tile(odd, 5).reshape(3, 5, 3), "thresholds": srgb},
-        0.0,
-        why,
-        metric="exact",
-    )
+        near = [np.nextafter(edges, np.float32(end)) for end in (0, np.inf)]
+        near = np.stack([near[0], edges, near[1]])
+        title = f"one step around every boundary, {name}"
+        yield exact_case(title, why, rgb=near[:, None], thresholds=edges)
+    below = np.nextafter(np.float32(1), 0)
+    odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, below], np.float32)
+    odd = np.tile(odd, 5).reshape(3, 5, 3)
+    yield exact_case("NaN, infinities, extremes", why, rgb=odd, thresholds=srgb)
 
 
 def bench(rows, cols):
     """Return inputs: a full range of values, sRGB."""
-    return {
-        "rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
-        "thresholds": thresholds(DISPLAYS["srgb"].decode),
-    }
+    rgb = np.random.default_rng(6).random((3, rows, cols), np.float32)
+    return {"rgb": rgb, "thresholds": thresholds(DISPLAYS["srgb"].decode)}

@@ -16,7 +16,7 @@ only) rings by 2 % of a highlight's peak.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 
 @stage
@@ -45,28 +45,17 @@ def airy(
     tables = device.empty(shape)
     # Beyond |f| = 1/q nothing passes: few replicas reach [0, 1/2].
     low, high = -int(np.floor(1 / q.min() + 0.5)), int(np.floor(1 / q.min()))
-    run = 64 if device.kind == "opencl" and not device.is_gpu else 1
+    run = 64 if is_opencl_cpu(device) else 1
     runs = -(-shape[2] // run)
     replicas = np.arange(low, high + 1)[:, None]
     height, width = np.broadcast_to(aperture, 2)
     sinc_y = np.sinc(height * (replicas + np.arange(shape[1]) / rows))
     sinc_x = np.sinc(width * (replicas + np.arange(runs * run) / cols))
-    device.launch(
-        "optics.airy",
-        "airy",
-        (*shape[:2], runs),
-        device.array(q),
-        device.array(sinc_y),
-        device.array(sinc_x),
-        tables,
-        1 / rows,
-        1 / cols,
-        low,
-        high,
-        *shape,
-        defines={"RUN": run},
-        group=None if device.is_gpu or device.kind == "warp" else (1, 1, 1),
-    )
+    arrays = [device.array(q), device.array(sinc_y), device.array(sinc_x), tables]
+    sizes = [1 / rows, 1 / cols, low, high, *shape]
+    group = None if device.is_gpu or device.kind == "warp" else (1, 1, 1)
+    grid = (*shape[:2], runs)
+    device.launch("optics.airy", "airy", grid, *arrays, *sizes, defines={"RUN": run}, group=group)
     return tables
 
 
@@ -98,9 +87,5 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: 31 bands of a 1.4 um f/1.8 camera."""
-    return {
-        "q": np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6,
-        "aperture": 1.0,
-        "rows": rows,
-        "cols": cols,
-    }
+    q = np.linspace(400, 700, 31, dtype=np.float32) * 1e-9 * 1.8 / 1.4e-6
+    return {"q": q, "aperture": 1.0, "rows": rows, "cols": cols}

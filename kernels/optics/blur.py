@@ -20,7 +20,8 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.common.cases import gaussian_tables
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
 BATCH = 8  # planes transformed at once: the sums are read and written once per batch
@@ -67,40 +68,17 @@ def blur(
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
         some = device.array(mix[:, first : first + size])
-        arguments = (
-            int(first == 0),
-            first,
-            count,
-            own_tables,
-            *(() if device.kind == "opencl" else (size, channels)),
-            period[0],
-            half,
-            pitch,
-        )
+        arrays, grid = [spectra, tables, some, sums], (period[0], half)
+        numbers = [int(first == 0), first, count, own_tables]
+        sizes = [*warp_only(device, size, channels), period[0], half, pitch]
         defines = {"SIZE": size, "CHANNELS": channels}
-        device.launch(
-            "optics.blur",
-            "accumulate" if tables.shape[3] == half else "accumulate_complex",
-            (period[0], half),
-            spectra,
-            tables,
-            some,
-            sums,
-            *arguments,
-            defines=defines,
-        )
+        kernel = "accumulate" if tables.shape[3] == half else "accumulate_complex"
+        device.launch("optics.blur", kernel, grid, *arrays, *numbers, *sizes, defines=defines)
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
-    device.launch(
-        "optics.blur",
-        "crop",
-        out.shape,
-        blurred,
-        out,
-        *(n + margin for n in before),
-        *out.shape,
-        *period,
-    )
+    arrays = [blurred, out]
+    sizes = [*(n + margin for n in before), *out.shape, *period]
+    device.launch("optics.blur", "crop", out.shape, *arrays, *sizes)
     return out
 
 
@@ -125,33 +103,26 @@ def cases():
         (33, 30, 9, 3, 1, "edge", (45, 40), 0),
         (33, 30, 2, 1, 0, "zero", (40, 45), 3),
     ):
-        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
-        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
-        tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        tables = gaussian_tables(widths, period)
         if rows == 33:  # kernels that are off their centres: complex tables
             fy = np.fft.fftfreq(period[0])[:, None]
             shifts = random.uniform(-2, 2, (2, *widths.shape))
+            fx = np.arange(period[1] // 2 + 1) / period[1]
             phases = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
-            tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(
-                np.float64
-            )
+            spread = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+            tables = (spread * phases).view(np.float64)
             # a frequency that is its own opposite has a real value
             for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):
                 for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
+        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
+        sampling = {"border": border, "period": period, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": tables.astype(np.float32),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "border": border,
-                "period": period,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )

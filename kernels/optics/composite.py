@@ -17,7 +17,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -50,19 +50,11 @@ def composite(
     lights, alphas = device.array(lights), device.array(alphas)
     own = int(alphas.shape[1] > 1)
     out = device.empty((channels, rows, cols))
+    arrays = [lights, alphas, device.array(ends), out]
+    defines = {"ENTRIES": count}
+    sizes = [own, *warp_only(device, count, cols), channels, rows * cols]
     device.launch(
-        "optics.composite",
-        "composite",
-        (channels, rows * cols),
-        lights,
-        alphas,
-        device.array(ends),
-        out,
-        own,
-        *(() if device.kind == "opencl" else (count, cols)),
-        channels,
-        rows * cols,
-        defines={"ENTRIES": count},
+        "optics.composite", "composite", (channels, rows * cols), *arrays, *sizes, defines=defines
     )
     return out
 
@@ -94,13 +86,10 @@ def cases():
         alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[last]
         lights = 10.0 ** random.uniform(-3, 4, (len(layers), channels, rows, cols))
         bound = 2 * 4 * len(layers) * 2.0**-24 * lights.sum(axis=0).max()
+        light = {"lights": lights.astype(np.float32), "alphas": alphas.astype(np.float32)}
         yield Case(
             f"{rows}x{cols}, layers {layers}, {channels} channels, {'own' if own else 'shared'} coverage",
-            {
-                "lights": lights.astype(np.float32),
-                "alphas": alphas.astype(np.float32),
-                "layers": layers,
-            },
+            {**light, "layers": layers},
             bound,
             "at most 4 roundings of half an ulp an entry, of products below the sum of the lights; the division "
             "by a coverage of at least 0.5 doubles them",

@@ -22,11 +22,13 @@ two methods:
              arrives exactly once.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -74,47 +76,21 @@ def distort(
     out = device.empty((count, *shape))
     if method not in ("cubic", "area"):
         raise ValueError(f'method {method!r}: "cubic" or "area"')
-    per_map, sizes = count // maps, (source_rows, source_cols, nx, maps, *shape)
+    per_map = count // maps
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
     defines = {"PLANES": per_map, "BORDER": BORDERS[border]}
-    device.launch(
-        "optics.distort",
-        "along_columns",
-        lines.shape,
-        device.reshape(grids, (maps, ny, 3 * nx)),
-        lines,
-        maps,
-        ny,
-        3 * nx,
-        shape[0],
-        defines=defines,
-    )
-    if method == "cubic":
-        device.launch(
-            "optics.distort",
-            "cubic" if light is None else "limited",
-            (maps, *shape),
-            planes,
-            lines,
-            *(() if light is None else (_shares(device, light, border),)),
-            out,
-            *(() if device.kind == "opencl" else (BORDERS[border], per_map)),
-            *sizes,
-            defines=defines,
-        )
-    else:
-        device.launch(
-            "optics.distort",
-            "area",
-            (maps, *shape),
-            planes,
-            lines,
-            out,
-            float(density),
-            *(() if device.kind == "opencl" else (span, BORDERS[border], per_map)),
-            *sizes,
-            defines={**defines, "SPAN": span},
-        )
+    launch = functools.partial(device.launch, "optics.distort", defines=defines)
+    nodes = device.reshape(grids, (maps, ny, 3 * nx))
+    launch("along_columns", lines.shape, nodes, lines, maps, ny, 3 * nx, shape[0])
+    grid, sizes = (maps, *shape), (source_rows, source_cols, nx, maps, *shape)
+    if method == "area":
+        numbers = [float(density), *warp_only(device, span, BORDERS[border], per_map)]
+        own_defines = {**defines, "SPAN": span}
+        launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
+        return out
+    share = [] if light is None else [_shares(device, light, border)]
+    sizes = (*warp_only(device, BORDERS[border], per_map), *sizes)
+    launch("limited" if share else "cubic", grid, planes, lines, *share, out, *sizes)
     return out
 
 
@@ -125,22 +101,18 @@ def _shares(device, light, border):
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
     room = device.empty((rows + 3, cols + 3))
     share = device.empty((rows, cols))
-    defines = {"PLANES": 1, "BORDER": 0}
-    device.launch(
-        "optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines
-    )
-    device.launch("optics.distort", "shares", share.shape, room, share, rows, cols, defines=defines)
+    launch = functools.partial(device.launch, "optics.distort", defines={"PLANES": 1, "BORDER": 0})
+    launch("rooms", room.shape, around, room, channels, *room.shape)
+    launch("shares", share.shape, room, share, rows, cols)
     return share
 
 
 def _span(grids, shape):
     """Return the most source samples that a pixel's quadrilateral touches along an axis."""
-    slopes = [
-        np.abs(np.diff(grids[..., :2], axis=1 + axis)).max(axis=(0, 1, 2))
-        * (grids.shape[1 + axis] - 1)
-        / n
-        for axis, n in enumerate(shape)
-    ]
+    slopes = []
+    for axis, n in enumerate(shape, start=1):
+        most = np.abs(np.diff(grids[..., :2], axis=axis)).max(axis=(0, 1, 2))
+        slopes.append(most * (grids.shape[axis] - 1) / n)
     # a quadrilateral is at most 1 + |d/dy| + |d/dx| long; slopes are a quarter above the mean
     return int(np.ceil(1 + 1.25 * float(max(slopes[0] + slopes[1])))) + 1
 
@@ -165,13 +137,16 @@ def _barrel(shape, strength, turn=0.0):
         v, u = rows - middle[0], cols - middle[1]
         q = (u * u + v * v) * (strength / corner2)
         cos, sin = np.cos(turn), np.sin(turn)
-        return (
-            (1 + q) * (cos * v + sin * u) + middle[0],
-            (1 + q) * (cos * u - sin * v) + middle[1],
-            (1 + q) * (1 + 3 * q),
-        )
+        y, x = (1 + q) * (cos * v + sin * u), (1 + q) * (cos * u - sin * v)
+        return y + middle[0], x + middle[1], (1 + q) * (1 + 3 * q)
 
     return place
+
+
+def _barrels(shape, step, strength, turn, maps):
+    """Return grids of maps that differ a little, as colours do."""
+    places = [_barrel(shape, strength * (1 + 0.05 * m), turn) for m in range(maps)]
+    return np.stack([grid_of(shape, step, place) for place in places])
 
 
 def cases():
@@ -188,25 +163,16 @@ def cases():
         (40, 200, 1, -0.1, 0.3, "reflect"),
         (63, 65, 1, 0.1, 0.8, "edge"),
     ):
-        grids = np.stack(
-            [
-                grid_of((rows, cols), 16, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
-                for m in range(maps)
-            ]
-        )
+        grids = _barrels((rows, cols), 16, strength, turn, maps)
         planes = random.random((3, rows, cols)) ** 8  # 12 : 1 and more between neighbours
         planes[:, rows // 3 :, cols // 2 :] += 1
         planes[:, : rows // 3] *= random.random((rows // 3, cols)) > 0.9
+        planes = planes.astype(np.float32)
+        sampling = {"grids": grids, "shape": (rows, cols), "border": border}
         far = float(np.abs(grids[..., :2]).max())
         yield Case(
             f"stars, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "grids": grids,
-                "shape": (rows, cols),
-                "border": border,
-                "light": planes[:2].astype(np.float32),
-            },
+            {"planes": planes, "light": planes[:2], **sampling},
             4e-6 + 4e-7 * far * 4,
             "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more",
         )
@@ -219,22 +185,12 @@ def cases():
         (40, 200, 4, 1, 0.2, 0.3, 8, "reflect", "cubic"),
         (33, 47, 1, 1, 0.7, 0.1, 8, "edge", "area"),
     ):
-        grids = np.stack(
-            [
-                grid_of((rows, cols), step, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
-                for m in range(maps)
-            ]
-        )
+        grids = _barrels((rows, cols), step, strength, turn, maps)
+        sampling = {"grids": grids, "shape": (rows, cols), "border": border, "method": method}
         far = float(np.abs(grids[..., :2]).max())
         yield Case(
             f"{method}, {rows}x{cols}, {planes} planes, {strength:+.2f}, {border}",
-            {
-                "planes": random.random((planes, rows, cols)).astype(np.float32),
-                "grids": grids,
-                "shape": (rows, cols),
-                "border": border,
-                "method": method,
-            },
+            {"planes": random.random((planes, rows, cols)).astype(np.float32), **sampling},
             2e-6 + 4e-7 * far * 4,
             f"16 products of differences up to {far:.2g} samples, each rounded by 6e-8, sum to 4e-7 of that at "
             "most; the largest change per sample of a white plane is 2 in each of two directions; 2e-6 for the "

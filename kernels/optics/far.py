@@ -18,6 +18,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.common.fft import constant
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.ladder import LEAST
@@ -28,10 +29,7 @@ LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 BLOCK = 4  # rows of a matrix that a CPU makes at once: most of their entries have the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
 # its work-items at a time, whose results fill whole lines of the cache when they are turned
-GROUP = (
-    4,
-    16,
-)
+GROUP = (4, 16)
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
 WIDE, LINES = 32, 8  # columns of a work-group's result on a GPU, and its lines of work-items
 HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
@@ -94,6 +92,10 @@ def far(
     return chain.add_far(device.array(onto), light, cfa, margin)
 
 
+def _pattern(device, cfa):
+    return np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+
+
 class _Chain:
     """Products on a device with arrays (batch, axis, lanes).
 
@@ -135,20 +137,10 @@ class _Chain:
         _, cols, rows = own.shape
         places, size = channels * sigmas, cols * rows
         mixed, each = device.empty((places, cols, rows)), places if self.width > 1 else 1
-        device.launch(
-            "optics.far",
-            "combine",
-            (-(-places // each), -(-size // self.width)),
-            own,
-            constant(device, weights.tobytes(), weights.shape),
-            mixed,
-            each,
-            places,
-            size,
-            count,
-            sigmas,
-            defines=self.defines,
-        )
+        arrays = [own, constant(device, weights.tobytes(), weights.shape), mixed]
+        sizes = [each, places, size, count, sigmas]
+        grid = (-(-places // each), -(-size // self.width))
+        device.launch("optics.far", "combine", grid, *arrays, *sizes, defines=self.defines)
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
@@ -157,28 +149,16 @@ class _Chain:
         device, (rows, cols) = self.device, onto.shape[-2:]
         lines = self._product(light, self._matrices(self.down, "synthesis", margin))
         (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
-        pattern = (
-            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        )
+        pattern = _pattern(device, cfa)
         values, start = _along_rows(
             device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape
         )
         out = device.empty((planes, rows, cols))
-        device.launch(
-            "optics.far",
-            "refine",
-            out.shape,
-            device.reshape(onto, out.shape),
-            device.reshape(lines, (channels * rows * splines,)),
-            values,
-            start,
-            out,
-            rows,
-            cols,
-            splines,
-            len(pattern),
-            defines=self.defines,
-        )
+        onto_planes = device.reshape(onto, out.shape)
+        lines = device.reshape(lines, (channels * rows * splines,))
+        arrays = [onto_planes, lines, values, start, out]
+        sizes = [rows, cols, splines, len(pattern)]
+        device.launch("optics.far", "refine", out.shape, *arrays, *sizes, defines=self.defines)
         return device.reshape(out, onto.shape)
 
     def _product(self, given, bands, turned=False, sums=1, onto=None):
@@ -189,35 +169,16 @@ class _Chain:
         """
         start, count, values, rows = bands
         (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
-        out = (
-            onto
-            if onto is not None
-            else self.device.empty(
-                (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes)
-            )
-        )
-        self.device.launch(
-            "optics.far",
-            "product",
-            (batch // sums * blocks, -(-lanes // self.lanes)),
-            given,
-            values,
-            start,
-            count,
-            out,
-            int(onto is not None),
-            int(turned),
-            batch // sums * blocks,
-            lanes,
-            size,
-            rows,
-            blocks,
-            most,
-            matrices,
-            sums,
-            defines=self.defines,
-            group=self.group,
-        )
+        batch //= sums
+        out = onto
+        if out is None:
+            out = self.device.empty((batch, lanes, rows) if turned else (batch, rows, lanes))
+        arrays = [given, values, start, count, out]
+        numbers = [int(onto is not None), int(turned)]
+        sizes = [batch * blocks, lanes, size, rows, blocks, most, matrices, sums]
+        grid = (batch * blocks, -(-lanes // self.lanes))
+        options = {"defines": self.defines, "group": self.group}
+        self.device.launch("optics.far", "product", grid, *arrays, *numbers, *sizes, **options)
         return out
 
     def _matrices(self, axis, name, of=None):
@@ -266,11 +227,8 @@ class _Grids:
             _tile_bands(self.device, axis, name, of, *by)
             for axis, by in ((self.down, (4, high)), (self.across, (1, WIDE)))
         )
-        return (
-            down,
-            across,
-            -(-4 * (4 * LINES * max(across.span, WIDE) + WIDE * down.span) // STEP) * STEP,
-        )
+        values = 4 * LINES * max(across.span, WIDE) + WIDE * down.span
+        return down, across, -(-4 * values // STEP) * STEP
 
     def _both(self, given, name, of=None, weights=None, onto=None, in_parts=False):
         """Multiply (batch, parts, rows, cols) along both axes and sum the parts.
@@ -290,30 +248,16 @@ class _Grids:
             down, across, room = self._both_matrices(name, of, LOW)
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
+        mix = given if weights is None else constant(device, weights.tobytes(), weights.shape)
+        numbers = [int(onto is not None), int(weights is not None), max(across.span, WIDE), stride]
+        sizes = [parts, planes, *size, down.rows, across.rows, down.blocks, down.most, across.most]
         device.launch(
             GROUPS_STAGE,
             "both",
             (groups * WIDE * LINES,),
-            given,
-            given if weights is None else constant(device, weights.tobytes(), weights.shape),
-            *down.arrays,
-            *across.arrays,
-            out,
-            int(onto is not None),
-            int(weights is not None),
-            max(across.span, WIDE),
-            stride,
-            parts,
-            planes,
-            *size,
-            down.rows,
-            across.rows,
-            down.blocks,
-            down.most,
-            across.most,
-            sums,
-            down.tiles,
-            across.tiles,
+            *(given, mix, *down.arrays, *across.arrays, out),
+            *numbers,
+            *(*sizes, sums, down.tiles, across.tiles),
             group=(WIDE * LINES,),
             defines={"HIGH": high, "LOCAL_BYTES": room},
         )
@@ -322,30 +266,16 @@ class _Grids:
     def add_far(self, onto, light, cfa, margin):
         """Return the mosaic, or every channel, plus the values of the splines."""
         device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
-        pattern = (
-            np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        )
+        pattern = _pattern(device, cfa)
         out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
         groups = prod(onto.shape) // (rows * cols) * prod(tiles)
-        device.launch(
-            GROUPS_STAGE,
-            "evaluate",
-            (groups * WIDE * LINES,),
-            onto,
-            light,
-            *_at_samples(device, self.down, margin),
-            *_at_samples(device, self.across, margin),
-            constant(device, pattern.tobytes(), pattern.shape, np.int32),
-            out,
-            rows,
-            cols,
-            high,
-            wide,
-            *pattern.shape,
-            *tiles,
-            group=(WIDE * LINES,),
-            defines={"HIGH": HIGH, "LOCAL_BYTES": STEP},
-        )
+        weights = *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin)
+        of = constant(device, pattern.tobytes(), pattern.shape, np.int32)
+        arrays = [onto, light, *weights, of, out]
+        defines = {"HIGH": HIGH, "LOCAL_BYTES": STEP}
+        sizes = [rows, cols, high, wide, *pattern.shape, *tiles]
+        group, grid = (WIDE * LINES,), (groups * WIDE * LINES,)
+        device.launch(GROUPS_STAGE, "evaluate", grid, *arrays, *sizes, group=group, defines=defines)
         return out
 
 
@@ -410,12 +340,8 @@ def _bands(device, axis, name, of, block):
     """
     made = getattr(axis, name)
     bands = (made if of is None else made(of)).in_blocks(block)
-    return (
-        device.array(bands.start, np.int32),
-        device.array(bands.count, np.int32),
-        device.array(bands.values),
-        bands.rows,
-    )
+    start, count = (device.array(numbers, np.int32) for numbers in (bands.start, bands.count))
+    return start, count, device.array(bands.values), bands.rows
 
 
 @functools.lru_cache(maxsize=32)
@@ -444,20 +370,19 @@ def cases():
         "by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are "
         "below 1e-6"
     )
-    bayer = np.array([[0, 1], [1, 2]], np.int32)
     for rows, cols, count, channels, cfa, border, margin, first in (
         (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8),
-        (40, 97, 3, 3, bayer, "edge", 0, 5.8),
-        (97, 40, 2, 3, bayer, "reflect", 0, 11.6),
+        (40, 97, 3, 3, RGGB, "edge", 0, 5.8),
+        (97, 40, 2, 3, RGGB, "reflect", 0, 11.6),
         (150, 130, 2, 2, None, "edge", 9, 23.3),
-        (64, 65, 31, 3, bayer, "zero", 0, 8.0),
+        (64, 65, 31, 3, RGGB, "zero", 0, 8.0),
         (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
         (300, 20, 1, 1, None, "edge", 0, 4.0),
         (70, 51, 2, 2, None, "edge", -3, 11.6),
         (51, 70, 1, 2, None, "reflect", -2, 8.0),
         (31, 31, 1, 1, None, "zero", -1, 5.0),
-        (90, 131, 4, 3, bayer, "edge", 0, 4.0),
-        (120, 88, 2, 3, bayer, "reflect", 5, 4.0),
+        (90, 131, 4, 3, RGGB, "edge", 0, 4.0),
+        (120, 88, 2, 3, RGGB, "reflect", 5, 4.0),
         (101, 99, 3, 2, None, "zero", -1, 5.0),
     ):
         sigmas = np.append(first * 1.6 ** np.arange(9), np.inf)
@@ -470,10 +395,7 @@ def cases():
                 "onto": np.zeros(shape if cfa is not None else (channels, *shape), np.float32),
                 "planes": planes.astype(np.float32),
                 "weights": random.random((channels, count, len(sigmas))),
-                "sigmas": sigmas,
-                "cfa": cfa,
-                "border": border,
-                "margin": margin,
+                **{"sigmas": sigmas, "cfa": cfa, "border": border, "margin": margin},
             },
             1.5e-5 + 1e-6 + 2 * (np.pi * first / 2.8) ** -4,
             why,
@@ -489,6 +411,6 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "weights": random.random((3, 4, len(sigmas))),
         "sigmas": sigmas,
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
+        "cfa": RGGB,
         "border": "edge",
     }

@@ -14,6 +14,7 @@ that is mixed there. Eigen-kernels have one tile, and a term for each of them. T
 are transformed, summed, and transformed back once per channel.
 """
 
+import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +24,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
 # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
@@ -88,19 +89,8 @@ def field(
     if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    padded = blur(
-        device,
-        planes,
-        coefficients,
-        tables,
-        kernels.shape[1],
-        index,
-        edges,
-        mix,
-        border,
-        limit,
-        period,
-    )
+    own, light = kernels.shape[1], (planes, coefficients)
+    padded = blur(device, *light, tables, own, index, edges, mix, border, limit, period)
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
@@ -108,38 +98,12 @@ def field(
         device.array(_covering(edge, np.arange(margin, length - margin), reach // 2), np.int32)
         for edge, length, reach in zip(edges, (rows, cols), (m, n), strict=True)
     ]
-    device.launch(
-        "optics.field",
-        "assemble",
-        out.shape,
-        padded,
-        edges_y,
-        edges_x,
-        *covers,
-        out if base is None else device.array(base),
-        out,
-        m // 2,
-        n // 2,
-        int(base is not None),
-        *out.shape,
-        tiles_y,
-        tiles_x,
-        *period,
-    )
+    arrays = [padded, edges_y, edges_x, *covers, out if base is None else device.array(base), out]
+    numbers = [m // 2, n // 2, int(base is not None), *out.shape, tiles_y, tiles_x, *period]
+    device.launch("optics.field", "assemble", out.shape, *arrays, *numbers)
     if threshold is not None:
-        _add_highlights(
-            device,
-            out,
-            planes,
-            coefficients,
-            np.asarray(device.numpy(kernels)),
-            index,
-            edges,
-            mix,
-            border,
-            limit,
-            margin,
-        )
+        kernels = np.asarray(device.numpy(kernels))
+        _add_highlights(device, out, *light, kernels, index, edges, mix, border, limit, margin)
     return out
 
 
@@ -149,72 +113,31 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
     (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
     on_device_index = device.array(index, np.int32)
-    sizes = () if device.kind == "opencl" else (terms, channels)
     padded = device.empty((channels, tiles, *period))
-    batch = max(
-        1, BATCH_BYTES * (64 if device.is_gpu else 1) // (4 * terms * period[0] * period[1])
-    )
+    at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
+    batch = max(1, at_once // (4 * terms * period[0] * period[1]))
+    defines = {"TERMS": terms, "CHANNELS": channels}
+    launch = functools.partial(device.launch, "optics.field")
     for first in range(0, tiles, batch):
         size = min(batch, tiles - first)
         sums = None
         for p in range(count):
             weighted = device.empty((size * terms, *period))
-            device.launch(
-                "optics.field",
-                "weigh",
-                weighted.shape,
-                planes,
-                coefficients,
-                edges_y,
-                edges_x,
-                weighted,
-                limit,
-                p,
-                first,
-                BORDERS[border],
-                rows,
-                cols,
-                len(edges[1]) - 1,
-                terms,
-                *weighted.shape,
-            )
+            arrays = [planes, coefficients, edges_y, edges_x, weighted]
+            numbers = [limit, p, first, BORDERS[border]]
+            sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
+            launch("weigh", weighted.shape, *arrays, *numbers, *sizes)
             spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
-            device.launch(
-                "optics.field",
-                "accumulate",
-                (size, period[0], half),
-                spectra,
-                tables,
-                on_device_index,
-                device.array(mix[:, p]),
-                sums,
-                int(p == 0),
-                first,
-                min(p, own - 1),
-                *sizes,
-                size,
-                period[0],
-                half,
-                pitch,
-                own,
-                defines={"TERMS": terms, "CHANNELS": channels},
-            )
+            arrays = [spectra, tables, on_device_index, device.array(mix[:, p]), sums]
+            numbers = [int(p == 0), first, min(p, own - 1), *warp_only(device, terms, channels)]
+            grid, sizes = (size, period[0], half), [size, period[0], half, pitch, own]
+            launch("accumulate", grid, *arrays, *numbers, *sizes, defines=defines)
         blurred = fft.inverse(device, sums, period[1])
-        device.launch(
-            "optics.field",
-            "keep",
-            (channels * size, *period),
-            blurred,
-            padded,
-            first,
-            channels,
-            size,
-            tiles,
-            *period,
-        )
+        grid, sizes = (channels * size, *period), [first, channels, size, tiles, *period]
+        launch("keep", grid, blurred, padded, *sizes)
     return padded
 
 
@@ -348,9 +271,8 @@ def _add_highlights(
         at = row_of[y + m // 2], col_of[x + n // 2]
         light = np.where(values[:, *at] > threshold, values[:, *at], 0).astype(np.float64)
         weight = weights[:, min(max(y, 0), rows - 1), min(max(x, 0), cols - 1)].astype(np.float64)
-        own = np.tensordot(
-            weight, kernels[index[tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]]], 1
-        )
+        tile = tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]
+        own = np.tensordot(weight, kernels[index[tile]], 1)
         mixed[k] = np.einsum("cp,pij->cij", mix * light, np.broadcast_to(own, (len(light), m, n)))
     places -= margin
     bins_y, bins_x = (-(-length // BIN) for length in out.shape[1:])
@@ -363,21 +285,10 @@ def _add_highlights(
     starts = np.cumsum([0, *(len(lists[k]) for k in squares)])
     listed = np.concatenate([np.array(lists[k], np.int32) for k in squares])
     corners = BIN * np.stack(np.divmod(squares, bins_x), axis=1)
-    device.launch(
-        "optics.field",
-        "spread",
-        (channels, len(squares) * BIN, BIN),
-        device.array(places, np.int32),
-        device.array(mixed),
-        device.array(corners, np.int32),
-        device.array(starts, np.int32),
-        device.array(listed, np.int32),
-        out,
-        *out.shape,
-        m,
-        n,
-        len(squares),
-    )
+    lists = [device.array(numbers, np.int32) for numbers in (corners, starts, listed)]
+    arrays = [device.array(places, np.int32), device.array(mixed), *lists, out]
+    sizes = [*out.shape, m, n, len(squares)]
+    device.launch("optics.field", "spread", (channels, len(squares) * BIN, BIN), *arrays, *sizes)
 
 
 def cases():
@@ -412,22 +323,20 @@ def cases():
         )
         if threshold:
             why += "; values above the threshold are summed directly, relative to the local value"
+        inputs = {
+            "planes": planes.astype(np.float32),
+            "coefficients": random.random((terms, rows, cols)).astype(np.float32),
+            "kernels": (kernels / m**2).astype(np.float32),
+            "index": random.integers(0, 7, (number, terms)).astype(np.int32),
+            "mix": random.random((channels, count)).astype(np.float32),
+            **{"edges": edges, "border": border, "threshold": threshold, "base": None},
+            "margin": {15: 3, 21: -2}.get(m, 0),
+        }
+        if m == 15:
+            inputs["base"] = random.random((channels, rows - 6, cols - 6)).astype(np.float32)
         yield Case(
             f"{rows}x{cols}, {terms} terms, {number} tiles, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "coefficients": random.random((terms, rows, cols)).astype(np.float32),
-                "kernels": (kernels / m**2).astype(np.float32),
-                "index": random.integers(0, 7, (number, terms)).astype(np.int32),
-                "edges": edges,
-                "mix": random.random((channels, count)).astype(np.float32),
-                "border": border,
-                "margin": {15: 3, 21: -2}.get(m, 0),
-                "threshold": threshold,
-                "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32)
-                if m == 15
-                else None,
-            },
+            inputs,
             4e-6,
             why,
             metric="local" if threshold else "peak",
@@ -439,25 +348,20 @@ def bench(rows, cols):
     """Return inputs: one plane, 8 x 8 kernels of 31 x 31, bilinear between them."""
     random = np.random.default_rng(11)
     y, x = (np.round(np.linspace(0, size - 1, 8)).astype(int) for size in (rows, cols))
-    fractions = [
-        np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1)
-        for size, at, cell in (
-            (rows, y, np.repeat(np.arange(7), np.diff([0, *y[1:-1], rows]))),
-            (cols, x, np.repeat(np.arange(7), np.diff([0, *x[1:-1], cols]))),
-        )
-    ]
+    fractions = []
+    for size, at in ((rows, y), (cols, x)):
+        cell = np.repeat(np.arange(7), np.diff([0, *at[1:-1], size]))
+        fractions.append(np.clip((np.arange(size) - at[cell]) / np.diff(at)[cell], 0, 1))
     v, u = fractions[0][:, None], fractions[1]
     corner = np.arange(7)[:, None] * 8 + np.arange(7)
     kernels = random.random((64, 1, 31, 31))
+    index = np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1).reshape(49, 4)
+    coefficients = np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
     return {
         "planes": random.random((1, rows, cols), np.float32),
-        "coefficients": np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]).astype(
-            np.float32
-        ),
+        "coefficients": coefficients.astype(np.float32),
         "kernels": (kernels / kernels.sum(axis=(2, 3), keepdims=True)).astype(np.float32),
-        "index": np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1)
-        .reshape(49, 4)
-        .astype(np.int32),
+        "index": index.astype(np.int32),
         "edges": [np.array([-15, *at[1:-1], size + 15]) for at, size in ((y, rows), (x, cols))],
         "mix": np.ones((1, 1), np.float32),
         "border": "edge",

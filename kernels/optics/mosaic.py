@@ -15,12 +15,15 @@ M = P / (ph, pw). All phases together cost one inverse transform of the frame in
 channel.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.common.cases import RGGB, gaussian_tables
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import transform_lengths
 
 LINES = "optics.mosaic_lines"  # the kernels of GPUs
@@ -80,56 +83,25 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
+    of = [] if device.kind == "opencl" else [device.array(cfa, np.int32)]
+    channel_list = ",".join(map(str, cfa.ravel()))
+    phases = {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]}
+    launch = functools.partial(device.launch, "optics.mosaic")
     folded = device.empty((cfa.size, small[0], pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
-        device.launch(
-            "optics.mosaic",
-            "fold",
-            (small[0], half),
-            spectra,
-            tables,
-            device.array(mix[:, first : first + size]),
-            *turns,
-            *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)),
-            folded,
-            int(first == 0),
-            first,
-            count,
-            own_tables,
-            *(() if device.kind == "opencl" else (size, channels, *cfa.shape)),
-            *small,
-            half,
-            spectra.shape[2],
-            pitch,
-            defines={
-                "SIZE": size,
-                "CHANNELS": channels,
-                "PERIOD_Y": cfa.shape[0],
-                "PERIOD_X": cfa.shape[1],
-                "CFA": ",".join(map(str, cfa.ravel())),
-            },
-        )
+        some = device.array(mix[:, first : first + size])
+        arrays = [spectra, tables, some, *turns, *of, folded]
+        numbers = [int(first == 0), first, count, own_tables]
+        sizes = [*warp_only(device, size, channels, *cfa.shape), *small, half]
+        pitches = spectra.shape[2], pitch
+        defines = phases | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list}
+        launch("fold", (small[0], half), *arrays, *numbers, *sizes, *pitches, defines=defines)
     pixels = fft.inverse(device, folded, small[1])
-    device.launch(
-        "optics.mosaic",
-        "interleave",
-        out.shape,
-        pixels,
-        out,
-        *start,
-        *out.shape,
-        *(() if device.kind == "opencl" else cfa.shape),
-        *small,
-        defines={
-            "SIZE": 1,
-            "CHANNELS": 1,
-            "PERIOD_Y": cfa.shape[0],
-            "PERIOD_X": cfa.shape[1],
-            "CFA": "0",
-        },
-    )
+    sizes = [*start, *out.shape, *warp_only(device, *cfa.shape), *small]
+    defines = phases | {"SIZE": 1, "CHANNELS": 1, "CFA": "0"}
+    launch("interleave", out.shape, pixels, out, *sizes, defines=defines)
 
 
 def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
@@ -149,92 +121,53 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
         "BORDER": BORDERS[border],
         "REGISTERS": fft.REGISTERS,
     }
+    launch = functools.partial(device.launch, LINES)
     pitch, groups = cols + cols % 2, -(-cols // (2 * columns_forward))
     folded = device.empty((cfa.size, small[0] // 2 + 1, small[1], 2))
     halves = device.empty((min(BATCH, count), stored, pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         group = fft.threads(device, period[0], columns_forward)
-        device.launch(
-            LINES,
-            "columns_forward",
-            (size * groups * group,),
-            planes,
-            roots_y,
-            halves,
-            first,
-            before[0],
-            rows,
-            cols,
-            pitch,
-            groups,
-            group=(group,),
-            defines=shape
-            | {
-                "THREADS": group,
-                "COLUMNS_FORWARD": columns_forward,
-                "LOCAL_BYTES": fft.room(period[0], columns_forward),
-                "FORWARD": fft.passes(period[0], columns_forward, -1),
-            },
-        )
+        defines = shape | {
+            "THREADS": group,
+            "COLUMNS_FORWARD": columns_forward,
+            "LOCAL_BYTES": fft.room(period[0], columns_forward),
+            "FORWARD": fft.passes(period[0], columns_forward, -1),
+        }
+        arrays, sizes = [planes, roots_y, halves], [first, before[0], rows, cols, pitch, groups]
+        grid = (size * groups * group,)
+        launch("columns_forward", grid, *arrays, *sizes, group=(group,), defines=defines)
         group = fft.threads(device, period[1], rows_forward)
-        device.launch(
-            LINES,
-            "fold",
-            ((small[0] // 2 + 1) * group,),
-            halves,
-            tables,
-            fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)),
-            roots_y,
-            roots_x,
-            folded,
-            int(first == 0),
-            first,
-            count,
-            int(tables.shape[0] > 1),
-            before[1],
-            size,
-            cols,
-            pitch,
-            group=(group,),
-            defines=shape
-            | {
-                "THREADS": group,
-                "ROWS_FORWARD": rows_forward,
-                "ROWS_INVERSE": rows_inverse,
-                "FORWARD": fft.passes(period[1], rows_forward, -1),
-                "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
-                "LOCAL_BYTES": max(
-                    fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)
-                ),
-                "OWN": -(-small[1] // group),
-                "CHANNELS": len(mix),
-                "CFA": ", ".join(map(str, cfa.ravel())),
-                "TURNS_Y": fft.roots_text(phases_y),
-                "TURNS_X": fft.roots_text(phases_x),
-            },
-        )
+        some = fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size))
+        arrays = [halves, tables, some, roots_y, roots_x, folded]
+        defines = shape | {
+            "THREADS": group,
+            "ROWS_FORWARD": rows_forward,
+            "ROWS_INVERSE": rows_inverse,
+            "FORWARD": fft.passes(period[1], rows_forward, -1),
+            "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
+            "LOCAL_BYTES": max(fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)),
+            "OWN": -(-small[1] // group),
+            "CHANNELS": len(mix),
+            "CFA": ", ".join(map(str, cfa.ravel())),
+            "TURNS_Y": fft.roots_text(phases_y),
+            "TURNS_X": fft.roots_text(phases_x),
+        }
+        numbers = [int(first == 0), first, count, int(tables.shape[0] > 1)]
+        sizes = [before[1], size, cols, pitch]
+        grid = ((small[0] // 2 + 1) * group,)
+        launch("fold", grid, *arrays, *numbers, *sizes, group=(group,), defines=defines)
     side_by_side = columns_inverse * cfa.size // 2
     group = fft.threads(device, small[0], side_by_side)
-    device.launch(
-        LINES,
-        "columns_inverse",
-        (-(-small[1] // columns_inverse) * group,),
-        folded,
-        roots_y,
-        out,
-        1 / (period[0] * period[1]),
-        *start,
-        *out.shape,
-        group=(group,),
-        defines=shape
-        | {
-            "THREADS": group,
-            "COLUMNS_INVERSE": columns_inverse,
-            "LOCAL_BYTES": fft.room(small[0], side_by_side),
-            "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
-        },
-    )
+    defines = shape | {
+        "THREADS": group,
+        "COLUMNS_INVERSE": columns_inverse,
+        "LOCAL_BYTES": fft.room(small[0], side_by_side),
+        "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y),
+    }
+    arrays, sizes = [folded, roots_y, out], [1 / (period[0] * period[1]), *start, *out.shape]
+    grid = (-(-small[1] // columns_inverse) * group,)
+    launch("columns_inverse", grid, *arrays, *sizes, group=(group,), defines=defines)
 
 
 def _lines(local_bytes, period, cfa_shape):
@@ -287,23 +220,16 @@ def cases():
         (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0),
     ):
         channels = int(np.max(cfa)) + 1
-        fy = np.arange(period[0] // 2 + 1)[:, None] / period[0]
-        fx = np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
-        tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        tables = gaussian_tables(widths, period)
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
+        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
+        sampling = {"cfa": np.array(cfa, np.int32), "border": border}
+        sampling |= {"period": period, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": tables.astype(np.float32),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "cfa": np.array(cfa, np.int32),
-                "border": border,
-                "period": period,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )
@@ -317,9 +243,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
-        "border": "edge",
-        "period": period,
+        **{"cfa": RGGB, "border": "edge", "period": period},
     }
 
 
@@ -330,7 +254,6 @@ def operations(planes, tables, mix, cfa, border, period):
     each phase.
     """
     frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
-    back = cfa.size * fft.operations(
-        [length // n for length, n in zip(period, phases, strict=True)]
-    )
+    small = [length // n for length, n in zip(period, phases, strict=True)]
+    back = cfa.size * fft.operations(small)
     return len(planes) * fft.operations(period) + 4 * frequencies * mix.size + back

@@ -46,19 +46,10 @@ def near(
         _gaussians(n, length, sigmas) for n, length in zip((rows, cols), period, strict=True)
     )
     out = device.empty(tables.shape)
-    device.launch(
-        "optics.near",
-        "near",
-        (groups * planes, rows, cols),
-        device.array(tables),
-        device.array(energies.reshape(groups * planes, -1)),
-        device.array(down),
-        device.array(across),
-        out,
-        rows,
-        cols,
-        energies.shape[-1],
-    )
+    mixed = device.array(energies.reshape(groups * planes, -1))
+    arrays = [device.array(tables), mixed, device.array(down), device.array(across), out]
+    sizes = [rows, cols, energies.shape[-1]]
+    device.launch("optics.near", "near", (groups * planes, rows, cols), *arrays, *sizes)
     return out
 
 
@@ -66,9 +57,8 @@ def _gaussians(count, length, sigmas):
     """Return the transfer of each Gaussian at the frequencies of an axis, shape (G, count)."""
     f = np.arange(count) / length
     sigmas = np.asarray(sigmas, np.float64)[:, None]
-    return np.where(
-        np.isinf(sigmas), f == 0, np.exp(-2 * (np.pi * np.minimum(sigmas, 1e9) * f) ** 2)
-    )
+    transfer = np.exp(-2 * (np.pi * np.minimum(sigmas, 1e9) * f) ** 2)
+    return np.where(np.isinf(sigmas), f == 0, transfer)
 
 
 def cases():
@@ -78,23 +68,14 @@ def cases():
     """
     random = np.random.default_rng(12)
     why = "a float32 sum of up to 15 terms, each below the largest value, and the rounding of each of its factors"
-    for groups, planes, period, count in (
-        (1, 1, (1, 2), 1),
-        (3, 4, (45, 64), 9),
-        (1, 31, (160, 81), 15),
-    ):
+    sizes = (1, 1, (1, 2), 1), (3, 4, (45, 64), 9), (1, 31, (160, 81), 15)
+    for groups, planes, period, count in sizes:
         shape = groups, planes, period[0] // 2 + 1, period[1] // 2 + 1
-        yield Case(
-            f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians",
-            {
-                "tables": random.random(shape, np.float32),
-                "energies": random.random((groups, planes, count)),
-                "sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf),
-                "period": period,
-            },
-            3e-6,
-            why,
-        )
+        tables = random.random(shape, np.float32)
+        inputs = {"tables": tables, "energies": random.random((groups, planes, count))}
+        inputs |= {"sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf), "period": period}
+        name = f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians"
+        yield Case(name, inputs, 3e-6, why)
 
 
 def bench(rows, cols):

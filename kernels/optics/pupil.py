@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
@@ -78,22 +78,15 @@ def pupil(
     fx = np.arange(cols // 2 + 1) / cols
     low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
     replicas = np.arange(low, high + 1)[:, None]
-    weights = [
-        np.sinc(width * f)
-        * np.cos(np.pi * spot * f)
-        * np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
-        for f, width, spot, move in zip(
-            (replicas + fy, replicas + fx),
-            np.broadcast_to(aperture, 2),
-            spots,
-            displacement,
-            strict=True,
-        )
-    ]
-    weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
+    weights = []
+    axes = (replicas + fy, replicas + fx), np.broadcast_to(aperture, 2), spots, displacement
+    for f, width, spot, move in zip(*axes, strict=True):
+        spread = np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
+        one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
+        weights.append(one.real if real else np.stack([one.real, one.imag], axis=-1))
     common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
     # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
-    block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
+    block = min(len(q), BLOCK) if is_opencl_cpu(device) else 1
     grid = (-(-len(q) // block), fy.size, fx.size)
     launching: dict[str, Any] = {
         "defines": {"BANDS": block},
@@ -102,43 +95,19 @@ def pupil(
     if real:
         table = device.array(radial_table(outline, waves))
         tables = device.empty((len(q), fy.size, fx.size))
-        device.launch(
-            "optics.pupil",
-            "radial",
-            grid,
-            table,
-            *common,
-            tables,
-            low,
-            high,
-            table.shape[1],
-            *tables.shape,
-            **launching,
-        )
+        arrays = [table, *common, tables]
+        sizes = [low, high, table.shape[1], *tables.shape]
+        device.launch("optics.pupil", "radial", grid, *arrays, *sizes, **launching)
         return tables
     table, angle, sectors = polar_table(outline, waves)
     sides, inner = outline.cutoff
     table = device.array(np.stack([table.real, table.imag], axis=-1))
     shape = (len(q), fy.size, fx.size)
     tables = device.empty((*shape[:2], 2 * shape[2]))
-    device.launch(
-        "optics.pupil",
-        "polar",
-        grid,
-        table,
-        *common,
-        tables,
-        low,
-        high,
-        angle,
-        sides,
-        inner,
-        sectors,
-        (table.shape[1] - 1) // sectors,
-        table.shape[2],
-        *shape,
-        **launching,
-    )
+    arrays = [table, *common, tables]
+    numbers = [low, high, angle, sides, inner, sectors]
+    sizes = [(table.shape[1] - 1) // sectors, table.shape[2], *shape]
+    device.launch("optics.pupil", "polar", grid, *arrays, *numbers, *sizes, **launching)
     return tables
 
 
@@ -157,58 +126,22 @@ def cases():
     defocus = np.array([0.8, 1.5])[:, None, None] * blur
     spherical = 0.5 * disc_power(2)[None] - 0.4 * blur
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
-    flat = np.zeros((1, 3, 3))
+    flat, disc, six = np.zeros((1, 3, 3)), Pupil(), Pupil(6, 0.2, 0.3)
     for name, outline, waves, q, aperture, rows, cols, spots, diffuser, *displacement in (
         ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
         ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
         ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
         ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
-        ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
+        ("six blades, defocus", six, defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
         ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0),
         ("oblong, displaced", Pupil(), flat, (0.4,), (1.0, 0.5), 8, 9, (0, 0), 0, 0.5, -0.25),
-        (
-            "defocus, displaced",
-            Pupil(),
-            defocus,
-            (0.6, 1.1),
-            (0.4, 0.8),
-            9,
-            10,
-            (0, 0),
-            0.2,
-            0.1,
-            1.0,
-        ),
-        (
-            "six blades, displaced",
-            Pupil(6, 0.2, 0.3),
-            defocus[:1],
-            (0.9,),
-            0.8,
-            7,
-            10,
-            (0, 1.0),
-            0,
-            -3.0,
-            0.3,
-        ),
+        ("defocus, displaced", disc, defocus, (0.6, 1.1), (0.4, 0.8), 9, 10, (0, 0), 0.2, 0.1, 1.0),
+        ("six blades, displaced", six, defocus[:1], (0.9,), 0.8, 7, 10, (0, 1.0), 0, -3.0, 0.3),
     ):
-        yield Case(
-            name,
-            {
-                "outline": outline,
-                "waves": waves,
-                "q": np.array(q, np.float32),
-                "aperture": aperture,
-                "rows": rows,
-                "cols": cols,
-                "spots": spots,
-                "diffuser": diffuser,
-                "displacement": tuple(displacement) or (0, 0),
-            },
-            3e-5,
-            why,
-        )
+        lens = {"outline": outline, "waves": waves, "q": np.array(q, np.float32)}
+        table = {"aperture": aperture, "rows": rows, "cols": cols, "spots": spots}
+        more = {"diffuser": diffuser, "displacement": tuple(displacement) or (0, 0)}
+        yield Case(name, {**lens, **table, **more}, 3e-5, why)
 
 
 def bench(rows, cols):
@@ -218,7 +151,5 @@ def bench(rows, cols):
         "outline": Pupil(),
         "waves": (550 / wavelengths)[:, None, None] * disc_power(1),
         "q": wavelengths * 1e-9 * 1.8 / 1.4e-6,
-        "aperture": 1.0,
-        "rows": rows,
-        "cols": cols,
+        **{"aperture": 1.0, "rows": rows, "cols": cols},
     }

@@ -14,6 +14,7 @@ side of the frame stay exact to float32.
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.stage import Array, Case, stage
 
 
@@ -54,28 +55,10 @@ def splat(
     places = device.array(places, np.int32)
     strength, cores, profiles = (device.array(values) for values in (strength, cores, profiles))
     out = device.empty((rows, cols))
-    device.launch(
-        "optics.splat",
-        "splat",
-        (rows, cols),
-        mosaic,
-        cfa,
-        places,
-        strength,
-        cores,
-        profiles,
-        out,
-        1 / step,
-        float(spread),
-        int(parts),
-        rows,
-        cols,
-        *cfa.shape,
-        places.shape[0],
-        cores.shape[1],
-        cores.shape[2],
-        profiles.shape[2],
-    )
+    arrays = [mosaic, cfa, places, strength, cores, profiles, out]
+    numbers = [1 / step, float(spread), int(parts)]
+    sizes = [rows, cols, *cfa.shape, places.shape[0], *cores.shape[1:3], profiles.shape[2]]
+    device.launch("optics.splat", "splat", (rows, cols), *arrays, *numbers, *sizes)
     return out
 
 
@@ -92,61 +75,36 @@ def cases():
     )
     for rows, cols, parts, reach in ((1, 1, 1, 5), (33, 41, 2, 64), (20, 65, 4, 9)):
         radius = np.hypot(*np.mgrid[:6, :6])
-        cores = np.stack(
-            [[width / (1 + radius**2) ** 1.5 for width in (1, 2, 3)] for _ in range(2)]
+        distances = 0.05 * np.arange(2200)
+        cores, profiles = (
+            np.stack([[width / (1 + r**2) ** 1.5 for width in (1, 2, 3)]] * 2).astype(np.float32)
+            for r in (radius, distances)
         )
-        profiles = np.stack(
-            [[width / (1 + (0.05 * np.arange(2200)) ** 2) ** 1.5 for width in (1, 2, 3)]] * 2
-        )
-        places = np.stack(
-            [
-                random.integers(-3, rows + 3, 10),
-                random.integers(-3, cols + 3, 10),
-                random.integers(0, 2, 10),
-                np.full(10, reach),
-            ],
-            axis=1,
-        )
+        places = [random.integers(-3, n + 3, 10) for n in (rows, cols)]
+        places = np.stack([*places, random.integers(0, 2, 10), np.full(10, reach)], axis=1)
         places[0, :2] = 0
-        yield Case(
-            f"{rows}x{cols}, {parts} parts, reach {reach}",
-            {
-                "mosaic": np.full((rows, cols), 1e-3, np.float32),
-                "cfa": np.array([[0, 1], [1, 2]], np.int32),
-                "places": places.astype(np.int32),
-                "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
-                "cores": cores.astype(np.float32),
-                "profiles": profiles.astype(np.float32),
-                "step": 0.05,
-                "parts": parts,
-                "spread": 1 / parts,
-            },
-            1e-5,
-            why,
-            metric="local",
-        )
+        lights = {
+            "mosaic": np.full((rows, cols), 1e-3, np.float32),
+            **{"cfa": RGGB, "places": places.astype(np.int32)},
+            "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
+        }
+        spread = {"cores": cores, "profiles": profiles, "step": 0.05}
+        spread |= {"parts": parts, "spread": 1 / parts}
+        name = f"{rows}x{cols}, {parts} parts, reach {reach}"
+        yield Case(name, lights | spread, 1e-5, why, metric="local")
 
 
 def bench(rows, cols):
     """Return inputs: sixteen lights over the whole frame."""
     random = np.random.default_rng(6)
     length = int(64 * 1.5 * max(rows, cols))
+    mosaic = random.random((rows, cols), np.float32)
+    places = [random.integers(0, n, 16) for n in (rows, cols)]
+    places = np.stack([*places, np.arange(16), np.full(16, max(rows, cols))], axis=1)
     return {
-        "mosaic": random.random((rows, cols), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
-        "places": np.stack(
-            [
-                random.integers(0, rows, 16),
-                random.integers(0, cols, 16),
-                np.arange(16),
-                np.full(16, max(rows, cols)),
-            ],
-            axis=1,
-        ).astype(np.int32),
-        "strength": np.ones(16, np.float32),
+        "mosaic": mosaic,
+        **{"cfa": RGGB, "places": places.astype(np.int32), "strength": np.ones(16, np.float32)},
         "cores": random.random((16, 3, 33, 33), np.float32),
         "profiles": random.random((16, 3, length), np.float32),
-        "step": 1 / 64,
-        "parts": 2,
-        "spread": 0.5,
+        **{"step": 1 / 64, "parts": 2, "spread": 0.5},
     }

@@ -22,6 +22,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.common.cases import RGGB, gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage
 from gpusim.optics.lengths import LANES, LONGEST, Tiling
 
@@ -32,10 +33,7 @@ MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
 # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
-REGISTERS = (
-    80,
-    128,
-)
+REGISTERS = (80, 128)
 FEW = 32
 PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
 RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
@@ -100,28 +98,12 @@ def tiles(
     # from a tile's corner
     outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
     count = tuple(-(-n // made.valid) for n in shape)
-    if device.on_host:
-        make = _by_lanes if device.kind == "opencl" else _by_batches
-    else:
-        make = (
-            _by_groups
-            if _room(side, pattern.shape, len(outputs)) <= device.local_bytes
-            else _by_batches
-        )
-    make(
-        device,
-        planes,
-        tables,
-        mix,
-        outputs,
-        pattern.shape,
-        border,
-        side,
-        overlap,
-        margin,
-        count,
-        out,
-    )
+    fits = _room(side, pattern.shape, len(outputs)) <= device.local_bytes
+    make = _by_groups if fits and not device.on_host else _by_batches
+    if device.on_host and device.kind == "opencl":
+        make = _by_lanes
+    arrays = planes, tables, mix, outputs
+    make(device, *arrays, pattern.shape, border, side, overlap, margin, count, out)
     return device.reshape(out, shape) if cfa is not None else out
 
 
@@ -134,19 +116,23 @@ def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
         parts, theirs = (
             device.stack([device.part(array, int(k)) for k in used]) for array in (planes, own)
         )
-        channel = tiles(
-            parts,
-            device.reshape(theirs, (1, *theirs.shape)),
-            weights[None, used],
-            None,
-            border,
-            side,
-            overlap,
-            margin,
-            device=device,
-        )
+        theirs, mixed = device.reshape(theirs, (1, *theirs.shape)), weights[None, used]
+        channel = tiles(parts, theirs, mixed, None, border, side, overlap, margin, device=device)
         channels.append(device.part(channel, 0))
     return device.stack(channels)
+
+
+def _shared_defines(side, overlap, period, outputs, channels, border):
+    return {
+        "SIDE": side,
+        "OVERLAP": overlap,
+        "PERIOD_Y": period[0],
+        "PERIOD_X": period[1],
+        "OUTPUTS": len(outputs),
+        "OF": ", ".join(map(str, outputs)),
+        "CHANNELS": channels,
+        "BORDER": BORDERS[border],
+    }
 
 
 def _by_lanes(
@@ -155,51 +141,20 @@ def _by_lanes(
     """Blur on a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
     (channels, number), (_, rows, cols) = mix.shape, planes.shape
     even = number + number % 2
-    defines = {
-        "SIDE": side,
-        "OVERLAP": overlap,
-        "PERIOD_Y": period[0],
-        "PERIOD_X": period[1],
-        "OUTPUTS": len(outputs),
-        "OF": ", ".join(map(str, outputs)),
-        "CHANNELS": channels,
+    defines = _shared_defines(side, overlap, period, outputs, channels, border) | {
         "PAIRS": min(even // 2, PAIRS),
-        "BORDER": BORDERS[border],
         "COLUMNS": _passes(side, 1, -1, "LOAD", "TO_B"),
         "ROWS": _passes(side, 1, -1, "LOAD", "SAVE"),
         "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
         "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B"),
     }
     weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
-    device.launch(
-        LANES_STAGE,
-        "weights",
-        (side, side // 2 + 1),
-        tables,
-        device.array(mix),
-        weights,
-        int(tables.shape[0] > 1),
-        number,
-        defines=defines,
-    )
-    device.launch(
-        LANES_STAGE,
-        "tiles",
-        (count[0] * count[1],),
-        planes,
-        weights,
-        fft.roots(device, side),
-        _turns(device, side, period[0]),
-        out,
-        margin,
-        number,
-        rows,
-        cols,
-        *out.shape[1:],
-        count[1],
-        group=(1,),
-        defines=defines,
-    )
+    arrays = [tables, device.array(mix), weights]
+    launch = functools.partial(device.launch, LANES_STAGE, defines=defines)
+    launch("weights", (side, side // 2 + 1), *arrays, int(tables.shape[0] > 1), number)
+    arrays = [planes, weights, fft.roots(device, side), _turns(device, side, period[0]), out]
+    sizes = [margin, number, rows, cols, *out.shape[1:], count[1]]
+    launch("tiles", (count[0] * count[1],), *arrays, *sizes, group=(1,))
 
 
 def _by_batches(
@@ -210,67 +165,23 @@ def _by_batches(
     small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
     of, mix = device.array(outputs, np.int32), device.array(mix)
     pitch = fft.pitch_of(device, small[1])
+    launch = functools.partial(device.launch, "optics.tiles")
     for first in range(0, all_tiles, TILES):
         some = min(TILES, all_tiles - first)
         parts = device.empty((some * number, side, side))
-        device.launch(
-            "optics.tiles",
-            "cut",
-            parts.shape,
-            planes,
-            parts,
-            BORDERS[border],
-            first,
-            valid,
-            overlap - margin,
-            some * number,
-            number,
-            rows,
-            cols,
-            side,
-            count[1],
-        )
+        numbers = [BORDERS[border], first, valid, overlap - margin]
+        sizes = [some * number, number, rows, cols, side, count[1]]
+        launch("cut", parts.shape, planes, parts, *numbers, *sizes)
         spectra = fft.forward(device, parts)
         folded = device.empty((some * len(outputs), small[0], pitch, 2))
-        device.launch(
-            "optics.tiles",
-            "fold",
-            (some, small[0], small[1] // 2 + 1),
-            spectra,
-            tables,
-            mix,
-            fft.roots(device, side),
-            of,
-            folded,
-            int(tables.shape[0] > 1),
-            some,
-            number,
-            channels,
-            len(outputs),
-            *period,
-            side,
-            spectra.shape[2],
-            pitch,
-        )
+        arrays = [spectra, tables, mix, fft.roots(device, side), of, folded]
+        sizes = [some, number, channels, len(outputs), *period, side, spectra.shape[2], pitch]
+        grid = (some, small[0], small[1] // 2 + 1)
+        launch("fold", grid, *arrays, int(tables.shape[0] > 1), *sizes)
         pixels = fft.inverse(device, folded, small[1])
-        device.launch(
-            "optics.tiles",
-            "place",
-            (some * images, valid, valid),
-            pixels,
-            out,
-            first,
-            valid,
-            overlap,
-            1 / prod(period),
-            some * images,
-            images,
-            len(outputs),
-            *shape,
-            *period,
-            side,
-            count[1],
-        )
+        numbers = [first, valid, overlap, 1 / prod(period)]
+        sizes = [some * images, images, len(outputs), *shape, *period, side, count[1]]
+        launch("place", (some * images, valid, valid), pixels, out, *numbers, *sizes)
 
 
 def _by_groups(
@@ -285,19 +196,11 @@ def _by_groups(
     sums = 2 * len(outputs) * -(-(small[0] // 2 + 1) * small[1] // group)
     first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
     *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
-    defines = {
+    defines = _shared_defines(side, overlap, period, outputs, channels, border) | {
         "THREADS": group,
         "REGISTERS": REGISTERS[sums > FEW],
         "LOCAL_BYTES": room,
-        "SIDE": side,
-        "OVERLAP": overlap,
-        "PERIOD_Y": period[0],
-        "PERIOD_X": period[1],
-        "OUTPUTS": len(outputs),
-        "OF": ", ".join(map(str, outputs)),
-        "CHANNELS": channels,
         "OWN_TABLES": int(tables.shape[0] > 1),
-        "BORDER": BORDERS[border],
         "FIRST": first,
         "COLUMNS": " ".join(columns),
         "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),
@@ -310,25 +213,11 @@ def _by_groups(
         "TURNS_Y": fft.roots_text(period[0]),
         "TURNS_X": fft.roots_text(period[1]),
     }
-    device.launch(
-        GROUPS_STAGE,
-        "tiles",
-        (count[0] * count[1] * group,),
-        planes,
-        tables,
-        fft.constant(device, mix.tobytes(), mix.shape),
-        fft.roots(device, side),
-        out,
-        margin,
-        0,
-        number,
-        rows,
-        cols,
-        *out.shape[1:],
-        count[1],
-        group=(group,),
-        defines=defines,
-    )
+    weights, roots = fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side)
+    arrays = [planes, tables, weights, roots, out]
+    sizes = [margin, 0, number, rows, cols, *out.shape[1:], count[1]]
+    grid = (count[0] * count[1] * group,)
+    device.launch(GROUPS_STAGE, "tiles", grid, *arrays, *sizes, group=(group,), defines=defines)
 
 
 def _room(side, period, outputs):
@@ -419,26 +308,18 @@ def cases():
         (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0),
     ):
         channels = (11 if count == 11 else 3) if cfa is None else int(np.max(cfa)) + 1
-        f = np.arange(side // 2 + 1) / side
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         planes = random.random((count, rows, cols))
         if own:
             planes[0, rows // 2, cols // 2] = 1e6
+        tables = gaussian_tables(widths, (side, side)).astype(np.float32)
+        light = {"planes": planes.astype(np.float32), "tables": tables}
+        sampling = {"cfa": None if cfa is None else np.array(cfa, np.int32), "border": border}
+        sampling |= {"side": side, "overlap": overlap, "margin": margin}
         yield Case(
             f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
             f"{border}, tiles of {side} - 2 x {overlap}",
-            {
-                "planes": planes.astype(np.float32),
-                "tables": np.exp(-2 * (np.pi * widths) ** 2 * (f[:, None] ** 2 + f**2)).astype(
-                    np.float32
-                ),
-                "mix": random.random((channels, count)).astype(np.float32),
-                "cfa": None if cfa is None else np.array(cfa, np.int32),
-                "border": border,
-                "side": side,
-                "overlap": overlap,
-                "margin": margin,
-            },
+            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
             2.4e-6,
             why,
         )
@@ -454,10 +335,7 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, 33, 33), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
-        "border": "edge",
-        "side": 64,
-        "overlap": 8,
+        **{"cfa": RGGB, "border": "edge", "side": 64, "overlap": 8},
     }
 
 
@@ -469,8 +347,5 @@ def operations(planes, tables, mix, cfa, border, side, overlap):
     """
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
-    return number * (
-        len(planes) * fft.operations((side, side))
-        + 4 * side * (side // 2 + 1) * np.size(mix)
-        + back
-    )
+    there = len(planes) * fft.operations((side, side))
+    return number * (there + 4 * side * (side // 2 + 1) * np.size(mix) + back)

@@ -10,10 +10,11 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.kernels.common.cases import FLAT, bench_mosaic, conditioned_case, random_mosaic
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 DOMAINS = ("root", "linear")
 
@@ -79,27 +80,15 @@ def adaptive(
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
     red, blue = map(float, np.sqrt(factors) if root else factors)
-    mosaic: tuple = (
-        float(black_level),
-        float(limit),
-        red,
-        blue,
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-    )
-    if device.kind != "opencl":
-        mosaic += (int(root),)
+    phases = red_row, red_col, run, rows, cols, *warp_only(device, int(root))
+    mosaic = float(black_level), float(limit), red, blue, *phases
     options: dict[str, Any] = {
         "defines": {"ROOT": int(root)},
         "group": None if device.is_gpu else (1, 1),
     }
     device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
-    device.launch(
-        "processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options
-    )
+    given = raw, difference, out, float(scale)
+    device.launch("processor.adaptive", "colors", grid, *given, *mosaic, **options)
     return out
 
 
@@ -112,27 +101,19 @@ def cases():
     for domain in DOMAINS:
         for phase in RED:
             for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130)):
-                raw = random.integers(0, 4096, (rows, cols), np.uint16)
-                raw.flat[0], raw.flat[-1] = 0, 4095
+                raw = random_mosaic(random, 4095, (rows, cols))
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain)
-        for phase, balance in zip(
-            RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.6), (2.5, 2.5)), strict=True
-        ):
+        balances = ((2.1, 1.4), (0.7, 3.0), (1.0, 0.6), (2.5, 2.5))
+        for phase, balance in zip(RED, balances, strict=True):
             raw = np.random.default_rng(6).integers(0, 4096, (21, 30), np.uint16)
             yield _case(f"{domain} {phase} balanced {balance}", raw, phase, domain, balance=balance)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(
             f"{domain} flat",
-            {
-                "raw": np.full((9, 9), 4096 + 64, np.uint16),
-                "phase": "RGGB",
-                "black_level": 64.0,
-                "scale": 1 / 4096,
-                "domain": domain,
-            },
+            {**FLAT, "domain": domain},
             4 * 2.0**-24,
             "all samples and so all weights are equal and small powers of two: only the quotients round",
         )
@@ -143,24 +124,11 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.adaptive_ref import adaptive as reference
 
-    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain, **more}
-    encode, decode = CODES[domain]
-    code = encode(raw - black_level)
-    exact = reference(raw, **options)
-    random = np.random.default_rng(4)
-    step, worst = 1e-7, 0.0
-    for _ in range(4):
-        nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
-        worst = max(
-            worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max()
-        )
-    condition = max(worst / step / np.abs(exact).max(), 1.0)
-    if condition > WORST_CONDITION:
-        raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
-    return Case(
+    levels = {"black_level": black_level, "scale": scale}
+    return conditioned_case(
         name,
-        {"raw": raw, **options},
-        2 * 16 * 2.0**-24 * condition,
+        {"raw": raw, "phase": phase, **levels, "domain": domain, **more},
+        *(reference, CODES[domain], 16, 4, WORST_CONDITION),
         "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
         "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
         "reference shows; 2 because four random changes need not hit the worst one",
@@ -169,5 +137,4 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(3).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(3, rows, cols), "phase": "RGGB"}

@@ -33,14 +33,14 @@ Sums are whole numbers, so all devices choose the same displacement. If a frame 
 else, a displacement is found nonetheless: `processor.average` decides whether it fits.
 """
 
+import functools
 from numbers import Real
-from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
 
 TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
@@ -84,89 +84,39 @@ def align(
     size = check_inputs(raw, reference, period, levels)
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
-    lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    common: dict[str, Any] = {
-        "defines": {
-            "WIDTH": lanes,
-            "TILE": TILE,
-            "PAD": PAD,
-            "LIKELY": LIKELY,
-            "SAVED": SAVED,
-            "SURE": f"{SURE}f",
-            "PERIOD_Y": int(period[0]),
-            "PERIOD_X": int(period[1]),
-        }
+    lanes = 8 if is_opencl_cpu(device) else 1
+    period_y, period_x = map(int, period)
+    defines = {
+        "WIDTH": lanes,
+        "TILE": TILE,
+        "PAD": PAD,
+        "LIKELY": LIKELY,
+        "SAVED": SAVED,
+        "SURE": f"{SURE}f",
+        "PERIOD_Y": period_y,
+        "PERIOD_X": period_x,
     }
-    extra = () if device.kind == "opencl" else (*map(int, period),)
-    sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
-    device.launch(
-        "processor.align",
-        "blocks",
-        planes[0].shape,
-        raw,
-        planes[0],
-        count,
-        rows,
-        cols,
-        *size,
-        *extra,
-        **common,
-    )
+    launch = functools.partial(device.launch, "processor.align", defines=defines)
+    sizes, planes = [size], [device.empty((count, *(n + 2 * PAD for n in size)), np.int32)]
+    numbers = [count, rows, cols, *size, *warp_only(device, period_y, period_x)]
+    launch("blocks", planes[0].shape, raw, planes[0], *numbers)
     while min(sizes[-1]) // 2 >= TILE and len(sizes) < (levels or MOST_LEVELS):
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
-        planes.append(
-            device.empty((count, sizes[-1][0] + 2 * PAD, sizes[-1][1] + 2 * PAD), np.int32)
-        )
-        device.launch(
-            "processor.align",
-            "halve",
-            planes[-1].shape,
-            planes[-2],
-            planes[-1],
-            count,
-            *sizes[-2],
-            *sizes[-1],
-            **common,
-        )
+        planes.append(device.empty((count, *(n + 2 * PAD for n in sizes[-1])), np.int32))
+        launch("halve", planes[-1].shape, planes[-2], planes[-1], count, *sizes[-2], *sizes[-1])
     group = (1, 1, 1) if lanes == 8 else None
     parents, parent_tiles = planes[-1], (0, 0)  # none yet: any array stands for them
     for (h, w), plane in zip(reversed(sizes), reversed(planes), strict=True):
         tiles = -(-h // TILE), -(-w // TILE)
         found = device.empty((count, *tiles, 3), np.int32)
         parents = device.reshape(parents, (int(np.prod(parents.shape)),))
-        device.launch(
-            "processor.align",
-            "search",
-            (count, *tiles),
-            plane,
-            parents,
-            found,
-            int(reference),
-            COARSE if parent_tiles == (0, 0) else FINE,
-            *parent_tiles,
-            h,
-            w,
-            *tiles,
-            count,
-            group=group,
-            **common,
-        )
+        radius = COARSE if parent_tiles == (0, 0) else FINE
+        numbers = [int(reference), radius, *parent_tiles, h, w, *tiles, count]
+        launch("search", (count, *tiles), plane, parents, found, *numbers, group=group)
         parents, parent_tiles = found, tiles
     out = device.empty((count, *parent_tiles, 2))
-    device.launch(
-        "processor.align",
-        "fraction",
-        (count, *parent_tiles),
-        planes[0],
-        parents,
-        out,
-        int(reference),
-        *size,
-        *parent_tiles,
-        count,
-        group=group,
-        **common,
-    )
+    numbers = [int(reference), *size, *parent_tiles, count]
+    launch("fraction", (count, *parent_tiles), planes[0], parents, out, *numbers, group=group)
     return out
 
 
@@ -235,20 +185,11 @@ def cases():
         ((4, 1), 64, 16, [(0, 0), (2, 1)]),
     ):
         raw = _moving_picture(random, np.array(shifts), rows, cols, 4 * max(period))
-        yield Case(
-            f"{len(shifts)} frames {rows}x{cols}, period {period}",
-            {"raw": raw, "period": period, "reference": shifts.index((0, 0))},
-            2e-4,
-            why,
-            metric="exact",
-        )
-    yield Case(
-        "one level",
-        {"raw": _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8), "levels": 1},
-        2e-4,
-        why,
-        metric="exact",
-    )
+        inputs = {"raw": raw, "period": period, "reference": shifts.index((0, 0))}
+        name = f"{len(shifts)} frames {rows}x{cols}, period {period}"
+        yield Case(name, inputs, 2e-4, why, metric="exact")
+    raw = _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8)
+    yield Case("one level", {"raw": raw, "levels": 1}, 2e-4, why, metric="exact")
     raw = np.full((2, 40, 40), 65535, np.uint16)
     raw[1, 20:] = 0
     yield Case("nothing to go by", {"raw": raw}, 2e-4, why, metric="exact")

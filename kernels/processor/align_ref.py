@@ -85,22 +85,14 @@ def inside(plane, ty, tx, dy=0, dx=0):
 
 def fraction(wanted, plane, ty, tx, best):
     """Return the minimum of a paraboloid through the sums of squares around the best place."""
+
     # one tile moves forth instead of the other back: equal tiles then give equal sums on both sides
-    f = np.array(
-        [
-            [
-                (
-                    (
-                        window(wanted, ty, tx, max(-dy, 0), max(-dx, 0)).astype(float)
-                        - window(plane, ty, tx, best[0] + max(dy, 0), best[1] + max(dx, 0))
-                    )
-                    ** 2
-                ).sum()
-                for dx in (-1, 0, 1)
-            ]
-            for dy in (-1, 0, 1)
-        ]
-    )
+    def square(dy, dx):
+        here = window(wanted, ty, tx, max(-dy, 0), max(-dx, 0)).astype(float)
+        there = window(plane, ty, tx, best[0] + max(dy, 0), best[1] + max(dx, 0))
+        return ((here - there) ** 2).sum()
+
+    f = np.array([[square(dy, dx) for dx in (-1, 0, 1)] for dy in (-1, 0, 1)])
     slope_y, slope_x = (f[2] - f[0]).sum() / 6, (f[:, 2] - f[:, 0]).sum() / 6
     bend_y, bend_x = (f[2] - 2 * f[1] + f[0]).sum() / 3, (f[:, 2] - 2 * f[:, 1] + f[:, 0]).sum() / 3
     twist = (f[2, 2] - f[2, 0] - f[0, 2] + f[0, 0]) / 4
@@ -113,10 +105,8 @@ def fraction(wanted, plane, ty, tx, best):
 
     determinant = bend_y * bend_x - twist**2
     if sure_y and sure_x and determinant > 0.25 * bend_y * bend_x:
-        move = (
-            np.array(((twist * slope_x - bend_x * slope_y), (twist * slope_y - bend_y * slope_x)))
-            / determinant
-        )
+        move = np.array((twist * slope_x - bend_x * slope_y, twist * slope_y - bend_y * slope_x))
+        move = move / determinant
         if -(move @ (slope_y, slope_x)) / 2 < limit(min(bend_y, bend_x)):
             move = np.zeros(2)
     else:

@@ -3,22 +3,18 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.processor.align import LIKELY as HOST_LIKELY
-from gpusim.kernels.processor.align import PAD as HOST_PAD
-from gpusim.kernels.processor.align import SAVED as HOST_SAVED
-from gpusim.kernels.processor.align import SURE as HOST_SURE
-from gpusim.kernels.processor.align import TILE as HOST_TILE
+from gpusim.kernels.processor import align as align_host
 
 # GPUs need the loops over a tile unrolled; a CPU's compiler takes minutes for that, without gain
 wp.set_module_options(
     {"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1}
 )
 
-PAD = wp.constant(HOST_PAD)
-TILE = wp.constant(HOST_TILE)
-LIKELY = wp.constant(HOST_LIKELY)
-SAVED = wp.constant(HOST_SAVED)
-SURE = wp.constant(HOST_SURE)
+PAD = wp.constant(align_host.PAD)
+TILE = wp.constant(align_host.TILE)
+LIKELY = wp.constant(align_host.LIKELY)
+SAVED = wp.constant(align_host.SAVED)
+SURE = wp.constant(align_host.SURE)
 
 
 @wp.kernel

@@ -17,14 +17,14 @@ one frame shows, are thus left out. If a tap outside the frame is needed, q of t
 OUTSIDE. The reference's weight is 1.
 """
 
-from typing import Any
+import functools
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.align import TILE, checked_stack
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 LOW, HIGH = 1.5, 2.5  # of q; of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
 SURE = 2.1  # [standard deviations] of q at least from 1 to low, and twice that from low to high
@@ -78,71 +78,26 @@ def average(
         device.empty((count, *size)) for size in ((rows, cols), (h, w), (h, w))
     )
     out = device.empty((rows, cols))
-    cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item
-    extra = () if device.kind == "opencl" else (py, px)
-    common: dict[str, Any] = {
-        "defines": {
-            "FRAMES": count,
-            "TILE": TILE,
-            "PERIOD_Y": py,
-            "PERIOD_X": px,
-            "CPU": int(cpu),
-            "WIDTH": 8 if cpu else 1,
-            "OUTSIDE": f"{OUTSIDE}f",
-        }
+    cpu = is_opencl_cpu(device)  # a row per work-item
+    defines = {
+        "FRAMES": count,
+        "TILE": TILE,
+        "PERIOD_Y": py,
+        "PERIOD_X": px,
+        "CPU": int(cpu),
+        "WIDTH": 8 if cpu else 1,
+        "OUTSIDE": f"{OUTSIDE}f",
     }
-    group = (1, 1, 1) if cpu else None
-    device.launch(
-        "processor.average",
-        "move",
-        (count, h, 1 if cpu else w),
-        raw,
-        displacement,
-        moved,
-        misfit,
-        int(reference),
-        float(black_level),
-        gain,
-        read * read,
-        *tiles,
-        count,
-        rows,
-        cols,
-        h,
-        w,
-        *extra,
-        group=group,
-        **common,
-    )
-    device.launch(
-        "processor.average",
-        "weigh",
-        (count, h, 1 if cpu else w),
-        misfit,
-        weights,
-        int(reference),
-        *bounds(period),
-        count,
-        h,
-        w,
-        group=group,
-        **common,
-    )
-    device.launch(
-        "processor.average",
-        "average",
-        (rows, 1 if cpu else cols),
-        moved,
-        weights,
-        out,
-        rows,
-        cols,
-        h,
-        w,
-        *(() if device.kind == "opencl" else (count, py, px)),
-        group=(1, 1) if cpu else None,
-        **common,
-    )
+    launch = functools.partial(device.launch, "processor.average", defines=defines)
+    group, grid = (1, 1, 1) if cpu else None, (count, h, 1 if cpu else w)
+    numbers = [int(reference), float(black_level), gain, read * read]
+    sizes = [*tiles, count, rows, cols, h, w, *warp_only(device, py, px)]
+    launch("move", grid, raw, displacement, moved, misfit, *numbers, *sizes, group=group)
+    numbers = [int(reference), *bounds(period)]
+    launch("weigh", grid, misfit, weights, *numbers, count, h, w, group=group)
+    sizes = [rows, cols, h, w, *warp_only(device, count, py, px)]
+    group, grid = (1, 1) if cpu else None, (rows, 1 if cpu else cols)
+    launch("average", grid, moved, weights, out, *sizes, group=group)
     return out
 
 
@@ -208,44 +163,25 @@ def cases():
         tiles = (max(1, -(-(n // p) // TILE)) for n, p in zip((rows, cols), period, strict=True))
         displacement = random.normal(0, 0.2, (count, *tiles, 2)).astype(np.float32)
         displacement[-1] = np.rint(5 * displacement[-1])
-        yield Case(
-            f"{count} frames {rows}x{cols}, period {period}",
-            {
-                "raw": np.rint(raw).astype(np.uint16),
-                "displacement": displacement,
-                "period": period,
-                "reference": count // 2,
-                "black_level": 100.0,
-                "noise": (0.15, 5.0),
-            },
-            3e-4,
-            why,
-        )
-    raw = np.full((4, 20, 20), 65535, np.uint16)
-    yield Case(
+        frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
+        options = {"period": period, "reference": count // 2}
+        options |= {"black_level": 100.0, "noise": (0.15, 5.0)}
+        name = f"{count} frames {rows}x{cols}, period {period}"
+        yield Case(name, frames | options, 3e-4, why)
+    yield exact_case(
         "full",
-        {
-            "raw": raw,
-            "displacement": np.zeros((4, 1, 1, 2), np.float32),
-            "black_level": 0.0,
-            "noise": (1.0, 1.0),
-        },
-        0.0,
         "equal whole numbers, their sum and its quarter are exact",
-        metric="exact",
+        raw=np.full((4, 20, 20), 65535, np.uint16),
+        displacement=np.zeros((4, 1, 1, 2), np.float32),
+        **{"black_level": 0.0, "noise": (1.0, 1.0)},
     )
 
 
 def bench(rows, cols):
     """Return inputs: eight frames of a Bayer mosaic, displaced by fractions."""
     random = np.random.default_rng(9)
-    raw = np.rint(
-        300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
-    ).astype(np.uint16)
+    raw = 300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
     tiles = (max(1, -(-(n // 2) // TILE)) for n in (rows, cols))
-    return {
-        "raw": raw,
-        "displacement": random.normal(0, 3, (8, *tiles, 2)).astype(np.float32),
-        "black_level": 64.0,
-        "noise": (0.16, 100.0),
-    }
+    displacement = random.normal(0, 3, (8, *tiles, 2)).astype(np.float32)
+    frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
+    return {**frames, "black_level": 64.0, "noise": (0.16, 100.0)}

@@ -3,13 +3,13 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.processor.align import TILE as HOST_TILE
-from gpusim.kernels.processor.average import OUTSIDE as HOST_OUTSIDE
+from gpusim.kernels.processor import align as align_host
+from gpusim.kernels.processor import average as average_host
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-TILE = wp.constant(HOST_TILE)
-OUTSIDE = wp.constant(HOST_OUTSIDE)
+TILE = wp.constant(align_host.TILE)
+OUTSIDE = wp.constant(average_host.OUTSIDE)
 
 
 @wp.func

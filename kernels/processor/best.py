@@ -4,15 +4,19 @@ Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_
 camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
+import functools
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.kernels.common.cases import FLAT, bench_mosaic, conditioned_case
 from gpusim.kernels.processor.adaptive import DOMAINS
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 MARGIN = 14  # mirrored pixels around the picture, see best.cl
 STRIPS = 4  # per core of a CPU: even loads
@@ -97,24 +101,26 @@ def best(
     red, blue = np.sqrt(balance) if root else balance
     noise = (gain * scale, read * scale)
     loss = root_loss(root_gain(*noise), noise[1]) if root and noisy else np.zeros(7, np.float32)
-    mosaic = (
-        device.array(loss),
-        float(black_level),
-        float(scale),
-        float(offset),
-        float(variance),
-        float(shot),
-        float(red),
-        float(blue),
-        *map(float, tap_shares(blur)),
-        float(gain_prior(blur)),
-        red_row,
-        red_col,
-    )
+    longest, shortest = map(float, tap_shares(blur))
+    mosaic: dict[str, Any] = {
+        "loss": device.array(loss),
+        "black_level": float(black_level),
+        "scale": float(scale),
+        "offset": float(offset),
+        "variance": float(variance),
+        "shot": float(shot),
+        "red": float(red),
+        "blue": float(blue),
+        "longest": longest,
+        "shortest": shortest,
+        "prior": float(gain_prior(blur)),
+        "red_row": red_row,
+        "red_col": red_col,
+    }
     columns = (cols + 1) // 2
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
-    if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
+    if is_opencl_cpu(device):  # one pass, WIDTH pixels at a time
         # and room for a vector that starts at the last pixel
         half = -(-(columns + MARGIN + 7) // 8) * 8
         units = device.cl_device.max_compute_units  # type: ignore[attr-defined]  # of an OpenCL device
@@ -122,9 +128,8 @@ def best(
         ring = 32 if noisy else 16
         strips = -(-rows // height)
         scratch = device.empty((strips, PLANES, ring, 2 * half))
-        steps: list[tuple] = [
-            ("strip", (strips,), (1,), (raw, scratch, out, height, ring * 2 * half))
-        ]
+        arrays = (raw, scratch, out, height, ring * 2 * half)
+        steps: list[tuple] = [("strip", (strips,), (1,), arrays)]
         defines["WIDTH"] = 8
     elif device.kind == "opencl":  # three passes over tiles
         half = -(-(columns + ROOM) // 32) * 32
@@ -137,40 +142,52 @@ def best(
         ]
         defines |= {"WIDTH": 1, **TILE}
     else:
-        width = 2 * (columns + MARGIN)
-        code, across, down, green, square, product, other = (
-            device.empty(((rows + 2 * MARGIN) * width,)) for _ in range(7)
-        )
-        steps = [
-            (
-                kernel,
-                (rows + 2 * (MARGIN - low), (width - 2 * low) // sites),
-                None,
-                (*planes, low, width),
-            )
-            for kernel, low, sites, planes in (
-                ("encode_all", 0, 1, (raw, code)),
-                ("differences", 4, 1, (code, across, down)),
-                ("greens", 8, 2, (code, across, down, green)),
-                ("slopes", 10, 2, (code, green, square, product)),
-                ("diagonals", 12, 2, (code, green, square, product, other)),
-                ("colors", 14, 2, (raw, code, green, square, product, other, out)),
-            )
-        ]
-    shape = (half, rows, cols) if device.kind == "opencl" else (rows, cols, root, noisy)
+        sizes = {"rows": rows, "cols": cols, "root": root, "noisy": noisy}
+        _by_pixels(device, raw, out, mosaic | sizes)
+        return out
+    launch = functools.partial(device.launch, "processor.best", defines=defines)
     for kernel, grid, group, arrays in steps:
-        device.launch(
-            "processor.best", kernel, grid, *arrays, *mosaic, *shape, defines=defines, group=group
-        )
+        launch(kernel, grid, *arrays, *mosaic.values(), half, rows, cols, group=group)
     return out
+
+
+# Warp's kernels: pixels of the margin that they leave out, columns of an item, planes
+PASSES = (
+    ("encode_all", 0, 1, "raw code"),
+    ("differences", 4, 1, "code across down"),
+    ("greens", 8, 2, "code across down green"),
+    ("slopes", 10, 2, "code green square product"),
+    ("diagonals", 12, 2, "code green square product other"),
+    ("colors", 14, 2, "raw code green square product other out"),
+)
+NUMBERS = {  # of each kernel
+    "encode_all": "black_level scale offset red blue red_row red_col rows cols root",
+    "differences": "variance shot red blue prior red_row red_col",
+    "greens": "loss offset variance shot longest shortest red_row red_col root noisy",
+    "slopes": "red_row red_col",
+    "diagonals": "variance shot red blue prior red_row red_col",
+    "colors": "loss black_level scale offset variance shot red blue prior red_row red_col cols root noisy",
+}
+
+
+def _by_pixels(device, raw, out, numbers):
+    """Write the picture by six passes over whole planes, a pixel or two a thread."""
+    rows, width = raw.shape[0] + 2 * MARGIN, 2 * ((raw.shape[1] + 1) // 2 + MARGIN)
+    planes = {"raw": raw, "out": out} | {
+        name: device.empty((rows * width,))
+        for name in ("code", "across", "down", "green", "square", "product", "other")
+    }
+    for kernel, low, sites, arrays in PASSES:
+        grid = (rows - 2 * low, (width - 2 * low) // sites)
+        given = [*(planes[name] for name in arrays.split()), low, width]
+        given += [numbers[name] for name in NUMBERS[kernel].split()]
+        device.launch("processor.best", kernel, grid, *given)
 
 
 def _tiles(rows, pairs):
     """Return grid and group of work-items over whole tiles."""
-    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (
-        1,
-        TILE["GROUP"],
-    )
+    group = (1, TILE["GROUP"])
+    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), group
 
 
 def code_noise(root, gain, read):
@@ -221,50 +238,27 @@ def cases():
     for domain in DOMAINS:
         for phase in RED:
             for rows, cols in ((1, 4), (2, 2), (3, 5), (33, 70)):
-                raw = (
-                    np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
-                    + random.integers(300, 600, (rows, cols))
-                ).astype(np.uint16)
+                ramp = np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
+                raw = (ramp + random.integers(300, 600, (rows, cols))).astype(np.uint16)
                 raw.flat[0], raw.flat[-1] = 50, 2500
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
             yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
-        yield _case(
-            f"{domain} noisy ramp",
-            random.poisson(ramp).astype(np.uint16),
-            "GBRG",
-            domain,
-            noise=noise,
-        )
-        yield _case(
-            f"{domain} only read noise",
-            random.poisson(ramp).astype(np.uint16),
-            "BGGR",
-            domain,
-            noise=(0.0, 3.0),
-        )
-        for number, balance in enumerate(((1.7, 2.9), (0.6, 1.0))):
+        sizes = ("noisy ramp", "GBRG", noise), ("only read noise", "BGGR", (0.0, 3.0))
+        for name, phase, own in sizes:
+            raw = random.poisson(ramp).astype(np.uint16)
+            yield _case(f"{domain} {name}", raw, phase, domain, noise=own)
+        table = ("GRBG", (1.7, 2.9), (0.0, 0.0)), ("BGGR", (0.6, 1.0), noise)
+        for phase, balance, own in table:
             raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
-            yield _case(
-                f"{domain} balanced {balance}",
-                raw,
-                ("GRBG", "BGGR")[number],
-                domain,
-                noise=noise if number else (0.0, 0.0),
-                balance=balance,
-            )
+            more = {"noise": own, "balance": balance}
+            yield _case(f"{domain} balanced {balance}", raw, phase, domain, **more)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(
             f"{domain} flat",
-            {
-                "raw": np.full((9, 9), 4096 + 64, np.uint16),
-                "phase": "RGGB",
-                "black_level": 64.0,
-                "scale": 1 / 4096,
-                "domain": domain,
-            },
+            {**FLAT, "domain": domain},
             8 * 2.0**-24,
             "all differences are 0 and the gains 1: what rounds are the means of equal numbers",
         )
@@ -275,30 +269,11 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.best_ref import best as reference
 
-    options = {
-        "phase": phase,
-        "black_level": black_level,
-        "scale": scale,
-        "domain": domain,
-        **knowledge,
-    }
-    encode, decode = CODES[domain]
-    code = encode(raw - black_level)
-    exact = reference(raw, **options)
-    random = np.random.default_rng(4)
-    step, worst = 1e-7, 0.0
-    for _ in range(3):
-        nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
-        worst = max(
-            worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max()
-        )
-    condition = max(worst / step / np.abs(exact).max(), 1.0)
-    if condition > WORST_CONDITION:
-        raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
-    return Case(
+    levels = {"black_level": black_level, "scale": scale}
+    return conditioned_case(
         name,
-        {"raw": raw, **options},
-        2 * 48 * 2.0**-24 * condition,
+        {"raw": raw, "phase": phase, **levels, "domain": domain, **knowledge},
+        *(reference, CODES[domain], 48, 3, WORST_CONDITION),
         "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
         "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
         "samples by 2^-24 of the largest, whose effect the reference shows; 2 because three random changes "
@@ -308,5 +283,4 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(5, rows, cols), "phase": "RGGB"}

@@ -7,8 +7,9 @@ camera red, green and blue, 1 at the white level if scale = 1 / (white_level - b
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import SATURATED, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage
 
 
 @stage
@@ -42,28 +43,20 @@ def bilinear(device: Device, raw: Array, *, phase: str, black_level: float, scal
     rows, cols = raw.shape
     out = device.empty((3, rows, cols))
     run, shape = items(device, cols)
+    arrays = [device.array(raw, np.uint16), out]
+    defines = shape | {"ELECTRONS": 0}
+    numbers = [float(black_level), float(scale), red_row, red_col, run, rows, cols]
+    group = None if device.is_gpu else (1, 1)
+    grid = (-(-rows // shape["ROWS"]), -(-cols // run))
     device.launch(
-        "processor.bilinear",
-        "bilinear",
-        (-(-rows // shape["ROWS"]), -(-cols // run)),
-        device.array(raw, np.uint16),
-        out,
-        float(black_level),
-        float(scale),
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-        defines=shape | {"ELECTRONS": 0},
-        group=None if device.is_gpu else (1, 1),
+        "processor.bilinear", "bilinear", grid, *arrays, *numbers, defines=defines, group=group
     )
     return out
 
 
 def items(device, cols):
     """Return a work-item's columns, and ROWS and vector WIDTH: whole rows on CPUs, few on GPUs."""
-    if device.kind == "opencl" and not device.is_gpu:
+    if is_opencl_cpu(device):
         return -(-cols // 8) * 8, {"WIDTH": 8, "ROWS": 4}
     if device.kind == "opencl" and cols % 4 == 0:
         return 4, {"WIDTH": 4, "ROWS": 2}
@@ -82,37 +75,15 @@ def cases():
     )
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130), (9, 12)):
-            raw = random.integers(0, 65536, (rows, cols), np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(
-                f"{phase} {rows}x{cols}",
-                {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024},
-                2.0**-23 * (1 + 2.0**-24),
-                why,
-                metric="local",
-            )
-    yield Case(
-        "black",
-        {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 2.0},
-        0.0,
-        "64 - 64 is exact",
-        metric="exact",
-    )
-    yield Case(
-        "saturated",
-        {
-            "raw": np.full((6, 6), 65535, np.uint16),
-            "phase": "RGGB",
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
-        "a flat field stays flat, and 16-bit integers are exact",
-        metric="exact",
-    )
+            raw = random_mosaic(random, 65535, (rows, cols))
+            inputs = {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}
+            tolerance = 2.0**-23 * (1 + 2.0**-24)
+            yield Case(f"{phase} {rows}x{cols}", inputs, tolerance, why, metric="local")
+    black = {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB"}
+    yield exact_case("black", "64 - 64 is exact", **black, black_level=64.0, scale=2.0)
+    yield SATURATED
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(2, rows, cols), "phase": "RGGB"}

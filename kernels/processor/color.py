@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -44,20 +44,12 @@ def color(device: Device, camera: Array, matrix: Array, *, ceiling: Array | None
         )
     out = device.empty((3, rows, cols))
     run = 1 if device.is_gpu else 2048  # a GPU wants many small items, LLVM a loop to vectorise
-    device.launch(
-        "processor.color",
-        "color",
-        (-(-rows * cols // run),),
-        device.array(camera),
-        device.array(matrix),
-        device.array(ceiling),
-        out,
-        run,
-        rows * cols,
-        *(() if device.kind == "opencl" else (channels,)),
-        defines={"CHANNELS": channels},
-        group=None if device.is_gpu else (1,),
-    )
+    arrays = [device.array(camera), device.array(matrix), device.array(ceiling), out]
+    defines = {"CHANNELS": channels}
+    sizes = [run, rows * cols, *warp_only(device, channels)]
+    group = None if device.is_gpu else (1,)
+    grid = (-(-rows * cols // run),)
+    device.launch("processor.color", "color", grid, *arrays, *sizes, defines=defines, group=group)
     return out
 
 
@@ -67,17 +59,11 @@ def cases():
     One to six channels, negative entries, values above 1, ceilings, infinities and NaN.
     """
     random = np.random.default_rng(5)
-    for channels, rows, cols in (
-        (3, 1, 1),
-        (3, 3, 5),
-        (3, 63, 65),
-        (1, 2, 2),
-        (4, 17, 9),
-        (6, 8, 31),
-    ):
-        camera = (
-            random.random((channels, rows, cols)) * 10.0 ** random.uniform(-3, 3, (1, rows, cols))
-        ).astype(np.float32)
+    sizes = (3, 1, 1), (3, 3, 5), (3, 63, 65), (1, 2, 2), (4, 17, 9), (6, 8, 31)
+    for channels, rows, cols in sizes:
+        camera = random.random((channels, rows, cols))
+        camera *= 10.0 ** random.uniform(-3, 3, (1, rows, cols))
+        camera = camera.astype(np.float32)
         matrix = random.normal(0, 1, (3, channels)).astype(np.float32)
         for ceiling in (None, random.uniform(0.5, 1, channels).astype(np.float32)):
             clipped = camera if ceiling is None else np.minimum(camera, ceiling[:, None, None])

@@ -29,10 +29,11 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import MOSAICS, RGGB
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage, warp_only
 
 NEAR = 8  # least number of neighbours for the range
 REACH, LEAST_REACH = 2, 4  # search distance for good neighbours: periods, and pixels at least
@@ -89,61 +90,32 @@ def defects(
         raise BadData(f"known defects: {kind}, wanted uint8")
     if detect is not None and not 0 < detect < 1e6:
         raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
-    lines = device.kind == "opencl" and not device.is_gpu
+    lines = is_opencl_cpu(device)
     near, count, starts, entries, masks, reach = _tables(
         device, cfa.astype(np.int32).tobytes(), cfa.shape
     )
     grid, group = ((rows, 1), (1, 1)) if lines else ((rows, cols), None)
     defines = {"LINES": int(lines), "COUNT": count, "PERIOD_X": cfa.shape[1]}
+    launch = functools.partial(device.launch, "processor.defects", group=group, defines=defines)
     raw = device.array(raw, np.uint16)
 
     def replace(values, flags):
         out = device.empty((rows, cols), np.uint16)
-        device.launch(
-            "processor.defects",
-            "replace",
-            grid,
-            values,
-            flags,
-            starts,
-            entries,
-            out,
-            *cfa.shape,
-            rows,
-            cols,
-            group=group,
-            defines=defines,
-        )
+        arrays = [values, flags, starts, entries, out]
+        sizes = [*cfa.shape, rows, cols]
+        launch("replace", grid, *arrays, *sizes)
         return out
 
     if known is not None:
-        raw = replace(
-            raw,
-            device.array(
-                known if isinstance(known, device.array_type) else np.asarray(known) != 0, np.uint8
-            ),
-        )
+        flags = known if isinstance(known, device.array_type) else np.asarray(known) != 0
+        raw = replace(raw, device.array(flags, np.uint8))
     if detect is not None:
         flags = device.empty((rows, cols), np.uint8)
-        device.launch(
-            "processor.defects",
-            "mark",
-            grid,
-            raw,
-            near,
-            masks,
-            flags,
-            float(black_level),
-            float(detect * detect * gain),
-            float(detect * detect * read * read),
-            reach,
-            *cfa.shape,
-            rows,
-            cols,
-            *(() if device.kind == "opencl" else (count,)),
-            group=group,
-            defines=defines,
-        )
+        arrays = [raw, near, masks, flags]
+        constant = float(detect * detect * read * read)
+        numbers = [float(black_level), float(detect * detect * gain), constant, reach]
+        sizes = [*cfa.shape, rows, cols, *warp_only(device, count)]
+        launch("mark", grid, *arrays, *numbers, *sizes)
         raw = replace(raw, flags)
     return raw
 
@@ -167,17 +139,10 @@ def _tables(device, cfa, shape):
     )
     starts = np.cumsum([0] + [len(entries) for _, _, entries in phases], dtype=np.int32)
     entries = np.array([entry for _, _, entries in phases for entry in entries], np.int32)
-    masks = np.where(
-        np.arange(shape[1] + LANES) % shape[1] == np.arange(shape[1])[:, None], 65535, 0
-    )
-    return (
-        device.array(near, np.int32),
-        count,
-        device.array(starts, np.int32),
-        device.array(entries, np.int32),
-        device.array(masks, np.uint16),
-        int(abs(near).max()),
-    )
+    columns = np.arange(shape[1])
+    masks = np.where(np.arange(shape[1] + LANES) % shape[1] == columns[:, None], 65535, 0)
+    lists = [device.array(numbers, np.int32) for numbers in (near, starts, entries)]
+    return lists[0], count, *lists[1:], device.array(masks, np.uint16), int(abs(near).max())
 
 
 def _neighbours(cfa, y, x):
@@ -196,15 +161,10 @@ def _neighbours(cfa, y, x):
     radius = same[min(NEAR, len(same)) - 1][0]
     near = [(dy, dx) for square, dy, dx in same if square <= radius]
     rings = sorted({square for square, _, _ in same if square > radius})
-    entries = [
-        (
-            dy,
-            dx,
-            int(channel(-dy, -dx) == channel(0, 0)),
-            0 if square <= radius else 1 + rings.index(square),
-        )
-        for square, dy, dx in same
-    ]
+    entries = []
+    for square, dy, dx in same:
+        ring = 0 if square <= radius else 1 + rings.index(square)
+        entries.append((dy, dx, int(channel(-dy, -dx) == channel(0, 0)), ring))
     beyond = [
         next((n * dy, n * dx) for n in range(2, 10) if channel(n * dy, n * dx) == channel(dy, dx))
         for dy, dx in BESIDE
@@ -220,19 +180,10 @@ def cases():
     """
     random = np.random.default_rng(9)
     why = "integers, and three float32 roundings in the same order"
-    mosaics = {
-        "RGGB": BAYER,
-        "GRBG": ((1, 0), (2, 1)),
-        "GBRG": ((1, 2), (0, 1)),
-        "BGGR": ((2, 1), (1, 0)),
-        "quad-Bayer": QUAD,
-        "X-Trans": X_TRANS,
-        "grey": ((0,),),
-        "stripes": ((0, 1, 2),),
-        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
-    }
+    names = "GRBG", "GBRG", "BGGR", "quad-Bayer", "X-Trans", "grey", "stripes"
+    mosaics = {"RGGB": RGGB} | {name: MOSAICS[name] for name in names}
+    mosaics["four of 8x8"] = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
     for name, cfa in mosaics.items():
-        cfa = np.array(cfa, np.int32)
         for rows, cols in ((1, 1), (1, 7), (2, 2), (5, 3), (31, 90)):
             raw = random.poisson(700, (rows, cols)).astype(np.uint16)
             bad = random.random((rows, cols))
@@ -244,42 +195,16 @@ def cases():
                 ("both", {"known": known, "detect": 6.0}),
                 *([("known", {"known": known}), ("found", {"detect": 4.0})] if whole else []),
             ):
-                yield Case(
-                    f"{name} {rows}x{cols} {label}",
-                    {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0), **options},
-                    0.0,
-                    why,
-                    metric="exact",
-                )
+                inputs = {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0)}
+                yield exact_case(f"{name} {rows}x{cols} {label}", why, **inputs, **options)
     raw = random.integers(0, 65536, (24, 40), np.uint16)
     cluster = np.zeros(raw.shape, np.uint8)
     cluster[5:14, 8:19] = 1
-    yield Case(
-        "cluster of 9x11",
-        {"raw": raw, "known": cluster, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
-        0.0,
-        why,
-        metric="exact",
-    )
-    yield Case(
-        "all defective",
-        {
-            "raw": raw,
-            "known": np.ones_like(cluster),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 0.0,
-        },
-        0.0,
-        "nothing is replaced",
-        metric="exact",
-    )
-    yield Case(
-        "nothing asked",
-        {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
-        0.0,
-        "nothing is replaced",
-        metric="exact",
-    )
+    inputs = {"raw": raw, "cfa": RGGB, "black_level": 0.0}
+    yield exact_case("cluster of 9x11", why, **inputs, known=cluster)
+    nothing = "nothing is replaced"
+    yield exact_case("all defective", nothing, **inputs, known=np.ones_like(cluster))
+    yield exact_case("nothing asked", nothing, **inputs)
 
 
 def bench(rows, cols):
@@ -291,8 +216,5 @@ def bench(rows, cols):
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),
         "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8),
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 64.0,
-        "noise": (1.0, 3.0),
-        "detect": 6.0,
+        **{"cfa": RGGB, "black_level": 64.0, "noise": (1.0, 3.0), "detect": 6.0},
     }

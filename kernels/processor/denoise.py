@@ -30,12 +30,15 @@ most. In uniform surroundings both greens then have the same part in the mean, a
 even of their gains, has none.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import MOSAICS, RGGB, mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import (
     CORRECTED_BLACK,
     CORRECTED_WHITE,
@@ -43,7 +46,7 @@ from gpusim.kernels.processor.levels import (
     check_noise,
 )
 from gpusim.kernels.processor.shade import shade
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # from the expected 2 to weight 0; 5 to 8 differ by less than .1 dB
@@ -108,15 +111,9 @@ def denoise(
             f"{cfa.shape[0]}x{cfa.shape[1]}"
         )
     if strength == 0 or gain == read == 0:
-        return shade(
-            raw,
-            np.ones((int(cfa.max()) + 1, 2, 2), np.float32),
-            cfa=cfa,
-            black_level=black_level,
-            scale=scale,
-            device=device,
-        )
-    lines = device.kind == "opencl" and not device.is_gpu
+        ones = np.ones((int(cfa.max()) + 1, 2, 2), np.float32)
+        return shade(raw, ones, cfa=cfa, black_level=black_level, scale=scale, device=device)
+    lines = is_opencl_cpu(device)
     chunk, spare = (CHUNK, SPARE) if lines else (1, 4)
     constant = read * read + 0.375 * gain * gain
     margin_y, margin_x = (SEARCH * n + 1 for n in cfa.shape)
@@ -128,47 +125,16 @@ def denoise(
         for x in (0, cfa.shape[1] - 1)
     ]
     group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
-    device.launch(
-        "processor.denoise",
-        "stabilise",
-        (code.shape[0], 1) if lines else code.shape,
-        device.array(raw, np.uint16),
-        code,
-        float(black_level),
-        float(gain),
-        float(constant),
-        float(-constant / gain if gain else -3e38),
-        *cfa.shape,
-        margin_y,
-        margin_x,
-        rows,
-        cols,
-        *code.shape,
-        group=group,
-        defines=defines,
-    )
-    device.launch(
-        "processor.denoise",
-        "denoise",
-        (bands, chunks),
-        code,
-        out,
-        float(1 + 2 / SOFT),
-        float(1 / (9 * SOFT * strength**2)),
-        float(gain / 4),
-        float(np.sqrt(constant)),
-        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
-        float(CORRECTED_BLACK),
-        *twins,
-        *cfa.shape,
-        margin_y,
-        margin_x,
-        rows,
-        cols,
-        code.shape[1],
-        group=group,
-        defines=defines,
-    )
+    launch = functools.partial(device.launch, "processor.denoise", group=group, defines=defines)
+    lowest = float(-constant / gain if gain else -3e38)
+    numbers = [float(black_level), float(gain), float(constant), lowest]
+    sizes = [*cfa.shape, margin_y, margin_x, rows, cols]
+    grid = (code.shape[0], 1) if lines else code.shape
+    launch("stabilise", grid, device.array(raw, np.uint16), code, *numbers, *sizes, *code.shape)
+    numbers = [float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2))]
+    numbers += [float(gain / 4), float(np.sqrt(constant))]
+    numbers += [float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *twins]
+    launch("denoise", (bands, chunks), code, out, *numbers, *sizes, code.shape[1])
     return out
 
 
@@ -180,67 +146,30 @@ def cases():
         "standard deviation of noise; that is at most 61439 / 4031 sqrt(4095 g + s^2) < 1000 steps, so .4: the "
         "rounding to whole numbers differs by one step at most"
     )
-    for name, cfa in (
-        ("Bayer", BAYER),
-        ("GRBG", ((1, 0), (2, 1))),
-        ("GBRG", ((1, 2), (0, 1))),
-        ("checkers", ((0, 1), (1, 0))),
-        ("X-Trans", X_TRANS),
-        ("grey", ((0,),)),
-        ("8x8", random.permutation(np.arange(64) % 4).reshape(8, 8)),
-    ):
-        cfa = np.array(cfa, np.int32)
+    eight = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
+    mosaics = MOSAICS | {"checkers": mosaic("RG", "GR"), "8x8": eight}
+    for name in ("Bayer", "GRBG", "GBRG", "checkers", "X-Trans", "grey", "8x8"):
+        cfa = mosaics[name]
         for rows, cols in (cfa.shape, (9, 11), (45, 131)):
-            level = np.where(
-                np.add.outer(np.arange(rows), 2 * np.arange(cols)) % 70 < 40, 200.0, 1500.0
-            )
-            raw = (
-                64 + np.round(random.poisson(level) + 3 * random.standard_normal((rows, cols)))
-            ).clip(0, 4095)
-            raw = raw.astype(np.uint16)
+            ramp = np.add.outer(np.arange(rows), 2 * np.arange(cols))
+            light = random.poisson(np.where(ramp % 70 < 40, 200.0, 1500.0))
+            raw = 64 + np.round(light + 3 * random.standard_normal((rows, cols)))
+            raw = raw.clip(0, 4095).astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
             for noise in ((1.0, 3.0), (0.0, 20.0), (1.0, 0.0)) if rows == 45 else ((1.0, 3.0),):
-                yield Case(
-                    f"{name} {rows}x{cols}, noise {noise}",
-                    {
-                        "raw": raw,
-                        "cfa": cfa,
-                        "black_level": 64.0,
-                        "scale": 1 / 4031,
-                        "noise": noise,
-                    },
-                    1.0,
-                    why,
-                    metric="exact",
-                )
+                inputs = {"cfa": cfa, "black_level": 64.0, "scale": 1 / 4031, "noise": noise}
+                title = f"{name} {rows}x{cols}, noise {noise}"
+                yield Case(title, {"raw": raw, **inputs}, 1.0, why, metric="exact")
     raw = random.integers(0, 65536, (40, 70), np.uint16)
-    options = {
-        "raw": raw,
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 4096.0,
-        "scale": 1 / 61439,
-    }
-    for name, more in (
-        ("noise-free", {"noise": (0.0, 0.0)}),
-        ("strength 0", {"noise": (1.0, 2.0), "strength": 0.0}),
-    ):
-        yield Case(
-            name,
-            {**options, **more},
-            0.0,
-            "nothing changes: see processor.shade with gains of 1",
-            metric="exact",
-        )
+    options = {"raw": raw, "cfa": RGGB, "black_level": 4096.0, "scale": 1 / 61439}
+    why = "nothing changes: see processor.shade with gains of 1"
+    yield exact_case("noise-free", why, **options, noise=(0.0, 0.0))
+    yield exact_case("strength 0", why, **options, noise=(1.0, 2.0), strength=0.0)
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
-    return {
-        "raw": raw.astype(np.uint16),
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-        "noise": (0.2, 1.0),
-    }
+    levels = {"black_level": 64.0, "scale": 1 / 959}
+    return {"raw": raw.astype(np.uint16), "cfa": RGGB, **levels, "noise": (0.2, 1.0)}

@@ -7,6 +7,8 @@ For previews and videos: the planes between the stages, 3 x 4 bytes per pixel wr
 twice, stay in registers.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -15,7 +17,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.display.encode import code_table, codes_defines, thresholds
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import items
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, dtype_name, exact_case, stage
 
 
 @stage
@@ -65,28 +67,16 @@ def develop(
     table = code_table(device, thresholds)
     out = device.empty((rows, cols, 3), np.uint8)
     run, shape = items(device, cols)
-    defines = shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)}
-    device.launch(
-        "processor.develop",
-        "develop",
-        (-(-rows // shape["ROWS"]), -(-cols // run)),
-        device.array(raw, np.uint16 if converter is None else np.float32),
-        device.array(matrix),
-        device.array(ceiling),
-        table.entries,
-        out,
-        *map(float, converter or (1, 0, 1)),
-        float(black_level),
-        float(scale),
-        red_row,
-        red_col,
-        *table.numbers,
-        run,
-        rows,
-        cols,
-        defines=defines,
-        group=None if device.is_gpu else (1, 1),
-    )
+    raw = device.array(raw, np.uint16 if converter is None else np.float32)
+    arrays = [raw, device.array(matrix), device.array(ceiling), table.entries, out]
+    numbers = [*map(float, converter or (1, 0, 1)), float(black_level), float(scale)]
+    sizes = [red_row, red_col, *table.numbers, run, rows, cols]
+    grid = (-(-rows // shape["ROWS"]), -(-cols // run))
+    options: dict[str, Any] = {
+        "defines": shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)},
+        "group": None if device.is_gpu else (1, 1),
+    }
+    device.launch("processor.develop", "develop", grid, *arrays, *numbers, *sizes, **options)
     return out
 
 
@@ -120,20 +110,13 @@ def cases():
     for phase in RED:
         for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (33, 35), (16, 130)):
             raw = random.integers(0, 1100, (rows, cols), np.uint16)
-            yield _case(
-                f"{phase} {rows}x{cols}",
-                raw,
-                matrix,
-                next(powers),
-                phase,
-                ceiling if rows % 2 else None,
-            )
+            own = ceiling if rows % 2 else None
+            yield _case(f"{phase} {rows}x{cols}", raw, matrix, next(powers), phase, own)
     electrons = random.uniform(-300, 5000, (19, 24)).astype(np.float32)
     electrons[3:6, 7:9] = np.array([[np.nan, np.inf], [-np.inf, 1e30], [-0.0, 1e-30]])
     for phase in RED:
-        yield _case(
-            f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, (0.2371, 63.7, 1023)
-        )
+        converter = 0.2371, 63.7, 1023
+        yield _case(f"{phase} electrons", electrons, matrix, 2.2, phase, ceiling, converter)
 
 
 def _case(
@@ -155,22 +138,13 @@ def _case(
             if value > edges[k] + 2 * band:
                 break
             edges[k] = value + 3 * band
-    return Case(
+    return exact_case(
         name,
-        {
-            "raw": raw,
-            "matrix": matrix,
-            "thresholds": edges.astype(np.float32),
-            "phase": phase,
-            "black_level": black_level,
-            "scale": scale,
-            "ceiling": ceiling,
-            "converter": converter,
-        },
-        0.0,
         "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
         "less than its distance from every threshold: the codes are equal",
-        metric="exact",
+        **{"raw": raw, "matrix": matrix, "thresholds": edges.astype(np.float32)},
+        **{"phase": phase, "black_level": black_level, "scale": scale},
+        **{"ceiling": ceiling, "converter": converter},
     )
 
 
@@ -178,12 +152,6 @@ def bench(rows, cols):
     """Return inputs: a 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
-    return {
-        "raw": raw,
-        "matrix": matrix,
-        "thresholds": thresholds(DISPLAYS["srgb"].decode),
-        "phase": "RGGB",
-        "black_level": 64.0,
-        "scale": 1 / 959,
-        "ceiling": np.ones(3, np.float32),
-    }
+    display = {"matrix": matrix, "thresholds": thresholds(DISPLAYS["srgb"].decode)}
+    levels = {"phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {"raw": raw, **display, **levels, "ceiling": np.ones(3, np.float32)}

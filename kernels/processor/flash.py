@@ -33,7 +33,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 # least gain in squared signal over noise by the flash; it counts in full at twice this
 BETTER = 2.0
@@ -84,29 +84,22 @@ def flash(
     )
     rows, cols = ambient.shape[1:]
     out = device.empty((3, rows, cols))
-    cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item, 8 pixels at once
+    cpu = is_opencl_cpu(device)  # a row per work-item, 8 pixels at once
     tables = [device.array(table) for table in (ambient_noise, flash_noise, spatial(radius))]
+    arrays = [device.array(ambient), device.array(flash), *tables, out]
+    defines = {
+        "RADIUS": int(radius),
+        "WIDTH": 8 if cpu else 1,
+        "CPU": int(cpu),
+        "BETTER": f"{BETTER}f",
+        "HIGHLIGHT": f"{HIGHLIGHT}f",
+    }
+    numbers = [float(min(full, 3e38)), float(1 / reach)]
+    sizes = [rows, cols, *warp_only(device, int(radius))]
+    group = (1, 1) if cpu else None
+    grid = (rows, 1 if cpu else cols)
     device.launch(
-        "processor.flash",
-        "flash",
-        (rows, 1 if cpu else cols),
-        device.array(ambient),
-        device.array(flash),
-        *tables,
-        out,
-        float(min(full, 3e38)),
-        float(1 / reach),
-        rows,
-        cols,
-        *(() if device.kind == "opencl" else (int(radius),)),
-        defines={
-            "RADIUS": int(radius),
-            "WIDTH": 8 if cpu else 1,
-            "CPU": int(cpu),
-            "BETTER": f"{BETTER}f",
-            "HIGHLIGHT": f"{HIGHLIGHT}f",
-        },
-        group=(1, 1) if cpu else None,
+        "processor.flash", "flash", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -146,26 +139,18 @@ def check_inputs(ambient, flash, ambient_noise, flash_noise, radius, reach):
 def _pair(rows, cols):
     """Return a noisy picture of patches, and one by flash with a shadow and a highlight."""
     random = np.random.default_rng(12)
-    patches = (
-        random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
-        .repeat(7, 1)
-        .repeat(9, 2)[:, :rows, :cols]
-    )
+    patches = random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9)))
+    patches = patches.repeat(7, 1).repeat(9, 2)[:, :rows, :cols]
     own = 0.1 * patches * np.linspace(0.5, 1, cols)
     lit = 0.2 * own + patches * (np.arange(cols) % 40 > 9)
     lit[:, : rows // 4, : cols // 4] = 1.2
     noise = np.hstack([np.full((3, 3), 0.002) + 0.004 * np.eye(3), np.full((3, 1), 2e-4)])
-    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(
-        noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
-    )
+    variance = noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
+    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(variance)
     by_flash = lit + random.normal(0, 0.02, lit.shape)
-    return {
-        "ambient": ambient.astype(np.float32),
-        "flash": by_flash.astype(np.float32),
-        "ambient_noise": noise.tolist(),
-        "flash_noise": (noise / 10).tolist(),
-        "full": 1.15,
-    }
+    pictures = {"ambient": ambient.astype(np.float32), "flash": by_flash.astype(np.float32)}
+    noises = {"ambient_noise": noise.tolist(), "flash_noise": (noise / 10).tolist()}
+    return {**pictures, **noises, "full": 1.15}
 
 
 def cases():
@@ -175,23 +160,13 @@ def cases():
         "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3"
     )
     for rows, cols, radius in ((1, 1, 2), (5, 3, 5), (33, 70, 3), (24, 49, 5)):
-        yield Case(
-            f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why
-        )
-    yield Case(
-        "dark",
-        {**_pair(9, 9), "ambient": np.zeros((3, 9, 9), np.float32)},
-        0.0,
-        "sums of zeros",
-        metric="exact",
-    )
+        inputs = {**_pair(rows, cols), "radius": radius}
+        yield Case(f"{rows}x{cols}, radius {radius}", inputs, 1e-3, why)
+    dark = _pair(9, 9) | {"ambient": np.zeros((3, 9, 9), np.float32)}
+    yield exact_case("dark", "sums of zeros", **dark)
     same = _pair(20, 31)
-    yield Case(
-        "no better",
-        {**same, "flash": same["ambient"], "flash_noise": same["ambient_noise"]},
-        1e-3,
-        why,
-    )
+    same |= {"flash": same["ambient"], "flash_noise": same["ambient_noise"]}
+    yield Case("no better", same, 1e-3, why)
 
 
 def bench(rows, cols):

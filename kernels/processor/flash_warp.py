@@ -3,13 +3,12 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.processor.flash import BETTER as HOST_BETTER
-from gpusim.kernels.processor.flash import HIGHLIGHT as HOST_HIGHLIGHT
+from gpusim.kernels.processor import flash as flash_host
 
 wp.set_module_options({"enable_backward": False})
 
-BETTER = wp.constant(HOST_BETTER)
-HIGHLIGHT = wp.constant(HOST_HIGHLIGHT)
+BETTER = wp.constant(flash_host.BETTER)
+HIGHLIGHT = wp.constant(flash_host.HIGHLIGHT)
 
 
 @wp.func

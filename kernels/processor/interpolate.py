@@ -19,13 +19,15 @@ interpolates each sample of the period bilinearly in its own lattice and takes t
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
+from gpusim.kernels.common.cases import MOSAICS, RGGB, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
 
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
 BLOCK = 32  # neighbouring pixels that CPUs process at once
@@ -75,29 +77,20 @@ def interpolate(
             f"raw: {rows}x{cols} pixels; with a mosaic of {cfa.shape[0]}x{cfa.shape[1]}, at least "
             f"{least[0]}x{least[1]} are wanted: every channel must be near every pixel"
         )
-    blocks = device.kind == "opencl" and not device.is_gpu
+    blocks = is_opencl_cpu(device)
     starts, offsets, weights, reach = _tables(device, blocks, *key)
     channels = len(tents)
     out = device.empty((channels, rows, cols))
+    arrays = [device.array(raw, np.uint16), starts, offsets, weights, out]
+    numbers = [float(black_level), float(scale)]
+    sizes = [*reach, *cfa.shape, weights.shape[1], rows, cols, *warp_only(device, channels)]
+    grid = (rows, 1) if blocks else (rows, cols)
+    options: dict[str, Any] = {
+        "defines": {"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
+        "group": (1, 1) if blocks else None,
+    }
     device.launch(
-        "processor.interpolate",
-        "interpolate",
-        (rows, 1) if blocks else (rows, cols),
-        device.array(raw, np.uint16),
-        starts,
-        offsets,
-        weights,
-        out,
-        float(black_level),
-        float(scale),
-        *reach,
-        *cfa.shape,
-        weights.shape[1],
-        rows,
-        cols,
-        *(() if device.kind == "opencl" else (channels,)),
-        defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
-        group=(1, 1) if blocks else None,
+        "processor.interpolate", "interpolate", grid, *arrays, *numbers, *sizes, **options
     )
     return out
 
@@ -162,12 +155,8 @@ def _tent(sampled):
     """
     for k in range(1, max(sampled.shape) + 1):
         half = tuple(min(k, period) for period in sampled.shape)
-        weights = np.array(
-            [
-                [_weights(sampled, half, y, x) for x in range(sampled.shape[1])]
-                for y in range(sampled.shape[0])
-            ]
-        )
+        rows, cols = map(range, sampled.shape)
+        weights = np.array([[_weights(sampled, half, y, x) for x in cols] for y in rows])
         blocks = np.lib.stride_tricks.sliding_window_view(weights, half, axis=(2, 3))
         if not np.isnan(weights).any() and (blocks > 0).any(axis=(4, 5)).all():
             return half, weights
@@ -225,23 +214,8 @@ def _tables(device, blocks, cfa, shape):
     if blocks:
         weights = np.pad(weights, ((0, 0), (0, BLOCK - 1)), mode="wrap")
     reach = tuple(int(n) for n in abs(offsets).max(axis=(0, 1)))
-    return (
-        device.array(np.array(starts, np.int32), np.int32),
-        device.array(offsets, np.int32),
-        device.array(weights),
-        reach,
-    )
-
-
-BAYER, QUAD = ((0, 1), (1, 2)), ((0, 0, 1, 1), (0, 0, 1, 1), (1, 1, 2, 2), (1, 1, 2, 2))
-X_TRANS = (
-    (1, 1, 0, 1, 1, 2),
-    (1, 1, 2, 1, 1, 0),
-    (2, 0, 1, 0, 2, 1),
-    (1, 1, 2, 1, 1, 0),
-    (1, 1, 0, 1, 1, 2),
-    (0, 2, 1, 2, 0, 1),
-)
+    starts = device.array(np.array(starts, np.int32), np.int32)
+    return starts, device.array(offsets, np.int32), device.array(weights), reach
 
 
 def cases():
@@ -255,42 +229,24 @@ def cases():
         "(weight, product, sums), n of the sum of weights at borders, the quotient, black level, scale; 1 for "
         "65535 / 65471"
     )
-    mosaics = {
-        "Bayer": BAYER,
-        "quad-Bayer": QUAD,
-        "X-Trans": X_TRANS,
-        "stripes": ((0, 1, 2),),
-        "grey": ((0,),),
-        "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8),
-        "rare of 5x7": np.arange(35).reshape(5, 7) // 17,
-    }
+    names = "Bayer", "quad-Bayer", "X-Trans", "stripes", "grey"
+    mosaics = {name: MOSAICS[name] for name in names}
+    mosaics["four of 8x8"] = random.permutation(np.arange(64) % 4).reshape(8, 8).astype(np.int32)
+    mosaics["rare of 5x7"] = np.arange(35, dtype=np.int32).reshape(5, 7) // 17
     for name, cfa in mosaics.items():
-        cfa = np.array(cfa, np.int32)
         rows, cols = least_frame(cfa)
         for size in ((rows, cols), (rows + 1, cols + 5), (19, 150)):
-            raw = random.integers(0, 65536, size, np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(
-                f"{name} {size[0]}x{size[1]}",
-                {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024},
-                (2 * 40 + 5) * 2.0**-24,
-                why,
-            )
-    yield Case(
+            raw = random_mosaic(random, 65535, size)
+            inputs = {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 1024}
+            yield Case(f"{name} {size[0]}x{size[1]}", inputs, (2 * 40 + 5) * 2.0**-24, why)
+    yield exact_case(
         "saturated",
-        {
-            "raw": np.full((40, 50), 65535, np.uint16),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
         "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
-        metric="exact",
+        raw=np.full((40, 50), 65535, np.uint16),
+        **{"cfa": RGGB, "black_level": 0.0, "scale": 1.0},
     )
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit X-Trans mosaic."""
-    raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "cfa": np.array(X_TRANS, np.int32), "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(2, rows, cols), "cfa": MOSAICS["X-Trans"]}

@@ -15,7 +15,7 @@ from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bayer import RED, check_mosaic
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 TILES = "processor.learned_tiles"  # the kernel of GPUs
@@ -132,36 +132,13 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     )
     strip = (items - 2 * layout.box) // 8 * 8
     across, down = -(-cols // strip), -(-rows // high)
-    defines = {
-        "ITEMS": items,
-        "STRIP": strip,
-        "ROWS": high,
-        "RUN": run,
-        "PERIOD_Y": period_y,
-        "PERIOD_X": period_x,
-    }
-    device.launch(
-        TILES,
-        "learned_tiles",
-        (across * down * items,),
-        raw,
-        prepared.limits,
-        prepared.knots,
-        prepared.weights,
-        prepared.planes,
-        prepared.factors,
-        prepared.loss,
-        out,
-        *measures,
-        *from_black[:2],
-        *decoding[1:],
-        *shift,
-        rows,
-        cols,
-        across,
-        defines=prepared.defines | defines,
-        group=(items,),
-    )
+    defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run}
+    defines |= {"PERIOD_Y": period_y, "PERIOD_X": period_x}
+    arrays = [raw, prepared.limits, prepared.knots, prepared.weights, prepared.planes]
+    arrays += [prepared.factors, prepared.loss, out]
+    numbers = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
+    options = {"defines": prepared.defines | defines, "group": (items,)}
+    device.launch(TILES, "learned_tiles", (across * down * items,), *arrays, *numbers, **options)
 
 
 def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
@@ -172,86 +149,24 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
     codes = device.empty((rows + 2 * reach, stride))
     units = device.empty((rows, cols), np.uint16)
     levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
-    launch = functools.partial(
-        device.launch,
-        "processor.learned",
-        group=(1, 1) if opencl else None,
-        defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
-    )
-    launch(
-        "encode",
-        (codes.shape[0], 1) if opencl else codes.shape,
-        raw,
-        prepared.factors,
-        codes,
-        *from_black[:2],
-        *shift,
-        *layout.period,
-        rows,
-        cols,
-        stride,
-        *(() if opencl else (reach, root)),
-    )
+    defines, group = prepared.defines | {"STRIP": 128, "ROWS": 16}, (1, 1) if opencl else None
+    launch = functools.partial(device.launch, "processor.learned", defines=defines, group=group)
+    numbers = [*from_black[:2], *shift, *layout.period, rows, cols, stride]
+    numbers += warp_only(device, reach, root)
+    grid = (codes.shape[0], 1) if opencl else codes.shape
+    launch("encode", grid, raw, prepared.factors, codes, *numbers)
     along, high = (128, 16) if opencl else (64, 1)
-    rest = (
-        ()
-        if opencl
-        else (
-            prepared.filters,
-            reach,
-            layout.box,
-            root,
-            layout.strengths.shape[1],
-            len(layout.ratios),
-            len(layout.shares),
-            along,
-        )
-    )
-    launch(
-        "classify",
-        (-(-rows // high), -(-cols // along)),
-        codes,
-        prepared.limits,
-        prepared.knots,
-        units,
-        levels,
-        *measures,
-        *shift,
-        *layout.period,
-        rows,
-        cols,
-        stride,
-        *rest,
-    )
-    rest = (
-        ()
-        if opencl
-        else (
-            prepared.taps,
-            reach,
-            root,
-            prepared.defines["UNBIASED"],
-            layout.classes,
-            layout.shape[-1],
-        )
-    )
-    launch(
-        "apply",
-        (rows, 1 if opencl else cols),
-        raw,
-        codes,
-        units,
-        levels,
-        prepared.weights,
-        prepared.planes,
-        prepared.loss,
-        out,
-        *decoding,
-        rows,
-        cols,
-        stride,
-        *rest,
-    )
+    arrays = [codes, prepared.limits, prepared.knots, units, levels]
+    numbers = [*measures, *shift, *layout.period, rows, cols, stride]
+    numbers += warp_only(device, prepared.filters, reach, layout.box, root)
+    bounds, ratios, shares = layout.strengths.shape[1], len(layout.ratios), len(layout.shares)
+    numbers += warp_only(device, bounds, ratios, shares, along)
+    launch("classify", (-(-rows // high), -(-cols // along)), *arrays, *numbers)
+    arrays = [raw, codes, units, levels, prepared.weights, prepared.planes, prepared.loss, out]
+    numbers = [*decoding, rows, cols, stride, *warp_only(device, prepared.taps, reach, root)]
+    unbiased = prepared.defines["UNBIASED"]
+    numbers += warp_only(device, unbiased, layout.classes, layout.shape[-1])
+    launch("apply", (rows, 1 if opencl else cols), *arrays, *numbers)
 
 
 class _Prepared:
@@ -405,35 +320,18 @@ def cases():
             ramp = np.add.outer(29 * np.arange(size[0]), 11 * np.arange(size[1])) % 3000
             raw = (ramp + random.integers(0, 1000, size)).astype(np.uint16)
             raw.flat[0], raw.flat[-1] = 0, 4095
+            options = {"domain": domain, "noise": noise}
             for phase in RED:
-                yield _case(
-                    f"{domain} {noise} {phase} {size[0]}x{size[1]}",
-                    raw,
-                    bayer_table(),
-                    phase=phase,
-                    domain=domain,
-                    noise=noise,
-                )
+                name = f"{domain} {noise} {phase} {size[0]}x{size[1]}"
+                yield _case(name, raw, bayer_table(), phase=phase, **options)
             if size[0] > 2 and domain == "root":
-                yield _case(
-                    f"balanced {noise} {size[0]}x{size[1]}",
-                    raw,
-                    bayer_table(),
-                    phase=phase,
-                    domain="root",
-                    noise=noise,
-                    balance=(1.9, 3.7),
-                )
-    yield _case(
-        "no constant, levels",
-        raw,
-        _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False),
-        phase="GBRG",
-        domain="root",
-        noise=(9.0, 14.0),
-        balance=(0.6, 2.5),
-    )
-    yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), domain="root", noise=(9.0, 14.0))
+                name, options["balance"] = f"balanced {noise} {size[0]}x{size[1]}", (1.9, 3.7)
+                yield _case(name, raw, bayer_table(), phase=phase, **options)
+    noisy = {"domain": "root", "noise": (9.0, 14.0)}
+    plain = _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False)
+    options = {"phase": "GBRG", **noisy, "balance": (0.6, 2.5)}
+    yield _case("no constant, levels", raw, plain, **options)
+    yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), **noisy)
     yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
 
 
@@ -442,40 +340,25 @@ def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
     random = np.random.default_rng(9)
     dy, dx = np.mgrid[-3:4, -3:4]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
-    layout = Layout(
-        mosaic,
-        tuple(outputs),
-        "root",
-        taps,
-        np.arange(len(taps)),
-        (contrast, contrast),
-        box,
-        (12, 24),
-        [0.0],
-        [0.01],
-        [[0.05, 0.2]],
-        levels,
-    )
-    return FilterTable(
-        layout,
-        random.normal(0.04, 0.1, layout.shape),
-        random.normal(0, 0.1, layout.shape[:-1]) if constant else None,
-    )
+    contrasts = contrast, contrast
+    shape = (box, (12, 24), [0.0], [0.01], [[0.05, 0.2]], levels)
+    groups = np.arange(len(taps))
+    layout = Layout(mosaic, tuple(outputs), "root", taps, groups, contrasts, *shape)
+    filters = random.normal(0.04, 0.1, layout.shape)
+    offsets = random.normal(0, 0.1, layout.shape[:-1]) if constant else None
+    return FilterTable(layout, filters, offsets)
 
 
 def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
     """Return a case; its tolerance is all roundings of the largest sum of a filter of the table."""
     from gpusim.kernels.processor.learned_ref import learned as reference
 
-    code = Code(
-        options["domain"], black_level, scale, options["noise"], options.get("balance", (1.0, 1.0))
-    )
+    balance = options.get("balance", (1.0, 1.0))
+    code = Code(options["domain"], black_level, scale, options["noise"], balance)
     inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
     taps = np.bincount(table.layout.groups)
-    largest = (np.abs(table.filters) @ taps).max() * (
-        np.abs(code.encode_raw(raw)).max() + code.black_level
-    )
-    largest /= min(code.factors.values())
+    strongest = np.abs(code.encode_raw(raw)).max() + code.black_level
+    largest = (np.abs(table.filters) @ taps).max() * strongest / min(code.factors.values())
     roundings = len(taps) + 12 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
     peak = np.abs(reference(**inputs)).max() / scale
     slope = 1.0 if code.domain == "linear" else 2 * np.sqrt(peak + code.offset)

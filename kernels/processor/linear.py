@@ -6,7 +6,8 @@ Ports: raw (rows, cols) uint16 [DN] -> grey (1, rows, cols) float32, (DN - black
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.common.cases import bench_mosaic
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -24,17 +25,9 @@ def linear(device: Device, raw: Array, *, black_level: float, scale: float) -> A
     """
     rows, cols = raw.shape
     grey = device.empty((1, rows, cols))
-    device.launch(
-        "processor.linear",
-        "linear",
-        (rows * cols,),
-        device.array(raw, np.uint16),
-        grey,
-        float(black_level),
-        float(scale),
-        *(() if device.kind == "opencl" else (cols,)),
-        rows * cols,
-    )
+    arrays = [device.array(raw, np.uint16), grey]
+    numbers = [float(black_level), float(scale), *warp_only(device, cols), rows * cols]
+    device.launch("processor.linear", "linear", (rows * cols,), *arrays, *numbers)
     return grey
 
 
@@ -56,11 +49,7 @@ def cases():
 
 def bench(rows, cols):
     """Return inputs: a 10-bit frame."""
-    return {
-        "raw": np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-    }
+    return bench_mosaic(5, rows, cols)
 
 
 def operations(raw, black_level, scale):

@@ -7,9 +7,10 @@ camera red, green and blue, 1 at the white level if scale = 1 / (white_level - b
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.kernels.common.cases import SATURATED, bench_mosaic, random_mosaic
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.levels import check_balance
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 
 @stage
@@ -58,23 +59,10 @@ def malvar(
     run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
     fours = device.kind == "opencl" and device.is_gpu and cols % 4 == 0
     options = {"defines": {"GPU": 1}} if device.is_gpu else {"group": (1, 1)}
-    device.launch(
-        "processor.malvar",
-        "malvar",
-        (rows, cols // 4 if fours else -(-pairs // run)),
-        device.array(raw, np.uint16),
-        out,
-        float(black_level),
-        float(scale),
-        red,
-        blue,
-        red_row,
-        red_col,
-        run,
-        rows,
-        cols,
-        **options,
-    )
+    arrays = [device.array(raw, np.uint16), out]
+    numbers = [float(black_level), float(scale), red, blue, red_row, red_col, run, rows, cols]
+    grid = (rows, cols // 4 if fours else -(-pairs // run))
+    device.launch("processor.malvar", "malvar", grid, *arrays, *numbers, **options)
     return out
 
 
@@ -89,67 +77,33 @@ def cases():
         "exact, so only the subtraction and the product round: (1 + 2^-24)^2 - 1 < 2^-23 (1 + 2^-24) relative"
     )
     for phase in RED:
-        for rows, cols in (
-            (1, 1),
-            (1, 4),
-            (5, 1),
-            (2, 2),
-            (2, 3),
-            (3, 5),
-            (63, 65),
-            (16, 130),
-            (9, 64),
-        ):
-            raw = random.integers(0, 65536, (rows, cols), np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 65535
-            yield Case(
-                f"{phase} {rows}x{cols}",
-                {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024},
-                2.0**-23 * (1 + 2.0**-24),
-                why,
-                metric="local",
-            )
+        sizes = (1, 1), (1, 4), (5, 1), (2, 2), (2, 3), (3, 5), (63, 65), (16, 130), (9, 64)
+        for rows, cols in sizes:
+            raw = random_mosaic(random, 65535, (rows, cols))
+            inputs = {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}
+            tolerance = 2.0**-23 * (1 + 2.0**-24)
+            yield Case(f"{phase} {rows}x{cols}", inputs, tolerance, why, metric="local")
     for phase, balance in zip(RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.25), (2.5, 2.5)), strict=True):
         raw = random.integers(0, 65536, (33, 36), np.uint16)
         most = max(1, *(a / b for a in (*balance, 1) for b in (*balance, 1)))
+        levels = {"black_level": 64.0, "scale": 1 / 65536}
         yield Case(
             f"{phase} balanced {balance}",
-            {
-                "raw": raw,
-                "phase": phase,
-                "black_level": 64.0,
-                "scale": 1 / 65536,
-                "balance": balance,
-            },
+            {"raw": raw, "phase": phase, **levels, "balance": balance},
             6 * 2.0**-24 * (1 + 1.5 * most),
             "six roundings (share, product, sum, three of the end) of the largest sum of absolute terms, "
             "neighbours and 24 16ths of the Laplacian times the share, by a peak of 1 or more",
         )
-    checkers = np.where(np.add.outer(np.arange(12), np.arange(14)) % 3 == 0, 65535, 0).astype(
-        np.uint16
-    )
-    yield Case(
+    checkers = np.where(np.add.outer(np.arange(12), np.arange(14)) % 3 == 0, 65535, 0)
+    yield exact_case(
         "black and saturated",
-        {"raw": checkers, "phase": "GBRG", "black_level": 0.0, "scale": 1.0},
-        0.0,
         "16ths of whole numbers below 2^22 are exact",
-        metric="exact",
+        raw=checkers.astype(np.uint16),
+        **{"phase": "GBRG", "black_level": 0.0, "scale": 1.0},
     )
-    yield Case(
-        "saturated",
-        {
-            "raw": np.full((6, 6), 65535, np.uint16),
-            "phase": "RGGB",
-            "black_level": 0.0,
-            "scale": 1.0,
-        },
-        0.0,
-        "a flat field stays flat, and 16-bit integers are exact",
-        metric="exact",
-    )
+    yield SATURATED
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit mosaic."""
-    raw = np.random.default_rng(7).integers(0, 1024, (rows, cols), np.uint16)
-    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
+    return {**bench_mosaic(7, rows, cols), "phase": "RGGB"}

@@ -32,7 +32,15 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.merge_ref import merge as reference
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import (
+    Array,
+    Case,
+    dtype_name,
+    exact_case,
+    is_opencl_cpu,
+    stage,
+    warp_only,
+)
 
 MOST_FRAMES = 16
 PER_FRAME = ("dark", "gain", "time", "floor", "ceiling")
@@ -92,25 +100,16 @@ def merge(
     table[1] = 1 / table[1]
     out = device.empty((rows, cols))
     # CPUs do a row per work-item, 8 pixels at once
-    rows_alone = device.kind == "opencl" and not device.is_gpu
+    rows_alone = is_opencl_cpu(device)
     run, width = (cols, 8) if rows_alone else (1, 1)
+    arrays = [device.array(raw, np.uint16), device.array(np.vstack([table, full])), out]
+    defines = {"FRAMES": count, "WIDTH": width}
+    numbers = [float(margin), float(1 / longest), int(bool(photon)), *map(int, period)]
+    sizes = [*((run,) if device.kind == "opencl" else ()), rows, cols, *warp_only(device, count)]
+    group = (1, 1) if rows_alone else None
+    grid = (rows, -(-cols // run))
     device.launch(
-        "processor.merge",
-        "merge",
-        (rows, -(-cols // run)),
-        device.array(raw, np.uint16),
-        device.array(np.vstack([table, full])),
-        out,
-        float(margin),
-        float(1 / longest),
-        int(bool(photon)),
-        *map(int, period),
-        *((run,) if device.kind == "opencl" else ()),
-        rows,
-        cols,
-        *(() if device.kind == "opencl" else (count,)),
-        defines={"FRAMES": count, "WIDTH": width},
-        group=(1, 1) if rows_alone else None,
+        "processor.merge", "merge", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -158,14 +157,8 @@ def cases():
         "in 2^-24: raw and dark round once each (at most 65535 / gain / shortest time), n <= 5 weights, products "
         "and sums 2 n + 12 times the largest rate; no pixel of these is at a threshold"
     )
-    for count, rows, cols, period in (
-        (1, 1, 1, (1, 1)),
-        (2, 3, 2, (2, 2)),
-        (3, 33, 61, (2, 2)),
-        (3, 9, 130, (6, 6)),
-        (5, 16, 40, (1, 1)),
-        (2, 7, 8, (4, 8)),
-    ):
+    sizes = (1, 1, 1, (1, 1)), (2, 3, 2, (2, 2)), (3, 33, 61, (2, 2)), (3, 9, 130, (6, 6))
+    for count, rows, cols, period in (*sizes, (5, 16, 40, (1, 1)), (2, 7, 8, (4, 8))):
         time = 0.01 * 4.0 ** np.arange(count)
         # [e- s-1] x 100: the longest frames are full
         light = 2000 * 10 ** random.uniform(-3, 1, (rows, cols))
@@ -173,53 +166,25 @@ def cases():
         gain, dark = np.full(count, 0.3), 64 + 0.3 * time
         raw = 64 + 0.3 * random.normal(light * time[:, None, None] * 10, 4)
         raw = np.rint(np.clip(raw, 0, 4095)).astype(np.uint16)
-        inputs = {
-            "raw": raw,
-            "dark": dark,
-            "gain": gain,
-            "time": time,
-            "floor": np.full(count, 5.0) + time,
-            "ceiling": np.full(count, 4080.0),
-            "period": period,
-        }
+        inputs = {"raw": raw, "dark": dark, "gain": gain, "time": time, "period": period}
+        inputs |= {"floor": np.full(count, 5.0) + time, "ceiling": np.full(count, 4080.0)}
         electrons = np.abs(raw / 0.3).max(axis=(1, 2)) / time
-        peak = np.abs(reference(**inputs)).max()
-        yield Case(
-            f"{count} frames {rows}x{cols}, period {period}",
-            inputs,
-            2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / peak,
-            why,
-        )
+        error = 2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max())
+        cases = [(f"{count} frames {rows}x{cols}, period {period}", inputs)]
         if count == 5:
-            yield Case(
-                "margin 0",
-                {**inputs, "margin": 0.0},
-                2.0**-24
-                * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max())
-                / np.abs(reference(**inputs, margin=0.0)).max(),
-                why,
-            )
-    full = np.full((3, 5, 9), 1023, np.uint16)
-    inputs = {
-        "dark": np.full(3, 64.0),
-        "gain": np.ones(3),
-        "time": np.array([1.0, 2.0, 4.0]),
-        "floor": np.full(3, 8.0),
-        "ceiling": np.full(3, 1000.0),
-    }
+            cases.append(("margin 0", {**inputs, "margin": 0.0}))
+        for name, inputs in cases:
+            yield Case(name, inputs, error / np.abs(reference(**inputs)).max(), why)
+    inputs = {"dark": np.full(3, 64.0), "gain": np.ones(3), "time": np.array([1.0, 2.0, 4.0])}
+    inputs |= {"floor": np.full(3, 8.0), "ceiling": np.full(3, 1000.0)}
     yield Case(
         "all full: the shortest",
-        {"raw": full, **inputs},
+        {"raw": np.full((3, 5, 9), 1023, np.uint16), **inputs},
         2.0**-22,
         "959 e- in 1 s: one weight, its product, a quotient, the scale",
     )
-    yield Case(
-        "black, no photon noise",
-        {"raw": np.full((3, 5, 9), 64, np.uint16), **inputs, "photon": False},
-        0.0,
-        "64 - 64 is exact",
-        metric="exact",
-    )
+    black = {"raw": np.full((3, 5, 9), 64, np.uint16), **inputs, "photon": False}
+    yield exact_case("black, no photon noise", "64 - 64 is exact", **black)
 
 
 def bench(rows, cols):
@@ -228,12 +193,6 @@ def bench(rows, cols):
     time = (1.0, 4.0, 16.0)
     raw = 64 + 2 * random.random((1, rows, cols)) * 50 * np.reshape(time, (3, 1, 1))
     raw += random.normal(0, 2, (3, rows, cols))
-    return {
-        "raw": np.clip(raw, 0, 1023).astype(np.uint16),
-        "dark": [64.0] * 3,
-        "gain": [0.16] * 3,
-        "time": time,
-        "floor": [25.0] * 3,
-        "ceiling": [1020.0] * 3,
-        "period": (2, 2),
-    }
+    raw = np.clip(raw, 0, 1023).astype(np.uint16)
+    sensor = {"dark": [64.0] * 3, "gain": [0.16] * 3, "floor": [25.0] * 3, "ceiling": [1020.0] * 3}
+    return {"raw": raw, "time": time, **sensor, "period": (2, 2)}

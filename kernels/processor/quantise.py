@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 LIGHT = 1 / (CORRECTED_WHITE - CORRECTED_BLACK)  # of one number, the white level being 1
 
@@ -38,20 +38,11 @@ def quantise(device: Device, raw: Array, *, black_level: float, scale: float) ->
     check(raw, black_level, scale)
     rows, cols = raw.shape
     numbers = device.empty((rows, cols), np.uint16)
-    device.launch(
-        "processor.quantise",
-        "quantise",
-        (rows * cols,),
-        device.array(raw),
-        numbers,
-        float(black_level),
-        float(scale),
-        LIGHT,
-        float(CORRECTED_BLACK),
-        float(CORRECTED_WHITE),
-        *(() if device.kind == "opencl" else (cols,)),
-        rows * cols,
-    )
+    arrays = [device.array(raw), numbers]
+    parameters = [float(black_level), float(scale), LIGHT]
+    parameters += [float(CORRECTED_BLACK), float(CORRECTED_WHITE)]
+    sizes = [*warp_only(device, cols), rows * cols]
+    device.launch("processor.quantise", "quantise", (rows * cols,), *arrays, *parameters, *sizes)
     return numbers
 
 
@@ -72,41 +63,20 @@ def cases():
     """
     random = np.random.default_rng(13)
     why = "the same four float32 operations, rounded in the same way, and an exact rounding"
-    for rows, cols, black, white in (
-        (1, 1, 0.0, 65535.0),
-        (1, 17, 64.25, 1023.0),
-        (63, 65, -3.1, 5e-4),
-        (31, 33, 64.0, 1e9),
-    ):
-        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols)).astype(
-            np.float32
-        )
-        yield Case(
-            f"{rows}x{cols}, black {black:g}, white {white:g}",
-            {"raw": raw, "black_level": black, "scale": 1 / (white - black)},
-            0.0,
-            why,
-            metric="exact",
-        )
-    hard = np.array(
-        [[np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]],
-        np.float32,
-    )
-    yield Case(
-        "hard values",
-        {"raw": hard, "black_level": 64.0, "scale": 1 / 959},
-        0.0,
-        why,
-        metric="exact",
-    )
+    sizes = (1, 1, 0.0, 65535.0), (1, 17, 64.25, 1023.0), (63, 65, -3.1, 5e-4), (31, 33, 64.0, 1e9)
+    for rows, cols, black, white in sizes:
+        raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols))
+        name = f"{rows}x{cols}, black {black:g}, white {white:g}"
+        levels = {"black_level": black, "scale": 1 / (white - black)}
+        yield exact_case(name, why, raw=raw.astype(np.float32), **levels)
+    hard = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]
+    hard = np.array([hard], np.float32)
+    yield exact_case("hard values", why, raw=hard, black_level=64.0, scale=1 / 959)
     steps = (np.arange(-16384, 16384, dtype=np.float32) / 2)[None] * np.float32(LIGHT)
-    yield Case("halves", {"raw": steps, "black_level": 0.0, "scale": 1.0}, 0.0, why, metric="exact")
+    yield exact_case("halves", why, raw=steps, black_level=0.0, scale=1.0)
 
 
 def bench(rows, cols):
     """Return inputs: electrons up to a full well."""
-    return {
-        "raw": 1e4 * np.random.default_rng(13).random((rows, cols), np.float32),
-        "black_level": 0.0,
-        "scale": 1e-4,
-    }
+    raw = 1e4 * np.random.default_rng(13).random((rows, cols), np.float32)
+    return {"raw": raw, "black_level": 0.0, "scale": 1e-4}

@@ -12,10 +12,11 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import MOSAICS, RGGB, random_mosaic
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
+from gpusim.kernels.processor.interpolate import checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 MOST_NODES = 1024  # each way: places between them are counted in 32-bit integers
 
@@ -67,33 +68,13 @@ def shade(
     _, ny, nx = shape
     lines = device.empty((cfa.shape[0], ny, cols))
     out = device.empty((rows, cols), np.uint16)
-    device.launch(
-        "processor.shade",
-        "widen",
-        lines.shape,
-        device.array(gains),
-        device.array(cfa, np.int32),
-        lines,
-        *cfa.shape,
-        ny,
-        nx,
-        cols,
-    )
-    device.launch(
-        "processor.shade",
-        "shade",
-        (rows, cols),
-        device.array(raw, np.uint16),
-        lines,
-        out,
-        float(black_level),
-        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
-        float(CORRECTED_BLACK),
-        cfa.shape[0],
-        ny,
-        rows,
-        cols,
-    )
+    arrays = [device.array(gains), device.array(cfa, np.int32), lines]
+    device.launch("processor.shade", "widen", lines.shape, *arrays, *cfa.shape, ny, nx, cols)
+    arrays = [device.array(raw, np.uint16), lines, out]
+    levels = CORRECTED_WHITE - CORRECTED_BLACK
+    numbers = [float(black_level), float(scale * levels), float(CORRECTED_BLACK)]
+    sizes = [cfa.shape[0], ny, rows, cols]
+    device.launch("processor.shade", "shade", (rows, cols), *arrays, *numbers, *sizes)
     return out
 
 
@@ -108,42 +89,26 @@ def cases():
         "product below 61439 x 8 x 6 2^-24 < 0.2 steps where nothing is clipped: the rounding to whole numbers may "
         "differ by one"
     )
-    for name, cfa in (("Bayer", BAYER), ("X-Trans", X_TRANS), ("grey", ((0,),))):
-        cfa = np.array(cfa, np.int32)
+    for name in ("Bayer", "X-Trans", "grey"):
+        cfa = MOSAICS[name]
         for rows, cols, ny, nx in ((1, 1, 2, 2), (3, 5, 4, 3), (63, 130, 5, 9), (40, 33, 17, 65)):
-            raw = random.integers(0, 4096, (rows, cols), np.uint16)
-            raw.flat[0], raw.flat[-1] = 0, 4095
+            raw = random_mosaic(random, 4095, (rows, cols))
             gains = random.uniform(0, 8, (cfa.max() + 1, ny, nx)).astype(np.float32)
-            yield Case(
-                f"{name} {rows}x{cols}, {ny}x{nx} nodes",
-                {"raw": raw, "gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031},
-                1.0,
-                why,
-                metric="exact",
-            )
-    raw = random.integers(0, 65536, (20, 30), np.uint16)
-    yield Case(
+            inputs = {"gains": gains, "cfa": cfa, "black_level": 64.0, "scale": 1 / 4031}
+            title = f"{name} {rows}x{cols}, {ny}x{nx} nodes"
+            yield Case(title, {"raw": raw, **inputs}, 1.0, why, metric="exact")
+    yield exact_case(
         "no correction",
-        {
-            "raw": raw,
-            "gains": np.ones((3, 3, 3), np.float32),
-            "cfa": np.array(BAYER, np.int32),
-            "black_level": 4096.0,
-            "scale": 1 / 61439,
-        },
-        0.0,
         "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
-        metric="exact",
+        raw=random.integers(0, 65536, (20, 30), np.uint16),
+        gains=np.ones((3, 3, 3), np.float32),
+        **{"cfa": RGGB, "black_level": 4096.0, "scale": 1 / 61439},
     )
 
 
 def bench(rows, cols):
     """Return inputs: a 10-bit Bayer mosaic, 17 x 17 nodes."""
     random = np.random.default_rng(10)
-    return {
-        "raw": random.integers(0, 1024, (rows, cols), np.uint16),
-        "gains": random.uniform(1, 4, (3, 17, 17)).astype(np.float32),
-        "cfa": np.array(BAYER, np.int32),
-        "black_level": 64.0,
-        "scale": 1 / 959,
-    }
+    raw = random.integers(0, 1024, (rows, cols), np.uint16)
+    gains = random.uniform(1, 4, (3, 17, 17)).astype(np.float32)
+    return {"raw": raw, "gains": gains, "cfa": RGGB, "black_level": 64.0, "scale": 1 / 959}

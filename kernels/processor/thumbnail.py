@@ -8,11 +8,13 @@ the same way. The rows of every column are added first, from the top, then the c
 the left: the same float32 additions on every device.
 """
 
+import functools
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 MOST = 2048  # blocks along one axis
 CHUNK = 256  # columns that a CPU's work-item adds up: their sums stay in the nearest cache
@@ -52,37 +54,16 @@ def thumbnail(
     run = 1 if device.is_gpu else CHUNK
     sums = device.empty((channels + 1, rows, width))
     out = device.empty((channels, rows, cols))
-    sizes = () if device.kind == "opencl" else (channels,)
-    defines = {"CHANNELS": channels, "RUN": run}
-    one = None if device.is_gpu else (1, 1)
-    device.launch(
+    launch = functools.partial(
+        device.launch,
         "processor.thumbnail",
-        "columns",
-        (rows, -(-width // run)),
-        device.array(camera),
-        device.array(np.broadcast_to(ceiling, channels)),
-        sums,
-        height,
-        width,
-        rows,
-        run,
-        *sizes,
-        defines=defines,
-        group=one,
+        defines={"CHANNELS": channels, "RUN": run},
+        group=None if device.is_gpu else (1, 1),
     )
-    device.launch(
-        "processor.thumbnail",
-        "blocks",
-        (rows, cols),
-        sums,
-        out,
-        width,
-        rows,
-        cols,
-        *sizes,
-        defines=defines,
-        group=one,
-    )
+    arrays = [device.array(camera), device.array(np.broadcast_to(ceiling, channels)), sums]
+    sizes = [height, width, rows, run, *warp_only(device, channels)]
+    launch("columns", (rows, -(-width // run)), *arrays, *sizes)
+    launch("blocks", (rows, cols), sums, out, width, rows, cols, *warp_only(device, channels))
     return out
 
 
@@ -105,27 +86,17 @@ def cases():
     clipped blocks.
     """
     random = np.random.default_rng(7)
-    for channels, height, width, rows, cols in (
-        (3, 1, 1, 48, 64),
-        (3, 5, 3, 48, 64),
-        (1, 50, 130, 48, 64),
-        (3, 97, 515, 7, 9),
-        (4, 33, 300, 5, 1),
-        (6, 64, 64, 1, 3),
-    ):
+    sizes = (3, 1, 1, 48, 64), (3, 5, 3, 48, 64), (1, 50, 130, 48, 64), (3, 97, 515, 7, 9)
+    for channels, height, width, rows, cols in (*sizes, (4, 33, 300, 5, 1), (6, 64, 64, 1, 3)):
         camera = random.normal(0.4, 0.3, (channels, height, width)).astype(np.float32)
         for ceiling in (np.inf, 0.9, random.uniform(0.6, 1, channels).astype(np.float32)):
-            yield _case(
-                f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d",
-                {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols},
-            )
+            name = f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d"
+            yield _case(name, {"camera": camera, "ceiling": ceiling, "rows": rows, "cols": cols})
     camera = np.full((3, 40, 40), 0.5, np.float32)
     camera[1, :10, :10] = 1.0  # a whole block clipped, in one channel
     camera[0, 25, 25], camera[2, 35, 5], camera[0, 5, 35] = np.nan, np.inf, 1e30
-    yield _case(
-        "a clipped block, NaN, infinity, huge",
-        {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4},
-    )
+    inputs = {"camera": camera, "ceiling": 1.0, "rows": 4, "cols": 4}
+    yield _case("a clipped block, NaN, infinity, huge", inputs)
 
 
 def _case(name, inputs):

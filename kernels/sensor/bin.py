@@ -27,7 +27,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, dtype_name, stage
+from gpusim.kernels.stage import Array, dtype_name, exact_case, is_opencl_cpu, stage, warp_only
 
 MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
 # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
@@ -77,21 +77,13 @@ def bin(
         "STRIDE_X": stride[1],
         "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1])),
     }
-    grid = (out_shape[0], 1) if device.kind == "opencl" and not device.is_gpu else out_shape
+    grid = (out_shape[0], 1) if is_opencl_cpu(device) else out_shape
+    arrays = [pixels, out]
+    numbers = [int(binning[0]), int(stride[0]), int(average)]
+    sizes = [cols, *out_shape, *warp_only(device, binning[1], stride[1], int(digital))]
+    group = None if device.is_gpu else (1, 1)
     device.launch(
-        "sensor.bin",
-        "bin",
-        grid,
-        pixels,
-        out,
-        int(binning[0]),
-        int(stride[0]),
-        int(average),
-        cols,
-        *out_shape,
-        *(() if device.kind == "opencl" else (binning[1], stride[1], int(digital))),
-        defines=defines,
-        group=None if device.is_gpu else (1, 1),
+        "sensor.bin", "bin", grid, *arrays, *numbers, *sizes, defines=defines, group=group
     )
     return out
 
@@ -154,49 +146,28 @@ def cases():
     random = np.random.default_rng(11)
     charges = "the same float32 additions in the same order"
     numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
+    blocks = (1, 1, 1, 1), (2, 2, 1, 1), (3, 2, 1, 1), (2, 2, 2, 2), (3, 3, 2, 2), (3, 2, 4, 2)
     sizes = [
         ((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3))
-        for by, bx, sy, sx in (
-            (1, 1, 1, 1),
-            (2, 2, 1, 1),
-            (3, 2, 1, 1),
-            (2, 2, 2, 2),
-            (3, 3, 2, 2),
-            (3, 2, 4, 2),
-            (2, 2, 6, 6),
-            (8, 8, 8, 1),
-        )
+        for by, bx, sy, sx in (*blocks, (2, 2, 6, 6), (8, 8, 8, 1))
     ]
     sizes += [((2, 2), (2, 2), (4, 4)), ((2, 2), (2, 2), (7, 4103)), ((1, 2), (2, 1), (5, 5000))]
     for binning, stride, (rows, cols) in sizes:
         inputs = {"binning": binning, "stride": stride}
         name = f"{rows}x{cols}, binning {binning}, stride {stride}"
         values = (10.0 ** random.uniform(-6, 6, (rows, cols))).astype(np.float32)
-        yield Case(f"charges {name}", {"pixels": values, **inputs}, 0.0, charges, metric="exact")
+        yield exact_case(f"charges {name}", charges, pixels=values, **inputs)
         values = random.integers(0, 65536, (rows, cols), np.uint16)
-        for average in (False, True):
-            yield Case(
-                f"{'means' if average else 'sums'} {name}",
-                {"pixels": values, **inputs, "average": average},
-                0.0,
-                numbers,
-                metric="exact",
-            )
+        for label, average in (("sums", False), ("means", True)):
+            options = {**inputs, "average": average}
+            yield exact_case(f"{label} {name}", numbers, pixels=values, **options)
     values = np.ones((8, 12), np.float32)
     values[2, 3], values[5, 6], values[0, 11] = np.nan, np.inf, 1e-45
-    yield Case(
-        "NaN and infinity stay in their block",
-        {"pixels": values, "binning": (2, 2), "stride": (2, 2)},
-        0.0,
-        charges,
-        metric="exact",
-    )
+    pairs = {"binning": (2, 2), "stride": (2, 2)}
+    yield exact_case("NaN and infinity stay in their block", charges, pixels=values, **pairs)
 
 
 def bench(rows, cols):
     """Return inputs: charges of a Bayer mosaic, 2 x 2."""
-    return {
-        "pixels": np.random.default_rng(11).random((rows, cols), np.float32),
-        "binning": (2, 2),
-        "stride": (2, 2),
-    }
+    pixels = np.random.default_rng(11).random((rows, cols), np.float32)
+    return {"pixels": pixels, "binning": (2, 2), "stride": (2, 2)}

@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.noise import MOST
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 
 @stage
@@ -60,18 +60,12 @@ def chip(
     use = [int(plane is not None) for plane in planes[1:]]
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
-    device.launch(
-        "sensor.chip",
-        "chip",
-        (size,),
-        *planes,
-        expected,
-        *(() if device.kind == "opencl" else use),
-        size,
-        float(scale),
-        numbers={"dark_time": dark_time},
-        defines={"RESPONSE": use[0], "DARK": use[1]},
-    )
+    arrays = [*planes, expected, *warp_only(device, *use)]
+    options = {
+        "numbers": {"dark_time": dark_time},
+        "defines": {"RESPONSE": use[0], "DARK": use[1]},
+    }
+    device.launch("sensor.chip", "chip", (size,), *arrays, size, float(scale), **options)
     return device.reshape(expected, tuple(mean.shape))
 
 
@@ -80,26 +74,16 @@ def cases():
     random = np.random.default_rng(5)
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
-        mean = np.resize(
-            [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7], (rows, cols)
-        )
+        values = [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7]
+        numbers = {"mean": np.resize(values, (rows, cols)).astype(np.float32)}
+        numbers |= {"scale": 0.3, "dark_time": 0.7}
         planes = {
             "response": random.normal(1, 0.4, (rows, cols)).astype(np.float32),
             "dark": random.exponential(1, (rows, cols)).astype(np.float32),
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
-            yield Case(
-                f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
-                {
-                    "mean": mean.astype(np.float32),
-                    "scale": 0.3,
-                    "dark_time": 0.7,
-                    **{name: planes[name] for name in chosen},
-                },
-                0.0,
-                why,
-                metric="exact",
-            )
+            inputs = numbers | {name: planes[name] for name in chosen}
+            yield exact_case(f"{rows}x{cols} {' '.join(chosen) or 'mean only'}", why, **inputs)
 
 
 def bench(rows, cols):

@@ -14,7 +14,8 @@ strong edges become 0. NaN stays NaN.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.common.cases import RGGB
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -39,20 +40,13 @@ def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slop
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable would double the cost.
-    device.launch(
-        "sensor.collect",
-        "collect",
-        (rows, cols),
-        rates,
-        cfa,
-        mean,
-        float(slope),
-        rows,
-        cols,
-        *(() if device.kind == "opencl" else cfa.shape),
-        numbers={"exposure_time": exposure_time},
-        defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
-    )
+    arrays, grid = [rates, cfa, mean], (rows, cols)
+    sizes = [float(slope), rows, cols, *warp_only(device, *cfa.shape)]
+    options = {
+        "numbers": {"exposure_time": exposure_time},
+        "defines": {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
+    }
+    device.launch("sensor.collect", "collect", grid, *arrays, *sizes, **options)
     return mean
 
 
@@ -63,49 +57,21 @@ def cases():
         "three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
         "below 10 ulp"
     )
-    for pattern in (
-        [[0, 1], [1, 2]],
-        [[1, 0], [2, 1]],
-        [[1, 2], [0, 1]],
-        [[2, 1], [1, 0]],
-        [[0]],
-        [[0, 1, 2], [3, 0, 1]],
-    ):
+    bayer = [[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]]
+    for pattern in (*bayer, [[0]], [[0, 1, 2], [3, 0, 1]]):
         for rows, cols, slope in ((1, 1, 0.0), (3, 5, 1e-3), (63, 65, 0.027)):
-            yield Case(
-                f"{rows}x{cols}, cfa {pattern}",
-                {
-                    "rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
-                    "cfa": np.array(pattern, np.int32),
-                    "exposure_time": 0.013,
-                    "slope": slope,
-                },
-                10 * 2.0**-23,
-                why,
-                metric="local",
-            )
+            rates = (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32)
+            inputs = {"rates": rates, "cfa": np.array(pattern, np.int32), "slope": slope}
+            inputs["exposure_time"] = 0.013
+            name = f"{rows}x{cols}, cfa {pattern}"
+            yield Case(name, inputs, 10 * 2.0**-23, why, metric="local")
     overshot = random.normal(0, 1, (3, 7, 9)).astype(np.float32)
     overshot[:, 2, 3] = np.nan
-    yield Case(
-        "below zero and NaN",
-        {
-            "rates": overshot,
-            "cfa": np.array([[0, 1], [1, 2]], np.int32),
-            "exposure_time": 0.013,
-            "slope": 1e-3,
-        },
-        10 * 2.0**-23,
-        why,
-        metric="local",
-    )
+    inputs = {"rates": overshot, "cfa": RGGB, "exposure_time": 0.013, "slope": 1e-3}
+    yield Case("below zero and NaN", inputs, 10 * 2.0**-23, why, metric="local")
 
 
 def bench(rows, cols):
     """Return inputs: a Bayer mosaic with fall-off."""
-    random = np.random.default_rng(4)
-    return {
-        "rates": random.random((3, rows, cols), np.float32),
-        "cfa": np.array([[0, 1], [1, 2]], np.int32),
-        "exposure_time": 0.01,
-        "slope": 3e-4,
-    }
+    rates = np.random.default_rng(4).random((3, rows, cols), np.float32)
+    return {"rates": rates, "cfa": RGGB, "exposure_time": 0.01, "slope": 3e-4}

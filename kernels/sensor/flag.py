@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage
 
 
 @stage
@@ -48,19 +48,9 @@ def flag(
     planes = [None if plane is None else device.array(plane) for plane in (response, dark)]
     use = [int(plane is not None) for plane in planes]
     flags = device.empty(out_shape, np.uint8)
-    device.launch(
-        "sensor.flag",
-        "flag",
-        out_shape,
-        *(planes[1 - n] if plane is None else plane for n, plane in enumerate(planes)),
-        flags,
-        *use,
-        float(least),
-        *map(int, binning),
-        *map(int, stride),
-        cols,
-        *out_shape,
-    )
+    arrays = [*(planes[1 - n] if plane is None else plane for n, plane in enumerate(planes)), flags]
+    numbers = [*use, float(least), *map(int, binning), *map(int, stride), cols, *out_shape]
+    device.launch("sensor.flag", "flag", out_shape, *arrays, *numbers)
     return flags
 
 
@@ -94,40 +84,23 @@ def cases():
             "response": np.where(random.random((rows, cols)) < 0.02, 0, 1).astype(np.float32),
             "dark": np.where(random.random((rows, cols)) < 0.02, 5.0, 0).astype(np.float32),
         }
-        hard = np.resize(
-            [np.nan, np.inf, -np.inf, 1e-45, -0.0, 3.0, np.nextafter(np.float32(3), np.float32(9))],
-            7,
-        )
+        above = np.nextafter(np.float32(3), np.float32(9))
+        hard = np.array([np.nan, np.inf, -np.inf, 1e-45, -0.0, 3.0, above])
         for plane in planes.values():
-            plane.flat[:: max(1, plane.size // 7)][:7] = hard[
-                : len(plane.flat[:: max(1, plane.size // 7)][:7])
-            ]
+            places = np.arange(0, plane.size, max(1, plane.size // 7))[:7]
+            plane.flat[places] = hard[: len(places)]
         for chosen in (("response",), ("dark",), ("response", "dark")):
-            yield Case(
-                f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}",
-                {
-                    "least": 3.0,
-                    "binning": binning,
-                    "stride": stride,
-                    **{name: planes[name] for name in chosen},
-                },
-                0.0,
-                "comparisons only",
-                metric="exact",
-            )
-    yield Case(
-        "any dark current",
-        {"dark": np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)},
-        0.0,
-        "comparisons only; denormals count",
-        metric="exact",
-    )
+            name = f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}"
+            inputs = {"least": 3.0, "binning": binning, "stride": stride}
+            inputs |= {name: planes[name] for name in chosen}
+            yield exact_case(name, "comparisons only", **inputs)
+    dark = np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)
+    yield exact_case("any dark current", "comparisons only; denormals count", dark=dark)
 
 
 def bench(rows, cols):
     """Return inputs: a thousandth of the pixels dead, as many hot."""
     random = np.random.default_rng(14)
-    return {
-        "response": (random.random((rows, cols)) > 1e-3).astype(np.float32),
-        "dark": (random.random((rows, cols)) < 1e-3).astype(np.float32),
-    }
+    response = (random.random((rows, cols)) > 1e-3).astype(np.float32)
+    dark = (random.random((rows, cols)) < 1e-3).astype(np.float32)
+    return {"response": response, "dark": dark}

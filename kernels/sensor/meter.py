@@ -24,7 +24,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 MOST_FRACTIONS = 4  # histograms that fit in local memory
 PASSES = ((21, 11), (10, 11), (0, 10))  # shift and bits of each pass over the keys
@@ -112,73 +112,30 @@ def limbs(fractions):
 def _by_chunks(device, arrays, rows, cols, numbers, count, out):
     """Reduce on CPUs: a strip of a row, or a chunk of the frame, per work-item."""
     opencl, strips, size = device.kind == "opencl", -(-cols // STRIP), rows * cols
-    launch = partial(device.launch, group=(1,) if opencl else None)
-    defines = {"WIDTH": 8, "STRIP": STRIP}
+    launch = partial(device.launch, "sensor.meter")
+    defines, group = {"WIDTH": 8, "STRIP": STRIP}, (1,) if opencl else None
     sums = device.empty((FIELDS, rows, strips))
-    device.launch(
-        "sensor.meter",
-        "parts",
-        (rows, strips),
-        *arrays,
-        sums,
-        rows,
-        cols,
-        strips,
-        *(() if opencl else (STRIP,)),
-        defines=defines,
-        group=(1, 1) if opencl else None,
-    )
-    launch(
-        "sensor.meter",
-        "finish",
-        (1,),
-        device.reshape(sums, (FIELDS, rows * strips)),
-        out,
-        rows * strips,
-        size,
-        defines=defines,
-    )
+    sizes = [rows, cols, strips, *warp_only(device, STRIP)]
+    grid, pair = (rows, strips), group and (1, 1)
+    launch("parts", grid, *arrays, sums, *sizes, defines=defines, group=pair)
+    sums = device.reshape(sums, (FIELDS, rows * strips))
+    launch("finish", (1,), sums, out, rows * strips, size, defines=defines, group=group)
     if not count:
         return
     chunk = max(CHUNK, -(-size // MOST_CHUNKS // 8) * 8)
     chunks = -(-size // chunk)
+    rates = device.reshape(arrays[0], (size,))
     state = device.empty((count, 3), np.int32)
     merged = device.empty((count, BINS), np.int32)
     for shift, bits in PASSES:
         lists = 1 if shift == PASSES[0][0] else count
         counts = device.empty((chunks, lists, (2 if opencl else 1) * BINS), np.int32)
         above = device.empty((chunks, lists), np.int32)
-        launch(
-            "sensor.meter",
-            "tally",
-            (chunks,),
-            device.reshape(arrays[0], (size,)),
-            state,
-            counts,
-            above,
-            size,
-            chunk,
-            shift,
-            bits,
-            *(() if opencl else (lists,)),
-            defines=defines | {"LISTS": lists},
-        )
-        launch(
-            "sensor.meter",
-            "choose",
-            (count,),
-            counts,
-            above,
-            numbers,
-            state,
-            merged,
-            out,
-            chunks,
-            lists,
-            shift,
-            bits,
-            defines=defines,
-        )
+        found, sizes = [state, counts, above], [size, chunk, shift, bits, *warp_only(device, lists)]
+        own = defines | {"LISTS": lists}
+        launch("tally", (chunks,), rates, *found, *sizes, defines=own, group=group)
+        found, sizes = [counts, above, numbers, state, merged, out], [chunks, lists, shift, bits]
+        launch("choose", (count,), *found, *sizes, defines=defines, group=group)
 
 
 def _by_groups(device, arrays, rows, cols, numbers, count, out):
@@ -193,55 +150,23 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
     sums = device.empty((FIELDS, parts))
     cleared = (BINS * (1 + 2 * count) + count) * (count > 0)
     counts = device.empty((max(cleared, 1),), np.int32)
-    launch(
-        "parts",
-        (parts * items,),
-        *arrays,
-        sums,
-        counts,
-        rows,
-        cols,
-        strips,
-        cleared,
-        defines=defines,
-        group=(items,),
-    )
-    launch("finish", (items,), sums, out, parts, size, defines=defines, group=(items,))
+    sizes, group = [rows, cols, strips, cleared], (items,)
+    launch("parts", (parts * items,), *arrays, sums, counts, *sizes, defines=defines, group=group)
+    launch("finish", (items,), sums, out, parts, size, defines=defines, group=group)
     if not count:
         return
     state = device.empty((count, 3), np.int32)
     rates, start = device.reshape(arrays[0], (size,)), 0
     for shift, bits in PASSES:
         lists = 1 if shift == PASSES[0][0] else count
-        launch(
-            "tally",
-            (-(-size // SHARE) * wide,),
-            rates,
-            state,
-            counts,
-            size,
-            start,
-            cleared - count,
-            shift,
-            bits,
-            defines=defines | {"ITEMS": wide, "LISTS": lists},
-            group=(wide,),
+        own, sizes = (
+            defines | {"ITEMS": wide, "LISTS": lists},
+            [start, cleared - count, shift, bits],
         )
-        launch(
-            "choose",
-            (count * items,),
-            counts,
-            numbers,
-            state,
-            out,
-            start,
-            cleared - count,
-            lists,
-            shift,
-            bits,
-            defines=defines,
-            group=(items,),
-        )
+        grid = (-(-size // SHARE) * wide,)
+        launch("tally", grid, rates, state, counts, size, *sizes, defines=own, group=(wide,))
+        found, sizes = [counts, numbers, state, out], [start, cleared - count, lists, shift, bits]
+        launch("choose", (count * items,), *found, *sizes, defines=defines, group=group)
         start += lists * BINS
 
 
@@ -253,6 +178,7 @@ def cases():
     random = np.random.default_rng(11)
     quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
+        wild = [np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30]
         for name, rates in (
             ("light", random.gamma(2.0, 300.0, (rows, cols))),
             ("equal", np.full((rows, cols), 0.1)),
@@ -261,18 +187,12 @@ def cases():
             ("zeros", np.zeros((rows, cols))),
             ("denormals", 1e-40 * random.random((rows, cols))),
             ("1e-30 to 1e30", 10.0 ** random.uniform(-30, 30, (rows, cols))),
-            (
-                "NaN and infinities",
-                random.choice([np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30], (rows, cols)),
-            ),
+            ("NaN and infinities", random.choice(wild, (rows, cols))),
             ("NaN", np.full((rows, cols), np.nan)),
         ):
             fractions = next(quantiles)
-            yield _case(
-                f"{name} {rows}x{cols}, {len(fractions)} quantiles",
-                rates.astype(np.float32),
-                fractions,
-            )
+            name = f"{name} {rows}x{cols}, {len(fractions)} quantiles"
+            yield _case(name, rates.astype(np.float32), fractions)
 
 
 def _weights(size):
@@ -281,14 +201,11 @@ def _weights(size):
 
 
 def _case(name, rates, fractions):
-    inputs = {
-        "rates": rates,
-        "weights_y": _weights(rates.shape[0]),
-        "weights_x": _weights(rates.shape[1]),
-        "fractions": fractions,
-    }
+    weights_y, weights_x = map(_weights, rates.shape)
+    weighting = {"weights_y": weights_y, "weights_x": weights_x}
+    inputs = {"rates": rates, **weighting, "fractions": fractions}
     finite = np.where(np.isfinite(rates), rates, 0).astype(np.float64)
-    weights = np.outer(inputs["weights_y"], inputs["weights_x"]).astype(np.float64)
+    weights = np.outer(weights_y, weights_x).astype(np.float64)
     plain, centre = finite / max(np.isfinite(rates).sum(), 1), weights * finite
     floor = max(np.abs(plain).sum(), np.abs(centre).sum())  # of sums that cancel
     lost = max(np.abs(part).sum() / max(abs(part.sum()), floor, 1e-300) for part in (plain, centre))
@@ -308,9 +225,6 @@ def _case(name, rates, fractions):
 def bench(rows, cols):
     """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
-    return {
-        "rates": random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32),
-        "weights_y": _weights(rows),
-        "weights_x": _weights(cols),
-        "fractions": (),
-    }
+    rates = random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32)
+    weights = {"weights_y": _weights(rates.shape[0]), "weights_x": _weights(cols)}
+    return {"rates": rates, **weights, "fractions": ()}

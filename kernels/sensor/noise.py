@@ -33,7 +33,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import SLOWEST_SWITCHING
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
 OUT = 4  # place of its output among the arguments of the kernel `noise`
@@ -107,18 +107,9 @@ def noise(
         Farrell and Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    check(
-        full_well,
-        gain,
-        white_level,
-        photon,
-        telegraph_switching,
-        black_level,
-        dark_electrons=dark_electrons,
-        read_noise=read_noise,
-        row_noise=row_noise,
-        column_noise=column_noise,
-    )
+    limits = full_well, gain, white_level, photon, telegraph_switching, black_level
+    noises = {"dark_electrons": dark_electrons, "read_noise": read_noise}
+    check(*limits, **noises, row_noise=row_noise, column_noise=column_noise)
     check_drawn(seed, frame, frames, read)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
@@ -138,7 +129,7 @@ def noise(
     converter = not electrons and white_level is not None
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
     # CPUs need their vectors spelled out (see lanes.clh)
-    width = 8 if device.kind == "opencl" and not device.is_gpu else 1
+    width = 8 if is_opencl_cpu(device) else 1
     drawn = {"seed": seed, "frame": frame}
     common = {
         "WIDTH": width,
@@ -152,51 +143,29 @@ def noise(
     lines = None
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
-        device.launch(
-            "sensor.noise",
-            "lines",
-            (count, -(-rows // width) + -(-cols // width)),
-            lines,
-            count,
-            rows,
-            cols,
-            *first,
-            float(row_noise),
-            float(column_noise),
-            int(read),
-            numbers=drawn,
-            words=_line_words,
-            defines=common,
-        )
+        sizes = [count, rows, cols, *first]
+        numbers = [float(row_noise), float(column_noise), int(read)]
+        grid = (count, -(-rows // width) + -(-cols // width))
+        options = {"numbers": drawn, "words": _line_words, "defines": common}
+        device.launch("sensor.noise", "lines", grid, lines, *sizes, *numbers, **options)
     planes = [
         expected if plane is None else plane for plane in (expected, offset, amplitude, lines)
     ]
     scale = (1.0, 0.0) if electrons else (gain, black_level)
-    device.launch(
-        "sensor.noise",
-        "noise",
-        (count, rows, -(-cols // width)),
-        *planes,
-        out,
-        rows,
-        cols,
-        signed((first[0] * frame_cols + first[1]) % 2**32),
-        frame_cols,
-        chance_word(telegraph_switching, 31),
-        float(full_well),
-        float(white_level or 0.0),
-        int(read),
-        numbers={
-            "dark_electrons": dark_electrons,
-            # a kernel without read noise takes none later: another is built then
-            **({"read_noise": read_noise} if common["READ_NOISE"] else {}),
-            "gain": scale[0],
-            "black_level": scale[1],
-            **drawn,
-        },
-        words=_noise_words,
-        defines=common,
-    )
+    first_pixel = signed((first[0] * frame_cols + first[1]) % 2**32)
+    fixed = [rows, cols, first_pixel, frame_cols, chance_word(telegraph_switching, 31)]
+    fixed += [float(full_well), float(white_level or 0.0), int(read)]
+    numbers = {
+        "dark_electrons": dark_electrons,
+        # a kernel without read noise takes none later: another is built then
+        **({"read_noise": read_noise} if common["READ_NOISE"] else {}),
+        "gain": scale[0],
+        "black_level": scale[1],
+        **drawn,
+    }
+    grid = (count, rows, -(-cols // width))
+    options = {"numbers": numbers, "words": _noise_words, "defines": common}
+    device.launch("sensor.noise", "noise", grid, *planes, out, *fixed, **options)
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
@@ -261,6 +230,10 @@ def check_drawn(seed, frame, frames, read):
             raise OutOfRange(name, value, f"a whole number, 0 <= {name} < 2^{bits}")
 
 
+NOISES = {"dark_electrons": 0.1, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2}
+LEVELS = {"black_level": 64, "white_level": 4095}  # of cases
+
+
 def cases():
     """Yield cases.
 
@@ -268,19 +241,8 @@ def cases():
     bit for bit.
     """
     random = np.random.default_rng(1)
-    sensor = {
-        "dark_electrons": 0.1,
-        "read_noise": 2.0,
-        "row_noise": 0.3,
-        "column_noise": 0.2,
-        "full_well": 2e4,
-        "gain": 0.5,
-        "black_level": 64,
-        "white_level": 4095,
-        "seed": 2**64 - 2,
-        "frame": 2**32 - 3,
-        "telegraph_switching": 0.3,
-    }
+    sensor = {**NOISES, "full_well": 2e4, "gain": 0.5, **LEVELS, "telegraph_switching": 0.3}
+    sensor |= {"seed": 2**64 - 2, "frame": 2**32 - 3}
     why = "both sides do the same correctly rounded operations in the same order"
 
     def case(name, mean, planes=True, **changed):
@@ -288,10 +250,9 @@ def cases():
         inputs = {"expected": mean, **sensor, **changed}
         if planes:
             inputs["offset"] = random.normal(0, 1, mean.shape).astype(np.float32)
-            inputs["amplitude"] = np.maximum(random.normal(-5, 10, mean.shape), 0).astype(
-                np.float32
-            )
-        return Case(name, inputs, 0.0, why, metric="exact")
+            amplitude = np.maximum(random.normal(-5, 10, mean.shape), 0)
+            inputs["amplitude"] = amplitude.astype(np.float32)
+        return exact_case(name, why, **inputs)
 
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         mean = 10.0 ** random.uniform(-3, 5, (rows, cols))
@@ -315,50 +276,16 @@ def cases():
     yield case("a later read", mean, read=3)
     yield case("a tile", mean, first=(40, 1000), frame_cols=70_000)
     yield case("a first frame", mean, frame=0, telegraph_switching=0.01, electrons=True)
-    extreme = [
-        0,
-        1e-40,
-        1e-8,
-        1e-3,
-        0.1,
-        5,
-        11.9,
-        12,
-        12.1,
-        23.9,
-        24,
-        24.1,
-        87,
-        88,
-        104,
-        300,
-        1e4,
-        1e7,
-        2.0**24 + 2,
-        1e12,
-        1e38,
-        np.nan,
-        np.inf,
-        -np.inf,
-        -1e-6,
-        -1,
-        5,
-    ]
+    extreme = [0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 23.9, 24, 24.1, 87, 88, 104, 300, 1e4]
+    extreme += [1e7, 2.0**24 + 2, 1e12, 1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5]
+    alone = {**quiet, "dark_electrons": 0.0, "full_well": 3e38, "electrons": True}
     for level in extreme:
-        alone = {"dark_electrons": 0.0, "full_well": 3e38, "electrons": True}
         for photon in ("fast", "exact"):
-            yield case(
-                f"mean {level:g}, {photon}",
-                np.full((13, 37), level),
-                False,
-                **quiet,
-                **alone,
-                photon=photon,
-            )
+            mean = np.full((13, 37), level)
+            yield case(f"mean {level:g}, {photon}", mean, False, **alone, photon=photon)
+    mean = np.resize(extreme, (33, 31))
     for photon in ("fast", "exact"):
-        yield case(
-            f"extreme means side by side, {photon}", np.resize(extreme, (33, 31)), photon=photon
-        )
+        yield case(f"extreme means side by side, {photon}", mean, photon=photon)
     yield case("darkness", np.zeros((9, 9)), False, dark_electrons=0.0, black_level=0)
 
 
@@ -371,14 +298,6 @@ def bench(rows, cols):
         "expected": mean,
         "offset": random.normal(0, 1, (rows, cols)).astype(np.float32),
         "amplitude": amplitude,
-        "dark_electrons": 0.1,
-        "read_noise": 2.0,
-        "row_noise": 0.3,
-        "column_noise": 0.2,
-        "full_well": 1e4,
-        "gain": 0.4,
-        "black_level": 64,
-        "white_level": 4095,
-        "telegraph_switching": 0.1,
-        "frame": 100,
+        **NOISES,
+        **{"full_well": 1e4, "gain": 0.4, **LEVELS, "telegraph_switching": 0.1, "frame": 100},
     }

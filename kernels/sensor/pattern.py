@@ -15,15 +15,10 @@ on seed, plane and place in the whole frame.
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, is_opencl_cpu, stage
 
 # the plane's number separates their random numbers
-PLANES = (
-    "response",
-    "offset",
-    "dark",
-    "telegraph",
-)
+PLANES = ("response", "offset", "dark", "telegraph")
 
 
 @stage
@@ -80,91 +75,39 @@ def pattern(
             raise OutOfRange(name, value, f"0 <= {name} <= 1")
     if not 0 <= seed < 2**64:
         raise OutOfRange("seed", seed, "0 <= seed < 2^64")
-    width = 8 if device.kind == "opencl" and not device.is_gpu else 1  # see lanes.clh
+    width = 8 if is_opencl_cpu(device) else 1  # see lanes.clh
     frame_cols = frame_cols or first[1] + cols
     values = device.empty((rows, cols))
-    device.launch(
-        "sensor.pattern",
-        "pattern",
-        (rows, -(-cols // width)),
-        values,
-        rows,
-        cols,
-        *first,
-        frame_cols,
-        PLANES.index(plane),
-        float(mean),
-        float(pixel),
-        float(row),
-        float(column),
-        int(dead > 0),
-        signed(chance_word(dead)),
-        int(share > 0),
-        signed(chance_word(share)),
-        float(scale),
-        *map(signed, seed_words(seed)),
-        defines={"WIDTH": width},
-    )
+    sizes = [rows, cols, *first, frame_cols, PLANES.index(plane)]
+    numbers = [float(mean), float(pixel), float(row), float(column)]
+    for chance in (dead, share):
+        numbers += [int(chance > 0), signed(chance_word(chance))]
+    numbers += [float(scale), *map(signed, seed_words(seed))]
+    grid, defines = (rows, -(-cols // width)), {"WIDTH": width}
+    device.launch("sensor.pattern", "pattern", grid, values, *sizes, *numbers, defines=defines)
     return values
 
 
 def cases():
     """Yield cases: every plane with every part, tiles, odd sizes: bit for bit."""
     why = "both sides do the same correctly rounded float32 operations in the same order"
-    parts = {
-        "mean": 1.0,
-        "pixel": 0.02,
-        "row": 0.01,
-        "column": 0.005,
-        "dead": 0.05,
-        "share": 0.1,
-        "scale": 3.0,
-    }
+    parts = {"mean": 1.0, "pixel": 0.02, "row": 0.01, "column": 0.005}
+    parts |= {"dead": 0.05, "share": 0.1, "scale": 3.0, "seed": 2**63 + 5}
+    sizes = (1, 1, (0, 0), None), (3, 5, (0, 0), None), (63, 65, (7, 900), 70_000)
     for plane in PLANES:
-        for rows, cols, first, frame_cols in (
-            (1, 1, (0, 0), None),
-            (3, 5, (0, 0), None),
-            (63, 65, (7, 900), 70_000),
-        ):
-            yield Case(
-                f"{plane} {rows}x{cols}",
-                {
-                    "rows": rows,
-                    "cols": cols,
-                    "plane": plane,
-                    **parts,
-                    "seed": 2**63 + 5,
-                    "first": first,
-                    "frame_cols": frame_cols,
-                },
-                0.0,
-                why,
-                metric="exact",
-            )
+        for rows, cols, first, frame_cols in sizes:
+            tile = {"rows": rows, "cols": cols, "first": first, "frame_cols": frame_cols}
+            yield exact_case(f"{plane} {rows}x{cols}", why, plane=plane, **parts, **tile)
     for name, own in (
         ("normal", {"pixel": 1.0}),
         ("dead", {"mean": 1.0, "dead": 1.0}),
         ("sparse", {"share": 1e-2, "scale": 10.0}),
         ("all", {"share": 1.0, "scale": 1.0}),
     ):
-        yield Case(
-            name,
-            {"rows": 33, "cols": 35, "plane": "dark", "seed": 3, **own},
-            0.0,
-            why,
-            metric="exact",
-        )
+        yield exact_case(name, why, rows=33, cols=35, plane="dark", seed=3, **own)
 
 
 def bench(rows, cols):
     """Return inputs: response of pixels, rows and columns with dead pixels."""
-    return {
-        "rows": rows,
-        "cols": cols,
-        "plane": "response",
-        "mean": 1.0,
-        "pixel": 0.01,
-        "row": 1e-3,
-        "column": 1e-3,
-        "dead": 1e-4,
-    }
+    parts = {"mean": 1.0, "pixel": 0.01, "row": 1e-3, "column": 1e-3, "dead": 1e-4}
+    return {"rows": rows, "cols": cols, "plane": "response", **parts}

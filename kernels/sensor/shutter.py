@@ -10,10 +10,12 @@ reads only the instants between a row's first and last weight that is not zero: 
 pixel for m of them.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage
 
 CHUNK = 512  # pixels that a CPU's work-item sums up: 2 KiB, so the sums stay in the nearest cache
 
@@ -40,20 +42,12 @@ def shutter(device: Device, rates: Array, weights: Array) -> Array:
     weights = np.ascontiguousarray(device.numpy(weights), np.float32)
     chunk = 1 if device.is_gpu else CHUNK
     mean = device.empty((rows, cols))
-    device.launch(
-        "sensor.shutter",
-        "shutter",
-        (rows, -(-cols // chunk) if device.kind == "opencl" else cols),
-        device.array(rates),
-        device.array(weights),
-        device.array(spans(weights), np.int32),
-        mean,
-        instants,
-        rows,
-        cols,
-        defines={"CHUNK": chunk},
-        group=None if device.is_gpu else (1, 1),
-    )
+    arrays = [device.array(rates), device.array(weights), device.array(spans(weights), np.int32)]
+    sizes = [instants, rows, cols]
+    grid = (rows, -(-cols // chunk) if device.kind == "opencl" else cols)
+    group = None if device.is_gpu else (1, 1)
+    options: dict[str, Any] = {"defines": {"CHUNK": chunk}, "group": group}
+    device.launch("sensor.shutter", "shutter", grid, *arrays, mean, *sizes, **options)
     return mean
 
 
@@ -73,13 +67,8 @@ def cases():
     is read.
     """
     random = np.random.default_rng(7)
-    for instants, used, rows, cols in (
-        (1, 1, 1, 1),
-        (5, 5, 3, 5),
-        (9, 3, 63, 65),
-        (40, 12, 30, 1030),
-        (70, 64, 5, 9),
-    ):
+    sizes = (1, 1, 1, 1), (5, 5, 3, 5), (9, 3, 63, 65), (40, 12, 30, 1030), (70, 64, 5, 9)
+    for instants, used, rows, cols in sizes:
         rates = (10.0 ** random.uniform(-3, 6, (instants, rows, cols))).astype(np.float32)
         weights = _moving_window(random, instants, used, rows)
         for y, (first, end) in enumerate(spans(weights)):
@@ -91,15 +80,11 @@ def cases():
             metric="local",
             why=f"{used} products and {used - 1} sums of positive float32 numbers round, each by half an ulp",
         )
-    yield Case(
+    yield exact_case(
         "a row that gathers nothing",
-        {
-            "rates": np.full((3, 2, 4), 7, np.float32),
-            "weights": np.array([[0, 0, 0], [0, 0.5, 0]], np.float32),
-        },
-        0.0,
         "7 x 0.5 is exact",
-        metric="exact",
+        rates=np.full((3, 2, 4), 7, np.float32),
+        weights=np.array([[0, 0, 0], [0, 0.5, 0]], np.float32),
     )
 
 

@@ -13,7 +13,7 @@ from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # number of codes
 
@@ -43,18 +43,9 @@ def decode(device: Device, codes: Array, curve: Array) -> Array:
     if len(codes.shape) == 2:
         codes = device.reshape(codes, (rows, cols, 1))
     # An inner loop that is not unrolled stops PoCL from vectorising.
-    device.launch(
-        "spectral.decode",
-        "decode_bytes" if kind == np.uint8 else "decode_words",
-        (rows, cols),
-        codes,
-        curve,
-        out,
-        rows,
-        cols,
-        *(() if device.kind == "opencl" else (channels,)),
-        defines={"CHANNELS": channels},
-    )
+    kernel, defines = "decode_bytes" if kind == np.uint8 else "decode_words", {"CHANNELS": channels}
+    arrays, sizes = [codes, curve, out], [rows, cols, *warp_only(device, channels)]
+    device.launch("spectral.decode", kernel, (rows, cols), *arrays, *sizes, defines=defines)
     return out
 
 
@@ -84,61 +75,21 @@ def cases():
     random, why = np.random.default_rng(8), "an entry of the table, nothing is computed"
     for kind, count in CODES.items():
         srgb, every = DISPLAYS["srgb"].table(kind), np.arange(count, dtype=kind)
-        yield Case(
-            f"every {kind}, grey",
-            {"codes": every.reshape(16, -1), "curve": srgb},
-            0.0,
-            why,
-            metric="exact",
-        )
-        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1).reshape(
-            -1, 32, 3
-        )
-        yield Case(
-            f"every {kind} in three channels",
-            {"codes": mixed, "curve": srgb},
-            0.0,
-            why,
-            metric="exact",
-        )
-        for shape in (
-            (1, 1, 3),
-            (1, 1),
-            (3, 5, 3),
-            (1, 17, 3),
-            (17, 1, 3),
-            (33, 65, 3),
-            (7, 129, 4),
-            (9, 31, 1),
-            (5, 6, 5),
-            (0, 4, 3),
-            (4, 0, 3),
-        ):
-            curve = (random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)).astype(
-                np.float32
-            )
-            curve[random.integers(0, count, 8)] = (
-                np.nan,
-                np.inf,
-                -np.inf,
-                -0.0,
-                3e38,
-                1.2e-38,
-                1,
-                -1,
-            )
-            yield Case(
-                f"{kind} {shape}, any curve",
-                {"codes": random.integers(0, count, shape).astype(kind), "curve": curve},
-                0.0,
-                why,
-                metric="exact",
-            )
+        yield exact_case(f"every {kind}, grey", why, codes=every.reshape(16, -1), curve=srgb)
+        mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1)
+        mixed = mixed.reshape(-1, 32, 3)
+        yield exact_case(f"every {kind} in three channels", why, codes=mixed, curve=srgb)
+        shapes = (1, 1, 3), (1, 1), (3, 5, 3), (1, 17, 3), (17, 1, 3), (33, 65, 3), (7, 129, 4)
+        for shape in (*shapes, (9, 31, 1), (5, 6, 5), (0, 4, 3), (4, 0, 3)):
+            curve = random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)
+            curve = curve.astype(np.float32)
+            extremes = np.nan, np.inf, -np.inf, -0.0, 3e38, 1.2e-38, 1, -1
+            curve[random.integers(0, count, 8)] = extremes
+            codes = random.integers(0, count, shape).astype(kind)
+            yield exact_case(f"{kind} {shape}, any curve", why, codes=codes, curve=curve)
 
 
 def bench(rows, cols):
     """Return inputs: a frame of 8 bits, sRGB."""
-    return {
-        "codes": np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8),
-        "curve": DISPLAYS["srgb"].table(np.uint8),
-    }
+    codes = np.random.default_rng(8).integers(0, 256, (rows, cols, 3), np.uint8)
+    return {"codes": codes, "curve": DISPLAYS["srgb"].table(np.uint8)}

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 
 @stage
@@ -34,17 +34,10 @@ def illuminate(device: Device, maps: Array, coefficients: Array) -> Array:
     coefficients = device.array(coefficients, np.float16 if is_half else np.float32)
     out = device.empty((lights * surfaces, *shape))
     if shape[0] * shape[1]:  # an inner loop that is not unrolled stops PoCL from vectorising
-        device.launch(
-            "spectral.illuminate",
-            "illuminate_half" if is_half else "illuminate",
-            shape,
-            maps,
-            coefficients,
-            out,
-            *shape,
-            *(() if device.kind == "opencl" else (lights, surfaces)),
-            defines={"LIGHTS": lights, "SURFACES": surfaces},
-        )
+        arrays, sizes = [maps, coefficients, out], [*shape, *warp_only(device, lights, surfaces)]
+        kernel = "illuminate_half" if is_half else "illuminate"
+        defines = {"LIGHTS": lights, "SURFACES": surfaces}
+        device.launch("spectral.illuminate", kernel, shape, *arrays, *sizes, defines=defines)
     return out
 
 
@@ -69,34 +62,22 @@ def cases():
     coefficients, NaN.
     """
     random = np.random.default_rng(31)
-    for lights, surfaces, *shape in (
-        (1, 1, 1, 1),
-        (2, 3, 5, 7),
-        (3, 31, 63, 65),
-        (2, 6, 1, 129),
-        (5, 1, 17, 1),
-        (2, 3, 0, 4),
-    ):
-        maps = 10.0 ** random.uniform(-3, 4, (lights, *shape)) * (
-            random.random((lights, *shape)) > 0.2
-        )
+    sizes = (1, 1, 1, 1), (2, 3, 5, 7), (3, 31, 63, 65), (2, 6, 1, 129), (5, 1, 17, 1), (2, 3, 0, 4)
+    for lights, surfaces, *shape in sizes:
+        maps = 10.0 ** random.uniform(-3, 4, (lights, *shape))
+        maps = (maps * (random.random((lights, *shape)) > 0.2)).astype(np.float32)
         coefficients = random.normal(0, 1, (surfaces, *shape))
         for kind in (np.float32, np.float16):
             yield Case(
                 f"{lights} lights, {surfaces} surfaces of {np.dtype(kind)}, {shape[0]}x{shape[1]}",
-                {"maps": maps.astype(np.float32), "coefficients": coefficients.astype(kind)},
+                {"maps": maps, "coefficients": coefficients.astype(kind)},
                 2.0**-24,
                 "one float32 product of exact inputs rounds once: half an ulp",
                 metric="local",
             )
     wild = np.array([[[np.nan, np.inf, -0.0, 1e-20]]], np.float32)
-    yield Case(
-        "NaN and infinity",
-        {"maps": np.full((2, 1, 4), 0.5, np.float32), "coefficients": wild},
-        0.0,
-        "a product with a power of two is exact",
-        metric="exact",
-    )
+    halves, why = np.full((2, 1, 4), 0.5, np.float32), "a product with a power of two is exact"
+    yield exact_case("NaN and infinity", why, maps=halves, coefficients=wild)
 
 
 def bench(rows, cols):

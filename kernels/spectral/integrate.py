@@ -11,7 +11,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 LINES = "spectral.integrate_lines"  # the kernels of CPUs
 SUMS = 2**13  # of one of their work-items: 32 KiB
@@ -44,44 +44,29 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64
-        device.launch(
-            LINES,
-            name,
-            (-(-rows * cols // chunk),),
-            *given,
-            group=(1,),
-            defines=defines | {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER},
-        )
+        defines |= {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
+        grid = (-(-rows * cols // chunk),)
+        device.launch(LINES, name, grid, *given, group=(1,), defines=defines)
     else:
-        device.launch(
-            "spectral.integrate",
-            name,
-            (rows * cols,),
-            *given,
-            *(() if device.kind == "opencl" else (bands, planes)),
-            defines=defines,
-        )
+        sizes = warp_only(device, bands, planes)
+        device.launch("spectral.integrate", name, (rows * cols,), *given, *sizes, defines=defines)
     return out
 
 
 def cases():
     """Yield cases: odd sizes, one band, many planes, nine decades of range."""
     random = np.random.default_rng(1)
-    for rows, cols, bands, planes in (
-        (1, 1, 31, 3),
-        (3, 5, 31, 3),
-        (63, 65, 31, 4),
-        (17, 129, 1, 1),
-        (8, 8, 93, 8),
-    ):
-        content = random.random((bands, rows, cols)) * 10.0 ** random.integers(
-            -3, 7, (1, rows, cols)
-        )
-        weights = random.random((planes, bands))
+    sizes = (1, 1, 31, 3), (3, 5, 31, 3), (63, 65, 31, 4), (17, 129, 1, 1), (8, 8, 93, 8)
+    for rows, cols, bands, planes in sizes:
+        content = random.random((bands, rows, cols))
+        content *= 10.0 ** random.integers(-3, 7, (1, rows, cols))
+        weights = random.random((planes, bands)).astype(np.float32)
+        name = f"{rows}x{cols}, {bands} bands, {planes} planes"
+        tolerance = bands * 2.0**-24 * 2
         yield Case(
-            f"{rows}x{cols}, {bands} bands, {planes} planes",
-            {"content": content.astype(np.float32), "weights": weights.astype(np.float32)},
-            bands * 2.0**-24 * 2,
+            name,
+            {"content": content.astype(np.float32), "weights": weights},
+            tolerance,
             metric="local",
             why="all terms are positive: a running float32 sum of n products errs by at most about n ulp/2 "
             "relative (Higham 2002, 3.1); the inputs are exact in float32",
@@ -89,19 +74,14 @@ def cases():
         # half of them below its smallest normal number
         small = (content * 2.0**-14).clip(0, 65504).astype(np.float16)
         yield Case(
-            f"float16, {rows}x{cols}, {bands} bands, {planes} planes",
-            {"content": small, "weights": weights.astype(np.float32)},
-            bands * 2.0**-24 * 2,
+            f"float16, {name}",
+            {"content": small, "weights": weights},
+            tolerance,
             metric="local",
             why="as for float32: every float16 is a float32, so the inputs are exact",
         )
-    yield Case(
-        "darkness",
-        {"content": np.zeros((31, 4, 4), np.float32), "weights": np.ones((3, 31), np.float32)},
-        0.0,
-        "sums of zeros are exact",
-        metric="exact",
-    )
+    dark, ones = np.zeros((31, 4, 4), np.float32), np.ones((3, 31), np.float32)
+    yield exact_case("darkness", "sums of zeros are exact", content=dark, weights=ones)
     wild = np.ones((5, 3, 4), np.float16)
     wild[2, 0, :3] = np.nan, np.inf, 2.0**-24
     yield Case(

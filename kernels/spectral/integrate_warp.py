@@ -8,16 +8,19 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func
-def sum_up(
+@wp.kernel
+def integrate(
+    # in:
     content: wp.array3d[Any],
     weights: wp.array2d[float],
+    # out:
     planes: wp.array3d[float],
-    i: int,
+    # sizes:
+    pixels: int,
     bands: int,
     count: int,
 ):
-    """Write all planes of pixel i."""
+    i = wp.tid()
     cols = content.shape[2]
     y = i // cols
     x = i - y * cols
@@ -36,31 +39,5 @@ def sum_up(
         planes[p3, y, x] = sums[3]
 
 
-@wp.kernel
-def integrate(
-    # in:
-    content: wp.array3d[float],
-    weights: wp.array2d[float],
-    # out:
-    planes: wp.array3d[float],
-    # sizes:
-    pixels: int,
-    bands: int,
-    count: int,
-):
-    sum_up(content, weights, planes, wp.tid(), bands, count)
-
-
-@wp.kernel
-def integrate_half(
-    # in:
-    content: wp.array3d[wp.float16],
-    weights: wp.array2d[float],
-    # out:
-    planes: wp.array3d[float],
-    # sizes:
-    pixels: int,
-    bands: int,
-    count: int,
-):
-    sum_up(content, weights, planes, wp.tid(), bands, count)
+integrate_half = wp.overload(integrate, {"content": wp.array3d[wp.float16]})
+integrate = wp.overload(integrate, {"content": wp.array3d[float]})

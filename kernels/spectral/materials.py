@@ -8,10 +8,12 @@ planes (planes, rows, cols) float32:
 Six bytes per pixel are read instead of a whole spectrum.
 """
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 
 @stage
@@ -31,42 +33,24 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
     ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
     planes, count = table.shape
     out = device.empty((planes, rows, cols))
-    device.launch(
-        "spectral.materials",
-        "materials",
-        (rows * cols,),
-        ids,
-        shading,
-        table,
-        out,
-        rows * cols,
-        count,
-        *(() if device.kind == "opencl" else (planes, cols)),
-        defines={"PLANES": planes},
-    )
+    arrays = [ids, shading, table, out]
+    sizes = [rows * cols, count, *warp_only(device, planes, cols)]
+    options: dict[str, Any] = {"defines": {"PLANES": planes}}
+    device.launch("spectral.materials", "materials", (rows * cols,), *arrays, *sizes, **options)
     return out
 
 
 def cases():
     """Yield cases: one material to hundreds, shading over nine decades."""
-    random = np.random.default_rng(2)
-    for rows, cols, planes, count in (
-        (1, 1, 3, 1),
-        (3, 5, 3, 24),
-        (63, 65, 31, 26),
-        (5, 200, 4, 300),
-    ):
-        yield Case(
-            f"{rows}x{cols}, {count} materials, {planes} planes",
-            {
-                "ids": random.integers(0, count, (rows, cols)).astype(np.uint16),
-                "shading": (10.0 ** random.uniform(-3, 6, (rows, cols))).astype(np.float32),
-                "table": random.random((planes, count)).astype(np.float32),
-            },
-            2.0**-24,
-            "one float32 product rounds once: half an ulp",
-            metric="local",
-        )
+    random, why = np.random.default_rng(2), "one float32 product rounds once: half an ulp"
+    sizes = (1, 1, 3, 1), (3, 5, 3, 24), (63, 65, 31, 26), (5, 200, 4, 300)
+    for rows, cols, planes, count in sizes:
+        ids = random.integers(0, count, (rows, cols)).astype(np.uint16)
+        shading = (10.0 ** random.uniform(-3, 6, (rows, cols))).astype(np.float32)
+        table = random.random((planes, count)).astype(np.float32)
+        name = f"{rows}x{cols}, {count} materials, {planes} planes"
+        inputs = {"ids": ids, "shading": shading, "table": table}
+        yield Case(name, inputs, 2.0**-24, why, metric="local")
 
 
 def bench(rows, cols):

@@ -18,6 +18,9 @@ predicts a plan's error, without the moments themselves. Differences are taken b
 otherwise rounding would lose them in a smooth picture.
 """
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -80,28 +83,15 @@ def survey(
     out = device.empty((pairs, 3, count + 1))
     if not pairs:
         return out
+    kernel, inputs = ("mixed", [content]) if ids is None else ("labelled", [ids, content])
+    inputs += [table, first]
     if device.is_gpu:
-        _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit)
+        _by_groups(device, kernel, inputs, out, entries, rows, cols, unit)
         return out
-    defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
-    device.launch(
-        "spectral.survey",
-        "mixed" if ids is None else "labelled",
-        grid,
-        *(() if ids is None else (ids,)),
-        content,
-        table,
-        first,
-        out,
-        entries,
-        rows,
-        cols,
-        count,
-        unit,
-        defines=defines,
-        group=group,
-    )
+    sizes = [entries, rows, cols, count, unit]
+    options: dict[str, Any] = {"defines": {"WIDTH": 8, "BLOCK": BLOCK}, "group": group}
+    device.launch("spectral.survey", kernel, grid, *inputs, out, *sizes, **options)
     return out
 
 
@@ -113,42 +103,17 @@ def _widen_rows(device, content, first):
     return device.reshape(content, content.shape[1:]), np.arange(0, rows.size, 2), rows.size
 
 
-def _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit):
+def _by_groups(device, kernel, inputs, out, entries, rows, cols, unit):
     """Reduce parts of rows by work-groups, then the parts of every row in their order."""
-    count, pairs = table.shape[0], first.shape[0]
+    pairs, _, sums = out.shape
     chunks = -(-cols // THREADS)
-    parts = device.empty((pairs, chunks, 3 * (count + 1)))
-    defines = {"PROJECTIONS": count, "THREADS": THREADS}
-    content = (content,) if ids is None else (ids, content)
-    device.launch(
-        GROUPS,
-        "mixed_groups" if ids is None else "labelled_groups",
-        (pairs * chunks * THREADS,),
-        *content,
-        table,
-        first,
-        parts,
-        entries,
-        rows,
-        cols,
-        chunks,
-        unit,
-        defines=defines,
-        group=(THREADS,),
-    )
-    items = pairs * 3 * (count + 1)
-    device.launch(
-        GROUPS,
-        "finish",
-        (-(-items // THREADS) * THREADS,),
-        parts,
-        out,
-        items,
-        chunks,
-        cols,
-        defines=defines,
-        group=(THREADS,),
-    )
+    parts = device.empty((pairs, chunks, 3 * sums))
+    defines = {"PROJECTIONS": sums - 1, "THREADS": THREADS}
+    launch = partial(device.launch, GROUPS, defines=defines, group=(THREADS,))
+    grid, sizes = (pairs * chunks * THREADS,), [entries, rows, cols, chunks, unit]
+    launch(f"{kernel}_groups", grid, *inputs, parts, *sizes)
+    items = pairs * 3 * sums
+    launch("finish", (-(-items // THREADS) * THREADS,), parts, out, items, chunks, cols)
 
 
 def check_inputs(content, table, first, ids):
@@ -179,30 +144,24 @@ def cases():
     zeros, NaN.
     """
     random = np.random.default_rng(11)
-    for rows, cols, entries, count in (
+    sizes = (
         (1, 1, 31, 3),
         (1, 9, 5, 1),
         (7, 1, 3, 16),
         (5, 2, 1, 5),
         (3, 8, 31, 12),
         (33, 65, 70, 7),
-        (20, 300, 6, 4),
-        (9, 1025, 130, 12),
-    ):
+    )
+    for rows, cols, entries, count in (*sizes, (20, 300, 6, 4), (9, 1025, 130, 12)):
         table = random.normal(0, 10.0 ** random.uniform(-4, 4, (count, 1)), (count, entries))
         first = random.integers(-2, rows + 2, 5)
         shape = f"{rows}x{cols}, {entries} entries, {count} projections"
         light = 10.0 ** random.uniform(-3, 5, (rows, cols))
         yield _case(f"cube {shape}", random.random((entries, rows, cols)) * light, table, first)
-        yield _case(
-            f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first
-        )
-        yield _case(
-            f"float16 {shape}",
-            random.normal(0, 1, (entries, rows, cols)).astype(np.float16),
-            table,
-            first,
-        )
+        basis = random.normal(0, 1, (entries, rows, cols)) * light
+        yield _case(f"basis {shape}", basis, table, first)
+        halves = random.normal(0, 1, (entries, rows, cols)).astype(np.float16)
+        yield _case(f"float16 {shape}", halves, table, first)
         ids = random.integers(0, entries, (rows, cols)).astype(np.uint16)
         yield _case(f"materials {shape}", light, table, first, ids)
     table = random.normal(0, 1, (6, 31))
@@ -221,14 +180,8 @@ def cases():
     yield _case("materials with NaN and infinity", shading, table, np.arange(12), ids)
     light = 1e23 * random.random((31, 12, 40))
     yield _case("the sun", light, table, np.arange(12), scale=(2.0**-77, 2.0**-79))
-    yield _case(
-        "materials in the sun",
-        light[3],
-        table * 2.0**20,
-        np.arange(12),
-        ids,
-        scale=(2.0**-77, 2.0**-97),
-    )
+    steep, scale = table * 2.0**20, (2.0**-77, 2.0**-97)
+    yield _case("materials in the sun", light[3], steep, np.arange(12), ids, scale=scale)
     yield _case("faint light", light * 1e-60, table, np.arange(12), scale=(2.0**123, 2.0**121))
 
 

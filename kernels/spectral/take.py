@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 KERNELS = {
     np.dtype(np.float32): "take",
@@ -55,22 +55,13 @@ def take(
         cols = rows if whole else device.array(cols, np.int32)
         content = device.reshape(device.array(content, dtype), (planes, height, width))
         # Whole rows are a separate build on OpenCL: PoCL does not vectorise a look-up of columns.
+        arrays = [content, rows, cols, out]
+        defines = {"WHOLE_ROWS": int(whole)}
+        numbers = [planes, height, width, count * lines, lines, across]
+        sizes = [*warp_only(device, int(whole))]
+        grid = (planes, count * lines, across)
         device.launch(
-            "spectral.take",
-            KERNELS[dtype],
-            (planes, count * lines, across),
-            content,
-            rows,
-            cols,
-            out,
-            planes,
-            height,
-            width,
-            count * lines,
-            lines,
-            across,
-            *(() if device.kind == "opencl" else (int(whole),)),
-            defines={"WHOLE_ROWS": int(whole)},
+            "spectral.take", KERNELS[dtype], grid, *arrays, *numbers, *sizes, defines=defines
         )
     return out if entries else device.reshape(out, (count, lines, across))
 
@@ -95,11 +86,8 @@ def check_inputs(content, rows, cols):
             f"take: rows of shape {of_rows} and columns of shape {of_cols}; wanted (n, h) and (n, w) with "
             "the same n"
         )
-    return (
-        np.dtype(kind.type if kind.type in (np.float16, np.uint16) else np.float32),
-        shape,
-        (*of_rows, of_cols[1]),
-    )
+    kept = kind.type in (np.float16, np.uint16)
+    return np.dtype(kind.type if kept else np.float32), shape, (*of_rows, of_cols[1])
 
 
 def cases():
@@ -114,27 +102,15 @@ def cases():
     wild = np.array([np.nan, np.inf, -np.inf, -0.0, 1e-45, 3.4e38], np.float32)
 
     def case(name, content, rows=None, cols=None):
-        return Case(
-            name, {"content": content, "rows": rows, "cols": cols}, 0.0, why, metric="exact"
-        )
+        return exact_case(name, why, content=content, rows=rows, cols=cols)
 
-    yield case("every float16", every.reshape(4, 64, 256))
-    yield case(
-        "every float16 by columns",
-        every.reshape(4, 64, 256),
-        cols=np.arange(256, dtype=np.int32)[None, ::-1],
-    )
-    yield case("every number", numbers.reshape(256, 256))
-    yield case(
-        "every number by columns",
-        numbers.reshape(256, 256),
-        cols=np.arange(256, dtype=np.int32)[None, ::-1],
-    )
-    yield case(
-        "NaN and infinities",
-        wild.reshape(1, 2, 3),
-        *(np.array([chosen], np.int32) for chosen in ([0, 1], [2, 1, 0, 9])),
-    )
+    backwards = np.arange(256, dtype=np.int32)[None, ::-1]
+    kinds = {"float16": every.reshape(4, 64, 256), "number": numbers.reshape(256, 256)}
+    for name, values in kinds.items():
+        yield case(f"every {name}", values)
+        yield case(f"every {name} by columns", values, cols=backwards)
+    chosen = (np.array([some], np.int32) for some in ([0, 1], [2, 1, 0, 9]))
+    yield case("NaN and infinities", wild.reshape(1, 2, 3), *chosen)
     for entries, rows, cols, windows in (
         (1, 1, 1, (1, 1, 1)),
         (3, 5, 9, (2, 4, 3)),
@@ -155,12 +131,9 @@ def cases():
             yield case(f"{dtype.__name__} {name}", values.astype(dtype), *chosen)
         yield case(f"whole rows {name}", values.astype(np.float16), chosen[0])
         yield case(f"shading {name}", values[0].astype(np.float32), *chosen)
-        yield case(f"numbers {name}", random.integers(0, 2**16, (rows, cols), np.uint16), *chosen)
-        yield case(
-            f"whole rows of numbers {name}",
-            random.integers(0, 2**16, (rows, cols), np.uint16),
-            chosen[0],
-        )
+        drawn = [random.integers(0, 2**16, (rows, cols), np.uint16) for _ in range(2)]
+        yield case(f"numbers {name}", drawn[0], *chosen)
+        yield case(f"whole rows of numbers {name}", drawn[1], chosen[0])
 
 
 def bench(rows, cols):
@@ -169,8 +142,5 @@ def bench(rows, cols):
     Twelve windows of 64 x 64 from a 31-band cube without other samples: all is read.
     """
     chosen = np.arange(12 * 64, dtype=np.int32).reshape(12, 64)
-    return {
-        "content": np.random.default_rng(5).random((31, 64, 12 * 64), np.float32),
-        "rows": chosen % 64,
-        "cols": chosen,
-    }
+    content = np.random.default_rng(5).random((31, 64, 12 * 64), np.float32)
+    return {"content": content, "rows": chosen % 64, "cols": chosen}

@@ -32,13 +32,18 @@ def opencl_kernels(path):
 
 
 def warp_kernels(path):
-    """The same; of functions with the decorator `wp.kernel`."""
-    return {
+    """The same; of functions with the decorator `wp.kernel`, and their overloads for other types."""
+    tree = ast.parse(path.read_text())
+    found = {
         node.name: [argument.arg for argument in node.args.args]
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
         and any(ast.unparse(decorator).startswith("wp.kernel") for decorator in node.decorator_list)
     }
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("wp.overload("):
+            found[node.targets[0].id] = found[node.value.args[0].id]
+    return found
 
 
 def kernels():

@@ -17,7 +17,7 @@ EVERY = 5
 def has_gpu_form(stage):
     """Whether it asks what the device is."""
     with open(stage_module(stage).__file__) as file:
-        return re.search(r"\b(is_gpu|on_host)\b", file.read())
+        return re.search(r"\b(is_gpu|on_host|is_opencl_cpu)\b", file.read())
 
 
 STAGES = [stage for stage in stage_names() if has_gpu_form(stage)]
