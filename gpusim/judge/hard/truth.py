@@ -160,16 +160,19 @@ def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
     return out
 
 
+def centre_pads(period, shape) -> list[tuple[int, int]]:
+    """Return the samples before and after an array that centre it in a period, by axis."""
+    gaps = [length - n for length, n in zip(period, shape, strict=True)]
+    return [(gap // 2, gap - gap // 2) for gap in gaps]
+
+
 def blur_periodic(values, q, weights, period) -> np.ndarray:
     """Return channels in a world that continues its outermost pixels and repeats with `period`.
 
     It is computed band by band, and judges stages that transform a period.
     """
     shape = values.shape[1:]
-    pad = [
-        ((length - n) // 2, length - n - (length - n) // 2)
-        for length, n in zip(period, shape, strict=True)
-    ]
+    pad = centre_pads(period, shape)
     total = np.zeros((len(weights), *period), complex)
     for plane, one, weight in zip(values, q, weights.T, strict=True):
         total += weight[:, None, None] * (
