@@ -122,16 +122,9 @@ def _hard_line(row):
 
 def _as_hard(row):
     """Return the row of a device that does not open as a hard case has it."""
-    return {
-        "number": 0,
-        "name": "(open)",
-        "device": row["device"],
-        "asked": "the device opens",
-        "got": float("inf"),
-        "limit": 0.0,
-        "ok": False,
-        "why": row["why"],
-    }
+    case = {"number": 0, "name": "(open)", "asked": "the device opens"}
+    result = {"got": float("inf"), "limit": 0.0, "ok": False, "why": row["why"]}
+    return case | {"device": row["device"]} | result
 
 
 def bench(request: BenchRequest) -> int:
@@ -212,22 +205,17 @@ def _pareto(request):
     print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
     for row in pareto(camera, scene, device):
         rows.append(row)
-        ms, error = (
-            f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}"
-            for key in ("predicted_ms", "predicted")
-        )
+        known = row["predicted_ms"], row["predicted"]
+        ms, error = (f"{value:9.2g}" if value else f"{'-':>9s}" for value in known)
         print(
             f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error} {row['p999_sigma']:9.2g} "
             f"{row['max_sigma']:9.2g}  {row['words']}"
         )
     _write_rows(request.json, rows)
     if request.out:
+        size = f"{scene.shape[1]}x{scene.shape[0]}"
         with atomic_path(request.out) as temporary:
-            draw(
-                rows,
-                temporary,
-                f"{scene.name} {scene.shape[1]}x{scene.shape[0]} by {camera.name} on {device.name}",
-            )
+            draw(rows, temporary, f"{scene.name} {size} by {camera.name} on {device.name}")
     return 0
 
 
@@ -263,20 +251,13 @@ def _open_devices(name):
     """Return the named device, or all of them for "all", and a failed row for each unusable one."""
     from gpusim.backends import open_device
     from gpusim.backends.probe import devices
+    from gpusim.judge.verify import failed_row
 
     if name != "all":
         return [open_device(name)], []
     entries = [entry for entry in devices() if entry["name"] != "numpy"]
     broken = [
-        {
-            "stage": "(open)",
-            "device": entry["name"],
-            "case": "(failed to open)",
-            "max_error": float("inf"),
-            "tolerance": 0.0,
-            "ok": False,
-            "why": entry["error"],
-        }
+        failed_row("(open)", entry["name"], "(failed to open)", entry["error"])
         for entry in entries
         if entry["error"]
     ]
@@ -296,10 +277,8 @@ def _check_stages(names):
 
 def _write_rows(path, rows):
     """Write rows to a JSON file, if there is a path. JSON has no infinity: it becomes null."""
-    write_json(
-        path,
-        [
-            {key: None if value == float("inf") else value for key, value in row.items()}
-            for row in rows
-        ],
-    )
+    plain = [
+        {key: None if value == float("inf") else value for key, value in row.items()}
+        for row in rows
+    ]
+    write_json(path, plain)

@@ -1,13 +1,12 @@
 """`gpusim look`: plots of a scene, a camera or a frame, in a file or a window."""
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusim.cli.options import CAMERA_HELP, SCENE_HELP, Request, option, whole
+from gpusim.cli.options import CAMERA_HELP, SCENE_HELP, Request, option, reads, seed_option
 from gpusim.domain.errors import BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -26,16 +25,12 @@ TEXTS = {
 }
 
 
+@reads("COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30")
 def _place(text):
     """Return the numbers of a pixel or a region."""
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
+    numbers = tuple(int(part) for part in text.split(","))
     if len(numbers) not in (2, 4):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30"
-        )
+        raise ValueError
     return numbers
 
 
@@ -51,9 +46,8 @@ def _kinds(text):
 
 
 def _scene(request, plot):
-    return partial(
-        plot.inspect if request.out is None else plot.scene, request.open_shown(OF_CAMERA)
-    )
+    draw = plot.inspect if request.out is None else plot.scene
+    return partial(draw, request.open_shown(OF_CAMERA))
 
 
 def _spectra(request, plot):
@@ -61,12 +55,8 @@ def _spectra(request, plot):
 
 
 def _optical_image(request, plot):
-    return partial(
-        plot.optical_image,
-        request.open_camera(*LENS),
-        request.open_shown(),
-        device=request.device,
-    )
+    camera, scene = request.open_camera(*LENS), request.open_shown()
+    return partial(plot.optical_image, camera, scene, device=request.device)
 
 
 def _sfr(request, plot):
@@ -83,12 +73,8 @@ def _snr(request, plot):
 
 
 def _photon_transfer(request, plot):
-    return partial(
-        plot.photon_transfer,
-        request.open_camera("iso"),
-        seed=request.seed,
-        device=request.device,
-    )
+    camera = request.open_camera("iso")
+    return partial(plot.photon_transfer, camera, seed=request.seed, device=request.device)
 
 
 def _picture(request, plot):
@@ -185,9 +171,7 @@ class LookRequest(Request):
         help="for psf and mtf: wavelengths in nm and letters of channels, such as 450,550,R "
         "(default: 450,550,650 and all channels)",
     )
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"
-    )
+    seed: int = seed_option("the temporal noise")
     out: str | None = option(
         "-o", "--out", metavar="OUT", help=f"file: {', '.join(FORMATS)} (default: a window)"
     )

@@ -14,6 +14,7 @@ from gpusim.cli.options import (
     describe_verdicts,
     make_folder,
     option,
+    seed_option,
     whole,
 )
 from gpusim.domain.account import STATUS, worst_state
@@ -59,14 +60,9 @@ class PairsRequest(Request):
         "light=D65|A|FL11",
     )
     each: int = option(
-        default=1,
-        type=whole(1, MOST),
-        metavar="N",
-        help="pairs per photograph (default: 1)",
+        default=1, type=whole(1, MOST), metavar="N", help="pairs per photograph (default: 1)"
     )
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the noise and of --vary (default: 0)"
-    )
+    seed: int = seed_option("the noise and of --vary")
     pictures: bool = option(
         default=False, action="store_true", help="also write KEY.rgb.png of every frame"
     )
@@ -134,15 +130,8 @@ def pairs(request: PairsRequest) -> int:
         return request.open_scene(str(path), **scene_options(values))
 
     open_drawn(photographs[0], request.vary.draw(request.seed, 0))
-    made = Pairs(
-        simulator,
-        photographs,
-        open_drawn,
-        request.vary,
-        request.each,
-        request.seed,
-        request.pictures,
-    )
+    settings = request.vary, request.each, request.seed, request.pictures
+    made = Pairs(simulator, photographs, open_drawn, *settings)
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
@@ -150,24 +139,19 @@ def pairs(request: PairsRequest) -> int:
     own = request.shard.of(shards, "--in-shard")
     request.refuse_unread("pairs")
     make_folder(folder)
-    content = describe_run(
-        simulator,
-        photographs,
-        request.key(),
-        photographs=[str(path) for path in photographs],
-        vary={name: list(values) for name, values in varied.items()},
-    )
+    others = {"photographs": [str(path) for path in photographs]}
+    others["vary"] = {name: list(values) for name, values in varied.items()}
+    content = describe_run(simulator, photographs, request.key(), **others)
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))
     states: Counter[str] = Counter()
+
+    def is_empty():
+        return not any(folder.glob("*.tar"))
+
     with (
-        keep_manifest(
-            folder / "pairs.json",
-            content,
-            "its tar files",
-            lambda: not any(folder.glob("*.tar")),
-        ),
+        keep_manifest(folder / "pairs.json", content, "its tar files", is_empty),
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
         for shard in missing:

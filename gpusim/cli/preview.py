@@ -37,11 +37,10 @@ class PreviewRequest(MovingRequest):
             "optics.f_number": self.f_number,
             "optics.object_distance_m": self.focus,
             "processor.scaling": self.scaling,
+            "sensor.exposure_time_ms": self.exposure,
         }
-        if self.exposure is not None:
-            given["sensor.exposure_time_ms"] = (
-                self.exposure if isinstance(self.exposure, str) else 1e3 * self.exposure
-            )
+        if isinstance(self.exposure, int | float):
+            given["sensor.exposure_time_ms"] = 1e3 * self.exposure
         return {name: value for name, value in given.items() if value is not None}
 
 

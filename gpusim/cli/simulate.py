@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gpusim.apps.video.segments import numbered_path
-from gpusim.cli.options import Request, option, whole, write_json
+from gpusim.cli.options import Request, option, seed_option, whole, write_json
 from gpusim.domain.errors import BadFile
 
 WITHOUT_PICTURE = (".dng", ".npz")  # files that no setting of the picture changes
@@ -18,9 +18,7 @@ TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
 class SimulateRequest(Request):
     """Options of `gpusim simulate`."""
 
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"
-    )
+    seed: int = seed_option("the temporal noise")
     frames: int = option(
         default=1,
         type=whole(1, 10**6),

@@ -1,24 +1,19 @@
 """`gpusim train-l3`: filters for a camera from simulated frames."""
 
-import argparse
 from dataclasses import dataclass
 
-from gpusim.cli.options import DEVICE_HELP, Options, option, whole
+from gpusim.cli.options import DEVICE_HELP, Options, option, reads, seed_option
 
 TEXTS = {
     "help": "train a camera's filters for demosaicking, noise, blur and colour on simulated frames"
 }
 
 
+@reads("LOW..HIGH or a list such as 1,10,100 [cd/m2]")
 def luminances(text: str) -> tuple[float, ...]:
     """Return the luminances of "LOW..HIGH" or "A,B,C" [cd m-2]. Raises ArgumentTypeError."""
-    try:
-        low, dots, high = text.partition("..")
-        return (float(low), float(high)) if dots else tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted LOW..HIGH or a list such as 1,10,100 [cd/m2]"
-        ) from None
+    low, dots, high = text.partition("..")
+    return (float(low), float(high)) if dots else tuple(float(part) for part in text.split(","))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +58,7 @@ class TrainRequest(Options):
         help="values that the filters estimate: the camera's red, green and blue without noise and "
         "colour error, or CIE XYZ (default: channels)",
     )
-    seed: int = option(
-        default=0,
-        type=whole(0, 2**64 - 1),
-        help="seed of the generated scenes and of the noise (default: 0)",
-    )
+    seed: int = seed_option("the generated scenes and of the noise")
     device: str = option(default="auto", help=DEVICE_HELP)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.segments import LENGTH, Shard, segments_of
 from gpusim.cli.moving import MOST_FRAMES, MovingRequest
-from gpusim.cli.options import describe_verdicts, make_folder, option, whole
+from gpusim.cli.options import describe_verdicts, make_folder, number, option, seed_option, whole
 from gpusim.cli.simulate import WITHOUT_PICTURE
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange, UnknownName
@@ -51,26 +51,12 @@ def _make_flicker(text, **numbers):
     """Return a Flicker. numbers: its fields, as text."""
     from gpusim.domain.flicker import Flicker
 
+    why = "wanted one or two numbers, such as 100,0.5"
     try:
         return Flicker(**{name: float(number) for name, number in numbers.items()})
     except (ValueError, OutOfRange) as error:
-        why = (
-            str(error)
-            if isinstance(error, OutOfRange)
-            else "wanted one or two numbers, such as 100,0.5"
-        )
+        why = str(error) if isinstance(error, OutOfRange) else why
         raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
-
-
-def _read_quality(text):
-    """Return a constant rate factor."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 51:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted a number, 0 .. 51")
-    return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,15 +78,9 @@ class VideoRequest(MovingRequest):
         help="add an episode of this task, such as 'pick up the cube', to the LeRobot data set "
         "(version 3.0) in the folder -o, which is created if it does not exist",
     )
-    seed: int = option(
-        default=0,
-        type=whole(0, 2**64 - 1),
-        help="seed of the temporal noise and of --shake (default: 0)",
-    )
+    seed: int = seed_option("the temporal noise and of --shake")
     blur: bool = option(
-        default=False,
-        action="store_true",
-        help="simulate motion blur and rolling shutter (slow)",
+        default=False, action="store_true", help="simulate motion blur and rolling shutter (slow)"
     )
     ramp: Ramps = option(
         default=Ramps(),
@@ -135,7 +115,7 @@ class VideoRequest(MovingRequest):
     )
     quality: float | None = option(
         in_key=False,
-        type=_read_quality,
+        type=number("a number, 0 .. 51", lambda value: 0 <= value <= 51),
         metavar="CRF",
         help="constant rate factor of h264 and h265, 0 .. 51, lower is better (default: the "
         "encoder's)",
@@ -221,9 +201,8 @@ def video(request: VideoRequest) -> int:
         make_folder(folder)
     loops = NO_LOOPS
     if request.lag:
-        loops = Loops.read_manifest(manifest, request.lag, scenes.count) or _meter(
-            request, simulator, scenes
-        )
+        known = Loops.read_manifest(manifest, request.lag, scenes.count)
+        loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
     with keep_manifest(manifest, made, target.words, target.is_empty):
         return _write(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
@@ -235,16 +214,9 @@ def _meter(request, simulator, scenes):
 
     from gpusim.apps.video.loops import meter_scenes
 
+    settings = request.lag, request.ramp, float(1 / request.fps)
     with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
-        return meter_scenes(
-            simulator,
-            scenes,
-            request.lag,
-            request.ramp,
-            float(1 / request.fps),
-            seed=request.seed,
-            seen=bar.update,
-        )
+        return meter_scenes(simulator, scenes, *settings, seed=request.seed, seen=bar.update)
 
 
 def _write(target, simulator, scenes, own, seed, loops, plans):
@@ -290,19 +262,12 @@ def _target(request, simulator, scenes, segments):
     from gpusim.apps.video.video import blurred_frames, frames
     from gpusim.io.frame.frames import FORMATS
 
-    frames_of = partial(
-        blurred_frames if request.blur or request.flicker or request.pwm else frames,
-        ramps=request.ramp,
-    )
+    is_blurred = request.blur or request.flicker or request.pwm
+    frames_of = partial(blurred_frames if is_blurred else frames, ramps=request.ramp)
     is_list = len(request.scene) > 1 or Path(request.scene[0]).is_dir()
-    made = describe_run(
-        simulator,
-        scenes.names if is_list else request.scene,
-        request.key(),
-        scenes=scenes.names,
-        actors=[file_digest(cast.path) for cast in request.actor],
-        frames=scenes.count,
-    )
+    shown = scenes.names if is_list else request.scene
+    others = {"scenes": scenes.names, "actors": [file_digest(cast.path) for cast in request.actor]}
+    made = describe_run(simulator, shown, request.key(), **others, frames=scenes.count)
     path = Path(request.out)
     if request.lerobot is not None or request.suffix in ENCODED:
         target, more = _open_encoded(request, path, simulator, scenes, segments, frames_of)
@@ -356,32 +321,15 @@ def _open_encoded(request, path, simulator, scenes, segments, frames_of):
             "one mosaic of up to 16 bits; .npz files hold any",
         )
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-    encoder = Encoder(
-        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
-    )
-    made: dict[str, Any] = {
-        "fps": str(request.fps),
-        "codec": request.codec,
-        "quality": request.quality,
-    }
-    target: EncodedFile
+    tone, quality = camera.processor.tone, request.quality
+    encoder = Encoder(codec, shape, request.fps, camera.display, tone, quality)
+    made: dict[str, Any] = {"fps": str(request.fps), "codec": request.codec, "quality": quality}
     if is_episode:
-        target = Episode(
-            path,
-            request.lerobot,
-            camera.name,
-            shape,
-            request.fps,
-            request.seed,
-            codec,
-            encoder,
-            segments,
-            frames_of,
-        )
-        made["task"] = request.lerobot
-    else:
-        check_output(path)
-        target = EncodedFile(path, codec, encoder, segments, frames_of)
-        if path.exists() and not target.folder.exists():
-            raise BadFile(path, "exists; remove it, or give -o another name")
+        of, seed = request.lerobot, request.seed
+        episode = Episode(path, of, camera.name, seed, encoder, segments, frames_of)
+        return episode, made | {"task": of}
+    check_output(path)
+    target = EncodedFile(path, encoder, segments, frames_of)
+    if path.exists() and not target.folder.exists():
+        raise BadFile(path, "exists; remove it, or give -o another name")
     return target, made

@@ -68,11 +68,8 @@ class Lags:
         if self.exposure is not None and (
             camera.sensor.exposure_time is not None or "exposure" in ramped
         ):
-            raise Conflict(
-                "--lag exposure",
-                "the exposure time is set",
-                "use --exposure auto and no ramp of it",
-            )
+            remedy = "use --exposure auto and no ramp of it"
+            raise Conflict("--lag exposure", "the exposure time is set", remedy)
         if self.focus is not None and "focus" in ramped:
             raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
         if self.focus is not None and not lens_of(camera).is_adjustable:
@@ -113,25 +110,18 @@ class Loops:
         Other errors of the manifest are found when the run checks it.
         """
         try:
-            found = cls(
-                **json.loads(read_text(manifest, "a manifest of a video", LARGEST))["loops"]
-            )
+            text = read_text(manifest, "a manifest of a video", LARGEST)
+            found = cls(**json.loads(text)["loops"])
             for lag, values, axes in (
                 (lags.exposure, found.seconds, 1),
                 (lags.white, found.white, 2),
                 (lags.focus, found.focus, 1),
             ):
-                array = (
-                    np.ones((count, 1)[:axes])
-                    if lag is values is None
-                    else np.array(values, np.float64)
-                )
-                if (
-                    (lag is None) != (values is None)
-                    or array.ndim != axes
-                    or len(array) != count
-                    or not ((array > 0) & (array < np.inf)).all()
-                ):
+                if (lag is None) != (values is None):
+                    return None
+                array = np.ones((count, 1)[:axes]) if values is None else np.array(values, float)
+                is_sound = array.ndim == axes and len(array) == count
+                if not (is_sound and ((array > 0) & (array < np.inf)).all()):
                     return None
         except (GpusimError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
             return None
@@ -217,15 +207,13 @@ def meter_scenes(
             camera = ramps.camera(simulator.camera, number / last)
             if lags.focus is not None:
                 vergence.append(1 / _distance(scene))
-                camera = replace(
-                    camera, optics=replace(camera.optics, object_distance=1 / vergence[-1])
-                )
+                optics = replace(camera.optics, object_distance=1 / vergence[-1])
+                camera = replace(camera, optics=optics)
             if lags.exposure is not None or lags.white is not None:
-                program = (
-                    simulator.update(camera).program(scene)
-                    if program is None
-                    else program.update(scene=scene, camera=camera)
-                )
+                if program is None:
+                    program = simulator.update(camera).program(scene)
+                else:
+                    program.update(scene=scene, camera=camera)
                 exposure = program.exposure
                 seconds.append(log(exposure.exposure_time * exposure.gain))
                 if lags.white is not None:

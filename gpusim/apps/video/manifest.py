@@ -93,11 +93,8 @@ def _keep(path, made, outputs):
             )
         ]
         _plans_in(found)
-    except (
-        ValueError,
-        AttributeError,
-        RecursionError,
-    ) as error:  # RecursionError: of JSON, lists in lists
+    # RecursionError: of JSON, lists in lists
+    except (ValueError, AttributeError, RecursionError) as error:
         raise BadFile(path, f"not a manifest ({error}); remove it and {outputs}") from error
     if others:
         raise BadFile(

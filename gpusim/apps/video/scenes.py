@@ -105,13 +105,8 @@ class Moving:
         flicker: Flicker | None = None,
         actors: tuple[Actor, ...] = (),
     ):
-        self.still, self.motion, self.period, self.flicker = (
-            scenes,
-            motion,
-            float(1 / rate),
-            flicker,
-        )
-        self.actors = actors
+        self.still, self.motion, self.period = scenes, motion, float(1 / rate)
+        self.flicker, self.actors = flicker, actors
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # raises before the work

@@ -29,18 +29,8 @@ from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-TRANSFERS = {
-    1: "bt709",
-    6: "bt709",
-    14: "bt709",
-    15: "bt709",
-    4: "gamma2.2",
-    5: "gamma2.8",
-    8: "linear",
-    13: "srgb",
-    16: "pq",
-    18: "hlg",
-}
+TRANSFERS = dict.fromkeys((1, 6, 14, 15), "bt709") | {4: "gamma2.2", 5: "gamma2.8", 8: "linear"}
+TRANSFERS |= {13: "srgb", 16: "pq", 18: "hlg"}
 PRIMARIES = {
     1: DISPLAYS["srgb"].primaries,
     9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
@@ -82,12 +72,8 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            tags = (
-                context.color_trc,
-                context.color_primaries,
-                context.colorspace,
-                context.color_range,
-            )
+            tags = context.color_trc, context.color_primaries, context.colorspace
+            tags += (context.color_range,)
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:
@@ -110,16 +96,11 @@ class Film:
         # of this stream, in Matroska
         length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))
         if length:
-            duration = sum(
-                Fraction(part) * unit
-                for part, unit in zip(length.groups(), (3600, 60, 1), strict=True)
-            )
+            hours, minutes, seconds = map(Fraction, length.groups())
+            duration = 3600 * hours + 60 * minutes + seconds
         else:  # of the file: sound may be longer
-            duration = (
-                Fraction(container.duration or 0, 1_000_000)
-                if len(container.streams) == 1
-                else Fraction(0)
-            )
+            is_alone = len(container.streams) == 1
+            duration = Fraction((container.duration or 0) if is_alone else 0, 1_000_000)
         rate = stream.average_rate or Fraction(0)
         # these times are whole milliseconds, and the last frame may have no duration
         if (duration - end) * rate > Fraction(3, 4):
@@ -206,15 +187,9 @@ class Film:
     def _codes(self, frame):
         """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
-        convert = converter(
-            f"{EXACT}:{self._scale}",
-            "rgb48le" if deep else "rgb24",
-            frame.width,
-            frame.height,
-            frame.format,
-            frame.time_base,
-        )
-        return convert(frame).to_ndarray()
+        scale, stored = f"{EXACT}:{self._scale}", "rgb48le" if deep else "rgb24"
+        given = frame.width, frame.height, frame.format, frame.time_base
+        return converter(scale, stored, *given)(frame).to_ndarray()
 
     def _lift(self, codes):
         """Return the scene of RGB codes."""
