@@ -13,6 +13,7 @@ from gpusim.io.camera.cameras import open_camera
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural
+from gpusim.judge.truth_light import centre_pads
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.pupil import pupil
@@ -295,7 +296,7 @@ def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
     rows, cols = planes.shape[1:]
     period, is_folded = transform_lengths((rows + 32, cols + 32), np.shape(cfa))
     tables = np.stack([truth.folded_otf(float(one), period) for one in q]).reshape(3, 4, *period)
-    pads = truth.centre_pads(period, (rows, cols))
+    pads = centre_pads(period, (rows, cols))
     wide = np.pad(planes.astype(float), [(0, 0), *pads], mode="edge")
     quarter = tables[:, :, : period[0] // 2 + 1, : period[1] // 2 + 1].astype(np.float32)
     full = np.fft.ifft2((tables * np.fft.fft2(wide)).sum(axis=1)).real

@@ -189,11 +189,9 @@ def of_mild_lens(method, shape=(180, 320)):
     varies fast.
     """
     lens = seidel_lens(shape, MILD, SIZE)
-    return (
-        eigen_kernels(lens, shape, terms=12)
-        if method == "eigen"
-        else overlap_add(lens, shape, (9, 13), window=method)
-    )
+    if method == "eigen":
+        return eigen_kernels(lens, shape, terms=12)
+    return overlap_add(lens, shape, (9, 13), window=method)
 
 
 @case(

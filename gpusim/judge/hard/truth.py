@@ -10,6 +10,8 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import j0, j1
 
+from gpusim.judge.truth_light import centre_pads
+
 
 def relative(result, truth) -> float:
     """Return the RMS error over the RMS of the truth."""
@@ -158,12 +160,6 @@ def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
             s = np.minimum(q * np.hypot(y, x), 1)
             out += 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(y) * np.sinc(x)
     return out
-
-
-def centre_pads(period, shape) -> list[tuple[int, int]]:
-    """Return the samples before and after an array that centre it in a period, by axis."""
-    gaps = [length - n for length, n in zip(period, shape, strict=True)]
-    return [(gap // 2, gap - gap // 2) for gap in gaps]
 
 
 def blur_periodic(values, q, weights, period) -> np.ndarray:
