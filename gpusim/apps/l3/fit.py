@@ -57,9 +57,8 @@ class NormalEquations:
             )
         shift = (0, 0) if phase is None else layout.shift(phase)
         codes = code.encode_raw(raw)
-        classes, levels = classify(
-            codes, code, layout, layout.floor[number], layout.strengths[number]
-        )
+        floor, strengths = layout.floor[number], layout.strengths[number]
+        classes, levels = classify(codes, code, layout, floor, strengths)
         inside = np.s_[border : raw.shape[0] - border, border : raw.shape[1] - border]
         s = sum_groups(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
         if self.constant:
@@ -88,11 +87,9 @@ class NormalEquations:
     def _sums(self, number):
         terms, outputs = self._sizes
         if number not in self.sums:
-            a, b, c = (
-                np.zeros((*self.layout.shape[1:4], *rest))
-                for rest in ((terms, terms), (terms, outputs), (outputs,))
-            )
-            self.sums[number] = a, b, c
+            bins = self.layout.shape[1:4]
+            a, b = np.zeros((*bins, terms, terms)), np.zeros((*bins, terms, outputs))
+            self.sums[number] = a, b, np.zeros((*bins, outputs))
         return self.sums[number]
 
     def merge(self, other: "NormalEquations"):
@@ -131,14 +128,12 @@ class NormalEquations:
             raise BadData(
                 "taps: some position has no sample of some channel among them, and flat fields shall be kept"
             )
-        filters = np.zeros(
-            (*layout.shape[:2], layout.positions, layout.classes, *self._sizes[::-1])
-        )
+        bins = (*layout.shape[:2], layout.positions, layout.classes)
+        filters = np.zeros((*bins, *self._sizes[::-1]))
         for number in range(len(layout.noise)):
             if number not in self.sums:
-                raise BadData(
-                    f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
-                )
+                why = f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
+                raise BadData(why)
             a, b, c = (
                 share_mirrored(part, maps, axes, self.constant)
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
@@ -148,12 +143,8 @@ class NormalEquations:
         filters = np.rint(filters * 2.0**40) / 2.0**40
         filters = np.stack([share_mirrored(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
-        return FilterTable(
-            layout,
-            filters[..., :groups],
-            filters[..., groups] if self.constant else None,
-            provenance,
-        )
+        offsets = filters[..., groups] if self.constant else None
+        return FilterTable(layout, filters[..., :groups], offsets, provenance)
 
     def _solve_position(self, a, b, c, ridge, preserve, constraints, number):
         layout = self.layout
@@ -181,9 +172,9 @@ class NormalEquations:
                 )
                 for k in range(layout.classes):
                     out[at, p, k] = solve_ridge(a[at, p, k], b[at, p, k], unit, level, limit).T
-            for o in [
-                o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None
-            ]:
+            for o, name in enumerate(layout.outputs):
+                if name != letters[p] or own is None:
+                    continue
                 square = c[:, p, :, o].sum()
                 left = square - 2 * b[:, p, :, own, o].sum() + a[:, p, :, own, own].sum()
                 if abs(left) <= 1e-9 * square:
@@ -253,23 +244,14 @@ def symmetries(layout: Layout, exchanges=()):
                 outputs = [swap.get(name, name) for name in layout.outputs]
                 if not set(outputs) <= set(layout.outputs):
                     continue
-                for shift in np.ndindex(rows, cols):
-                    places = np.indices((rows, cols)).reshape(2, -1)
-                    y, x = (places[::-1] if transpose else places) * sign[:, None] + np.array(
-                        shift
-                    )[:, None]
-                    y, x = y % rows, x % cols
-                    if [swap.get(letter, letter) for letter in letters.ravel()] == letters[
-                        y, x
-                    ].tolist():
-                        found.append(
-                            (
-                                y * cols + x,
-                                classes,
-                                groups,
-                                [layout.outputs.index(name) for name in outputs],
-                            )
-                        )
+                names = [layout.outputs.index(name) for name in outputs]
+                swapped = [swap.get(letter, letter) for letter in letters.ravel()]
+                places = np.indices((rows, cols)).reshape(2, -1)
+                places = (places[::-1] if transpose else places) * sign[:, None]
+                for down, right in np.ndindex(rows, cols):
+                    y, x = (places[0] + down) % rows, (places[1] + right) % cols
+                    if swapped == letters[y, x].tolist():
+                        found.append((y * cols + x, classes, groups, names))
     return found
 
 

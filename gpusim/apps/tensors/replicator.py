@@ -90,8 +90,6 @@ def channels_first(frame):
     if hasattr(turned, "contiguous"):  # Warp's
         rows, cols = turned.shape[1:]
         return turned[:3].contiguous().reshape((1, 3, rows, cols))
-    return (
-        np.ascontiguousarray(turned[:3])[None]
-        if isinstance(turned, np.ndarray)
-        else turned[:3][None].copy()
-    )
+    if isinstance(turned, np.ndarray):
+        return np.ascontiguousarray(turned[:3])[None]
+    return turned[:3][None].copy()
