@@ -39,15 +39,12 @@ class Header:
     def nbytes(self) -> int:
         """Bytes of all lines, each with its filter byte."""
         passes = ADAM7 if self.interlaced else ((0, 0, 1, 1),)
-        sizes = [
-            (math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx))
-            for x, y, dx, dy in passes
-        ]
-        return sum(
-            rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
-            for rows, cols in sizes
-            if rows > 0 and cols > 0
-        )
+        nbytes = 0
+        for x, y, dx, dy in passes:
+            rows, cols = math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx)
+            if rows > 0 and cols > 0:
+                nbytes += rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
+        return nbytes
 
 
 def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
@@ -62,10 +59,8 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             lines = inflate.decompress(piece, min(PIECE, header.nbytes - found + 1))
             found += len(lines)
             if found > header.nbytes:
-                raise BadFile(
-                    path,
-                    f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels",
-                )
+                why = f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels"
+                raise BadFile(path, why)
             if keep:
                 pieces.append(lines)
             piece = inflate.unconsumed_tail

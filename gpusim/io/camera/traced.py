@@ -58,18 +58,15 @@ def spread_of(
     ideal = {field: table[field, middle].centre for field in fields}
     if len(fields) > 1:
         if corner is None or not 0 < corner < np.inf:
-            raise BadData(
-                f"{len(fields)} field points: wanted corner, the distance of the frame's corner from the "
-                "axis [m]"
-            )
+            what = f"{len(fields)} field points: wanted corner"
+            raise BadData(f"{what}, the distance of the frame's corner from the axis [m]")
         fields.sort(key=lambda field: np.hypot(*ideal[field]))
-    values, spacing = _resample_all(
-        [
-            _turn_outward(table[field, wavelength], ideal[field], corner)
-            for field in fields
-            for wavelength in wavelengths
-        ]
-    )
+    turned = [
+        _turn_outward(table[field, wavelength], ideal[field], corner)
+        for field in fields
+        for wavelength in wavelengths
+    ]
+    values, spacing = _resample_all(turned)
     values = values.reshape(len(fields), len(wavelengths), *values.shape[1:])
     if len(fields) == 1 or corner is None:
         return PointSpread(np.array(wavelengths), values[0], spacing)
@@ -95,9 +92,8 @@ def _turn_outward(traced, ideal, corner):
     if corner is None or max(abs(x), abs(y)) <= least:
         return values, traced.spacing, (row, col)
     if min(abs(x), abs(y)) > least:
-        raise BadData(
-            f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y"
-        )
+        what = f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm"
+        raise BadData(f"{what}: wanted all along x or all along y")
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
         # values from below come to the right
         values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)

@@ -80,9 +80,8 @@ def _read_listing(path) -> Traced:
         values = _parse_values(path, text[start.end() :], rows, cols)
         first, last, unit, field = _match(LIGHT, head, "wavelength and field").groups()
         if last is not None and abs(float(last) / max(float(first), 1e-30) - 1) > FINEST:
-            raise BadData(
-                f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
-            )
+            why = f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
+            raise BadData(why)
         wavelength = _parse_length("wavelength", first, unit, WAVELENGTHS)
         size, spacing_unit = _match(SPACING, head, "Data spacing").groups()
         spacing = _parse_length("Data spacing", size, spacing_unit, SPACINGS)
@@ -94,15 +93,9 @@ def _read_listing(path) -> Traced:
         x, y = (
             _parse_length("Center coordinates", item, length or "mm", PLACES) for item in (x, y)
         )
+        nm, place = round(wavelength * 1e9, 6), (rows - 1 - row, col)
         # the first line is the top one
-        return Traced(
-            round(wavelength * 1e9, 6),
-            values[::-1],
-            spacing,
-            (rows - 1 - row, col),
-            (x, y),
-            field.strip(),
-        )
+        return Traced(nm, values[::-1], spacing, place, (x, y), field.strip())
 
 
 def _match(pattern, head, what):
@@ -130,13 +123,11 @@ def _parse_values(path, text, rows, cols):
         raise BadData(f"{len(words)} values instead of {rows} x {cols}; is it truncated?")
     # all numbers of OpticStudio have the same length
     if not text[-1].isspace() and len(set(map(len, words))) > 1:
-        raise BadData(
-            f"no line ends after the last value, {format_value(words[-1])}; is it truncated?"
-        )
+        why = f"no line ends after the last value, {format_value(words[-1])}; is it truncated?"
+        raise BadData(why)
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():
-        raise BadData(
-            "has values that are negative or not finite: wanted a linear listing, not a logarithmic one"
-        )
+        what = "has values that are negative or not finite"
+        raise BadData(f"{what}: wanted a linear listing, not a logarithmic one")
     return values

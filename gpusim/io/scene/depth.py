@@ -13,9 +13,8 @@ def check_depth(along: str, fov: float | None):
     if along not in ALONG:
         raise UnknownName("depth", str(along), ALONG)
     if along == "ray" and not (fov is not None and 0 < fov < np.pi):
-        raise OutOfRange(
-            "fov", fov, 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
-        )
+        allowed = 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
+        raise OutOfRange("fov", fov, allowed)
 
 
 def axial_depth(

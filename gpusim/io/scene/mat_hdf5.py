@@ -65,28 +65,17 @@ class _Item(Value):
             names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]
             names = [name for name in names if not name.startswith(HIDDEN)]
             kind = "struct" if of in ("struct", "") else f"an array of class {of}"
-            if (
-                of == "struct"
-                and names
-                and self._holds_references(names[0])
-                and item[names[0]].size > 1
-            ):
+            is_array = of == "struct" and names and self._holds_references(names[0])
+            if is_array and item[names[0]].size > 1:
                 kind = "a struct array"
             super().__init__(path, label, kind, (1, 1), tuple(names) if kind == "struct" else ())
             return
         if not isinstance(item, h5py.Dataset):
             raise ValueError(f"{label} is neither a group nor a data set")
         shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1] or (1, 1)
-        if of == "char":
-            kind = "text"
-        elif of == "cell":
-            kind = "a cell array"
-        else:
-            kind = (
-                "numbers"
-                if item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
-                else f"an array of {item.dtype}"
-            )
+        is_number = item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
+        kind = "numbers" if is_number else f"an array of {item.dtype}"
+        kind = {"char": "text", "cell": "a cell array"}.get(of, kind)
         super().__init__(path, label, kind, shape)
 
     def _local_item(self, name):
@@ -113,20 +102,16 @@ class _Item(Value):
         if self._holds_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
             item = self.item.file[np.asarray(item[()]).item()]
-        return _Item(
-            self.path, f"{self.label}.{name}" if self.label != "the file" else name, item, self.size
-        )
+        label = f"{self.label}.{name}" if self.label != "the file" else name
+        return _Item(self.path, label, item, self.size)
 
     def _check(self):
         _check(self.path, self.label, self.item, self.size)
 
     def _array(self):
         array = self.item[()]
-        return (
-            np.asarray(array)
-            .astype(array.dtype.newbyteorder("="), copy=False)
-            .T.reshape(self.shape)
-        )
+        array = np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False)
+        return array.T.reshape(self.shape)
 
     def _text(self):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")
@@ -157,11 +142,8 @@ def _check_ends(data):
         # keys are names in groups; sizes and places of pieces, of any number of axes, in data sets
         for wide in (8,) if kind == 0 else range(24, 24 + 8 * MOST_AXES, 8):
             first = base + at + 24 + wide
-            for child in (
-                range(first, min(first + entries * (wide + 8), len(data) - 7), wide + 8)
-                if level
-                else ()
-            ):
+            end = min(first + entries * (wide + 8), len(data) - 7) if level else first
+            for child in range(first, end, wide + 8):
                 if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
                     raise ValueError("a tree that contains itself")
 
@@ -192,10 +174,9 @@ def _check(path, label, item, size):
     filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
         raise BadFile(path, f"{label}: packed by another method than MATLAB's")
-    largest = max(
-        nbytes,
-        math.prod(plist.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
-    )
+    largest = nbytes
+    if layout == h5py.h5d.CHUNKED:
+        largest = max(nbytes, math.prod(plist.get_chunk()) * item.dtype.itemsize)
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
         raise BadFile(
             path,
