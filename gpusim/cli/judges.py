@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 
-from gpusim.cli.options import Options, option, size, write_json
+from gpusim.cli.options import Options, flag, option, size, write_json
 from gpusim.domain.errors import UnknownName
 
 VERIFY = {"help": "compare every stage with its float64 reference; status 1 on any failure"}
@@ -29,10 +29,8 @@ class StageRequest(Options):
 class VerifyRequest(StageRequest):
     """Options of `gpusim verify`."""
 
-    hard: bool = option(
-        default=False,
-        action="store_true",
-        help="run the 30 hard cases instead of the stages: the limit of each, and the result",
+    hard: bool = flag(
+        "run the 30 hard cases instead of the stages: the limit of each, and the result"
     )
 
 
@@ -59,7 +57,7 @@ class BenchRequest(StageRequest):
 class DevicesRequest(Options):
     """Options of `gpusim devices`."""
 
-    json: bool = option(default=False, action="store_true", help="print JSON")
+    json: bool = flag("print JSON")
 
 
 def verify(request: VerifyRequest) -> int:
@@ -171,13 +169,10 @@ def bench(request: BenchRequest) -> int:
 def _speed_line(row):
     """Return a line of a stage's speed."""
     if "failed" in row:
-        return (
-            f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}"
-        )
-    rate, ratio = (
-        f"{'-':>8s}" if value is None else f"{value:8.1f}"
-        for value in (row["gflops"], row["ratio_to_floor"])
-    )
+        words = "{device:10s} {stage:22s} no speed: verification failed, {failed}"
+        return words.format(**row)
+    known = row["gflops"], row["ratio_to_floor"]
+    rate, ratio = (f"{'-':>8s}" if value is None else f"{value:8.1f}" for value in known)
     return (
         f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p25']:9.3f} "
         f"{row['ms_p50']:9.3f} {row['ms_p75']:9.3f} {row['gbps']:7.1f} {rate} {ratio} {row['build_ms']:9.1f} "

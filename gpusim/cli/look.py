@@ -6,7 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusim.cli.options import CAMERA_HELP, SCENE_HELP, Request, option, reads, seed_option
+from gpusim.cli.options import (
+    CAMERA_HELP,
+    SCENE_HELP,
+    Request,
+    option,
+    reads,
+    scene_option,
+    seed_option,
+)
 from gpusim.domain.errors import BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -143,12 +151,10 @@ PANELS: dict[str, tuple[Callable, str]] = {
 class LookRequest(Request):
     """Options of `gpusim look`."""
 
-    scene: str | None = option(
-        positional=True,
-        nargs="?",
-        metavar="SCENE",
-        help=f"{SCENE_HELP}; psf, mtf, camera, snr and ptc take none (default: colorchecker, for sfr "
+    scene: str | None = scene_option(
+        f"{SCENE_HELP}; psf, mtf, camera, snr and ptc take none (default: colorchecker, for sfr "
         f"slanted-edge, {SIZE[0]}x{SIZE[1]})",
+        nargs="?",
     )
     camera: str = option(default="phone", help=f"{CAMERA_HELP} (default: phone)")
     what: str = option(

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.apps.video.actors import Cast
-from gpusim.cli.options import SCENES_HELP, Request, number, option, reads, whole
+from gpusim.cli.options import (
+    SCENES_HELP,
+    Request,
+    flag,
+    number,
+    option,
+    reads,
+    scene_option,
+    whole,
+)
 from gpusim.domain.errors import BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -41,9 +50,7 @@ def _movement(default, metavar, words):
 class MovingRequest(Request):
     """One scene or several, the movement of the camera, and actors in front of the scene."""
 
-    scene: list[str] = option(
-        positional=True, in_key=False, nargs="+", metavar="SCENE", help=SCENES_HELP
-    )
+    scene: list[str] = scene_option(SCENES_HELP, nargs="+")
     frames: int | None = option(
         type=whole(1, MOST_FRAMES),
         in_key=False,
@@ -87,12 +94,7 @@ class MovingRequest(Request):
         help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, "
         "linear, gamma2.2, gamma2.8",
     )
-    any_order: bool = option(
-        default=False,
-        in_key=False,
-        action="store_true",
-        help="keep the order of scene files whatever their numbers",
-    )
+    any_order: bool = flag("keep the order of scene files whatever their numbers", in_key=False)
 
     def open_scenes(self, seed: int = 0, flicker: "Flicker | None" = None) -> "Scenes":
         """Return the scenes of all frames.

@@ -37,11 +37,7 @@ SCENE_OPTIONS = (
 
 
 def option(
-    *flags: str,
-    default: Any = None,
-    in_key: bool = True,
-    positional: bool = False,
-    **settings: Any,
+    *flags: str, default: Any = None, in_key: bool = True, positional: bool = False, **settings: Any
 ) -> Any:
     """Return the dataclass field of an option.
 
@@ -54,6 +50,16 @@ def option(
     """
     metadata = {"flags": flags, "settings": settings, "in_key": in_key, "positional": positional}
     return field(default=default, metadata=metadata)
+
+
+def flag(words: str, **settings: Any) -> Any:
+    """Return the field of an option without a value. words: help; settings: as for `option`."""
+    return option(default=False, action="store_true", help=words, **settings)
+
+
+def scene_option(words: str, **settings: Any) -> Any:
+    """Return the field of the argument SCENE. words, settings: as for `flag`."""
+    return option(positional=True, in_key=False, metavar="SCENE", help=words, **settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,22 +259,15 @@ def _wavelengths(text):
 class Request(Options):
     """A scene, a camera with its controls, and the settings of the planner."""
 
-    scene: Any = option(positional=True, in_key=False, metavar="SCENE", help=SCENE_HELP)
+    scene: Any = scene_option(SCENE_HELP)
     camera: str = option(in_key=False, required=True, help=CAMERA_HELP)
     device: str = option(default="auto", in_key=False, help=DEVICE_HELP)
     tolerance: str | None = option(
         help="error that the frame may have: preview, video, metrology, or a relative RMS error "
-        "(default: exact, every wavelength is computed)",
+        "(default: exact, every wavelength is computed)"
     )
-    guaranteed: bool = option(
-        default=False, action="store_true", help="meet --tolerance for every possible spectrum"
-    )
-    strict: bool = option(
-        default=False,
-        in_key=False,
-        action="store_true",
-        help="fail if --tolerance is not predicted to be met",
-    )
+    guaranteed: bool = flag("meet --tolerance for every possible spectrum")
+    strict: bool = flag("fail if --tolerance is not predicted to be met", in_key=False)
     size: tuple[int, int] | None = option(
         type=size,
         metavar="COLSxROWS",

@@ -12,11 +12,14 @@ from gpusim.cli.options import (
     SCENE_HELP,
     Request,
     describe_verdicts,
+    flag,
     make_folder,
     option,
+    scene_option,
     seed_option,
     whole,
 )
+from gpusim.cli.video import shard_option
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict
 
@@ -35,20 +38,14 @@ TEXTS = {
 class PairsRequest(Request):
     """Options of `gpusim pairs`."""
 
-    scene: list[str] = option(
-        positional=True,
-        in_key=False,
-        nargs="+",
-        metavar="SCENE",
-        help=f"{SCENE_HELP}; several of them, or folders",
-    )
+    scene: list[str] = scene_option(f"{SCENE_HELP}; several of them, or folders", nargs="+")
     out: str = option(
         "-o",
         "--out",
         in_key=False,
-        required=True,
         metavar="FOLDER",
         help="folder of the tar files 000000.tar, ...; it is created if it does not exist",
+        required=True,
     )
     vary: Variety = option(
         default=Variety(),
@@ -63,22 +60,14 @@ class PairsRequest(Request):
         default=1, type=whole(1, MOST), metavar="N", help="pairs per photograph (default: 1)"
     )
     seed: int = seed_option("the noise and of --vary")
-    pictures: bool = option(
-        default=False, action="store_true", help="also write KEY.rgb.png of every frame"
-    )
+    pictures: bool = flag("also write KEY.rgb.png of every frame")
     in_shard: int = option(
         default=IN_SHARD,
         type=whole(1, MOST),
         metavar="N",
         help=f"pairs per tar file (default: {IN_SHARD})",
     )
-    shard: Shard = option(
-        default=Shard(),
-        in_key=False,
-        type=Shard.parse,
-        metavar="I/N",
-        help="make only part I of N of the tar files, counted from 0",
-    )
+    shard: Shard = shard_option("part I of N of the tar files, counted from 0")
 
     def check_settings(self) -> None:
         """Raise Conflict for two options that set the same, or that have no effect together."""
@@ -119,11 +108,8 @@ def pairs(request: PairsRequest) -> int:
     for light in varied.get("light", ()):
         illuminant(light)
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
-        raise Conflict(
-            "--vary iso",
-            "automatic exposure chooses the gain",
-            "add --exposure TIME or --vary exposure=LOW..HIGH",
-        )
+        remedy = "add --exposure TIME or --vary exposure=LOW..HIGH"
+        raise Conflict("--vary iso", "automatic exposure chooses the gain", remedy)
     photographs = _photographs(request)
 
     def open_drawn(path, values):

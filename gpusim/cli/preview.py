@@ -59,9 +59,8 @@ def preview(request: PreviewRequest) -> int:
     try:
         from nicegui import app, ui
     except ImportError:
-        raise Missing(
-            "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
-        ) from None
+        why = "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
+        raise Missing(why) from None
     from gpusim.apps.preview.controls import TOLERANCES
     from gpusim.apps.preview.guard import Guard
     from gpusim.apps.preview.page import mount
@@ -81,13 +80,8 @@ def preview(request: PreviewRequest) -> int:
     request.open_camera()  # refuses wrong settings before the page opens
     require_port(request.host, request.port)
     request.refuse_unread("preview")
-    mount(
-        lambda: Producer(scenes, device, period),
-        State(request.camera, changes, tolerance=tolerance),
-        first.name,
-        first.shape,
-        " ".join(request.scene),
-    )
+    state, words = State(request.camera, changes, tolerance=tolerance), " ".join(request.scene)
+    mount(lambda: Producer(scenes, device, period), state, first.name, first.shape, words)
     hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
     if request.host not in LOOPBACK:
@@ -95,17 +89,10 @@ def preview(request: PreviewRequest) -> int:
             f"{request.host}: anyone who reaches this address may use this preview and its device"
         )
     print(f"http://{request.host}:{request.port}/  (Ctrl+C ends it)", flush=True)
-    ui.run(
-        host=request.host,
-        port=request.port,
-        reload=False,
-        show=False,
-        show_welcome_message=False,
-        ws_per_message_deflate=False,
-        ws_max_size=2**16,
-        title="gpusim",
-        uvicorn_logging_level="error",
-    )
+    quiet = {"show": False, "show_welcome_message": False, "uvicorn_logging_level": "error"}
+    socket = {"ws_per_message_deflate": False, "ws_max_size": 2**16}
+    address = {"host": request.host, "port": request.port}
+    ui.run(**address, **quiet, **socket, reload=False, title="gpusim")
     return 0
 
 

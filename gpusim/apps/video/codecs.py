@@ -82,9 +82,8 @@ def pyav():
         import av
         import av.filter
     except ImportError as error:
-        raise GpusimError(
-            f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
-        ) from error
+        why = f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
+        raise GpusimError(why) from error
     # No log. With one, threads of the decoders wait for Python's lock to report damage, while its
     # holder waits for them to close the file: a deadlock
     av.logging.set_level(None)
@@ -147,15 +146,12 @@ def codec_of(path: Path, name: str | None) -> Codec:
         raise UnknownName("codec", name, CODECS)
     codec, known = CODECS[name], pyav().codecs_available
     if path.suffix.lower() not in codec.containers:
-        raise OutOfRange(
-            "--codec", f"{name} in {path.suffix}", f"{' or '.join(codec.containers)} files for it"
-        )
+        allowed = f"{' or '.join(codec.containers)} files for it"
+        raise OutOfRange("--codec", f"{name} in {path.suffix}", allowed)
     if codec.encoder not in known:
         there = [other for other, one in CODECS.items() if one.encoder in known]
-        raise GpusimError(
-            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has encoders for "
-            f"{', '.join(there) or 'none of the codecs'}"
-        )
+        what = f"codec {name}: this PyAV has no encoder {codec.encoder}"
+        raise GpusimError(f"{what}; it has encoders for {', '.join(there) or 'none of the codecs'}")
     return codec
 
 
@@ -185,17 +181,11 @@ class Encoder:
     ):
         rows, cols = shape
         if codec.stored.startswith("yuv420") and (rows % 2 or cols % 2):
-            raise OutOfRange(
-                "frame size of an encoded video",
-                f"{cols}x{rows}",
-                "even numbers of columns and rows, or --codec ffv1-linear",
-            )
+            allowed = "even numbers of columns and rows, or --codec ffv1-linear"
+            raise OutOfRange("frame size of an encoded video", f"{cols}x{rows}", allowed)
         if codec.encoder == "libx265" and min(rows, cols) < LEAST_H265:
-            raise OutOfRange(
-                "frame size of h265",
-                f"{cols}x{rows}",
-                f"{LEAST_H265} columns and rows or more, or --codec h264",
-            )
+            allowed = f"{LEAST_H265} columns and rows or more, or --codec h264"
+            raise OutOfRange("frame size of h265", f"{cols}x{rows}", allowed)
         if quality is not None and not codec.quality:
             raise Conflict("--quality", "ffv1 is lossless", "leave it out")
         self.codec, self.rate, self.shape = codec, rate, shape

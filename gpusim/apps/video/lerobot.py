@@ -8,7 +8,6 @@ adds to an existing data set.
 import json
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +45,8 @@ def pyarrow():
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise GpusimError(
-            f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'"
-        ) from error
+        why = f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'"
+        raise GpusimError(why) from error
     return pyarrow
 
 
@@ -65,7 +63,6 @@ class Episode(EncodedFile):
         seed: Seed of the noise.
         encoder: Encoder of the segments, h264.
         segments: All segments.
-        made: `frames` or `blurred_frames`.
 
     Raises:
         OutOfRange: If the rate is not a whole number, the seed is not an int64, or rate, size or
@@ -82,7 +79,6 @@ class Episode(EncodedFile):
         seed: int,
         encoder: Encoder,
         segments: list[range],
-        made: Callable,
     ):
         pyarrow()
         rate = encoder.rate
@@ -95,7 +91,7 @@ class Episode(EncodedFile):
         self._features = _features(self._key, encoder.shape, self._rate)
         self._info, self._before = self._read()
         self.number = len(self._before)
-        super().__init__(folder / f"episode-{self.number:06d}", encoder, segments, made)
+        super().__init__(folder / f"episode-{self.number:06d}", encoder, segments)
 
     def _read(self):
         """Return the information on the data set, and a row for each of its episodes."""
@@ -146,9 +142,8 @@ class Episode(EncodedFile):
         def note_data():
             for one in computed:
                 known.append((one.exposure_time, one.gain, one.account.total.rms))
-                counts[:] += [
-                    np.bincount(one.values[..., c].ravel(), minlength=CODES) for c in range(3)
-                ]
+                for count, plane in zip(counts, np.moveaxis(one.values, -1, 0), strict=True):
+                    count += np.bincount(plane.ravel(), minlength=CODES)
                 yield one
 
         for one in super()._encode(segment, note_data()):
@@ -169,10 +164,8 @@ class Episode(EncodedFile):
         if not self._is_complete():
             return False
         last: dict[str, Any] = self._before[-1] if self._before else {}
-        places = {
-            name: _following(last, name, self._info["chunks_size"])
-            for name in ("data", f"videos/{self._key}", "meta/episodes")
-        }
+        names, size = ("data", f"videos/{self._key}", "meta/episodes"), self._info["chunks_size"]
+        places = {name: _following(last, name, size) for name in names}
         (data, video, episodes), info = places.values(), self._info
         tasks = self._tasks()
         table, statistics, length = self._table(tasks.index(self._task))
@@ -189,14 +182,9 @@ class Episode(EncodedFile):
             row |= own
             earlier = [[before[key] for key in own] for before in self._before]
             whole[name] = _together([*(dict(zip(one, old, strict=True)) for old in earlier), one])
-        info = info | {
-            "fps": self._rate,
-            "features": info.get("features", self._features),
-            "total_episodes": self.number + 1,
-            "total_frames": begin + length,
-            "total_tasks": len(tasks),
-            "splits": {"train": f"0:{self.number + 1}"},
-        }
+        info = info | {"fps": self._rate, "features": info.get("features", self._features)}
+        info |= {"total_episodes": self.number + 1, "total_frames": begin + length}
+        info |= {"total_tasks": len(tasks), "splits": {"train": f"0:{self.number + 1}"}}
         arrow = pyarrow()
         written = [
             (_path(info["video_path"], video, video_key=self._key), self._join),
@@ -326,12 +314,9 @@ def _together(parts):
         return np.average(values, axis=0, weights=count[:, 0])
 
     mean = average(of["mean"])
-    found = {which: average(values) for which, values in of.items()} | {
-        "min": of["min"].min(0),
-        "max": of["max"].max(0),
-        "count": count.sum(0),
-        "std": np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2)),
-    }
+    found = {which: average(values) for which, values in of.items()}
+    found |= {"min": of["min"].min(0), "max": of["max"].max(0), "count": count.sum(0)}
+    found["std"] = np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2))
     return {which: value.tolist() for which, value in found.items()}
 
 

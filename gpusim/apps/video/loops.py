@@ -230,8 +230,7 @@ def meter_scenes(
 def _distance(scene):
     """Return the median distance of the middle third of a scene [m]."""
     if scene.depth is None:
-        raise BadData(
-            f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
-        )
+        why = f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
+        raise BadData(why)
     middle = tuple(slice(n // 3, n - n // 3) for n in scene.depth.shape)
     return float(np.median(scene.depth[middle]))

@@ -75,11 +75,8 @@ def within_period(camera: Camera, rate: Fraction) -> Camera:
         if automatic.longest is None or automatic.longest > longest:
             sensor = replace(sensor, auto_exposure=replace(automatic, longest=longest))
     elif sensor.exposure_time > longest:
-        raise OutOfRange(
-            "exposure time of a video",
-            f"{sensor.exposure_time:.4g} s",
-            f"up to the frame's period, {longest:.4g} s at {float(rate):g} frames per second",
-        )
+        allowed = f"up to the frame's period, {longest:.4g} s at {float(rate):g} frames per second"
+        raise OutOfRange("exposure time of a video", f"{sensor.exposure_time:.4g} s", allowed)
     return replace(camera, sensor=sensor)
 
 
@@ -197,13 +194,12 @@ class NumberedFiles:
     Args:
         path: Path of the output; its suffix sets the format.
         count: Number of frames.
-        made: `frames` or `blurred_frames`.
     """
 
     folders = ()
 
-    def __init__(self, path: Path, count: int, made: Callable = frames):
-        self._path, self._count, self._made = path, count, made
+    def __init__(self, path: Path, count: int):
+        self._path, self._count = path, count
 
     @property
     def words(self) -> str:
@@ -219,26 +215,26 @@ class NumberedFiles:
         """Return the path of a frame."""
         return numbered_path(self._path, number, self._count)
 
-    def write(
-        self,
-        simulator: Simulator,
-        scenes: Scenes,
-        segments: list[range],
-        seed: int = 0,
-        loops: Loops = NO_LOOPS,
-    ) -> Iterator[Made]:
+    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
         """Write the missing frames of the segments; yield each written one.
 
-        Raises as `Frame.save` does.
+        Args:
+            make: `frames` or `blurred_frames` of a simulator and its scenes.
+            segments: Segments to write.
+
+        Raises:
+            GpusimError: As `Frame.save` does.
         """
         missing = [
             [segment.start, *(number for number in segment if not self.name(number).exists())]
             for segment in segments
         ]
         missing = [segment for segment in missing if len(segment) > 1]
-        made = self._made(simulator, scenes, missing, seed=seed, loops=loops)
         workers = os.cpu_count() or 1
-        with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
+        with (
+            ThreadPoolExecutor(workers) as pool,
+            closing(ahead(make(missing), COMPUTED)) as computed,
+        ):
             writing: dict = {}
             for one in computed:
                 writing[pool.submit(one.values.save, self.name(one.number))] = one
@@ -263,13 +259,10 @@ class EncodedFile:
         path: Path of the video.
         encoder: Encoder of the segments.
         segments: All segments.
-        made: `frames` or `blurred_frames`.
     """
 
-    def __init__(
-        self, path: Path, encoder: Encoder, segments: list[range], made: Callable = frames
-    ):
-        self.path, self._encoder, self._segments, self._made = path, encoder, segments, made
+    def __init__(self, path: Path, encoder: Encoder, segments: list[range]):
+        self.path, self._encoder, self._segments = path, encoder, segments
         self.folder = path.with_name(path.name + PARTS)
 
     @property
@@ -295,18 +288,14 @@ class EncodedFile:
         """Return the file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
-    def write(
-        self,
-        simulator: Simulator,
-        scenes: Scenes,
-        segments: list[range],
-        seed: int = 0,
-        loops: Loops = NO_LOOPS,
-    ) -> Iterator[Made]:
-        """Encode the missing segments; yield each encoded frame. Raises BadFile."""
+    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
+        """Encode the missing segments; yield each encoded frame. Raises BadFile.
+
+        make, segments: as for `NumberedFiles.write`.
+        """
         missing = [segment for segment in segments if not self.part(segment).exists()]
-        parts, output = [[part.start, *part] for part in missing], self._encoder.codec.output
-        made = self._made(simulator, scenes, parts, seed=seed, output=output, loops=loops)
+        parts = [[part.start, *part] for part in missing]
+        made = make(parts, output=self._encoder.codec.output)
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
                 yield from self._encode(segment, computed)

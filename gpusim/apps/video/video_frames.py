@@ -16,6 +16,7 @@ from fractions import Fraction
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -83,6 +84,10 @@ class Film:
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
 
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
+
     def _count_frames(self, container, stream):
         """Return the number of frames of a file without that entry.
 
@@ -104,13 +109,10 @@ class Film:
         rate = stream.average_rate or Fraction(0)
         # these times are whole milliseconds, and the last frame may have no duration
         if (duration - end) * rate > Fraction(3, 4):
-            raise BadFile(
-                self.path,
-                f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated",
-            )
+            self.refuse(f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated")
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
-            raise BadFile(self.path, "one of its last frames is missing: it is truncated")
+            self.refuse("one of its last frames is missing: it is truncated")
         return len(shown)
 
     def _read_tags(self, tags, transfer, rows):
@@ -118,16 +120,11 @@ class Film:
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            raise BadFile(
-                self.path,
-                f"its transfer function is {tag}, so the meaning of its codes is "
-                f"unknown; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}",
-            )
+            what = f"its transfer function is {tag}, so the meaning of its codes is unknown"
+            self.refuse(f"{what}; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}")
         if primaries not in (*UNTAGGED, *PRIMARIES):
-            raise BadFile(
-                self.path,
-                f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3",
-            )
+            why = f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"
+            self.refuse(why)
         self._transfer = TRANSFERS[curve] if transfer is None else transfer
         self._primaries = PRIMARIES.get(primaries, PRIMARIES[1])
         if self._format.startswith(("yuv", "nv", "p0")):
@@ -135,9 +132,7 @@ class Film:
                 None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601"
             )
             if known is None:
-                raise BadFile(
-                    self.path, f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020"
-                )
+                self.refuse(f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
             extent = "full" if extent == FULL_RANGE or self._format.startswith("yuvj") else "tv"
             self._scale = f"in_color_matrix={known}:in_range={extent}:out_range=full"
         else:
@@ -161,9 +156,7 @@ class Film:
                     codes = self._codes(frame)
                     break
             else:
-                raise BadFile(
-                    self.path, f"ends before its frame {number} of {self.count}: it is truncated"
-                )
+                self.refuse(f"ends before its frame {number} of {self.count}: it is truncated")
         scene = self._lift(codes)
         return check_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
