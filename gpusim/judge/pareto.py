@@ -53,9 +53,8 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     """
     require_truth(camera, scene)
     if not lens_of(camera).is_uniform:
-        raise BadData(
-            "bench --pareto: a blur that varies over the field; wanted one that is the same everywhere"
-        )
+        what = "bench --pareto: a blur that varies over the field"
+        raise BadData(f"{what}; wanted one that is the same everywhere")
     exact = Simulator(camera, device=device)
     seconds = exact.expose(scene).exposure_time
     start = time.perf_counter()

@@ -52,9 +52,8 @@ class NormalEquations:
         layout = self.layout
         raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
         if wanted.shape != (len(layout.outputs), *raw.shape):
-            raise BadData(
-                f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}"
-            )
+            what = f"wanted: shape {wanted.shape}"
+            raise BadData(f"{what}; raw and layout make it {(len(layout.outputs), *raw.shape)}")
         shift = (0, 0) if phase is None else layout.shift(phase)
         codes = code.encode_raw(raw)
         floor, strengths = layout.floor[number], layout.strengths[number]
@@ -119,15 +118,13 @@ class NormalEquations:
         """
         layout = self.layout
         if preserve and not set(layout.outputs) <= set(layout.channels):
-            raise BadData(
-                f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}"
-            )
+            what = f"outputs {layout.outputs}"
+            raise BadData(f"{what}: flat fields can be kept in channels, {layout.channels}")
         maps = symmetries(layout, exchanges)
         constraints = flat_sums(layout, self.constant)
         if preserve and not constraints.any(axis=2).all():
-            raise BadData(
-                "taps: some position has no sample of some channel among them, and flat fields shall be kept"
-            )
+            what = "taps: some position has no sample of some channel among them"
+            raise BadData(f"{what}, and flat fields shall be kept")
         bins = (*layout.shape[:2], layout.positions, layout.classes)
         filters = np.zeros((*bins, *self._sizes[::-1]))
         for number in range(len(layout.noise)):

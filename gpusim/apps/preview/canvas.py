@@ -76,12 +76,8 @@ class Canvas:
             self.edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
             self._draw_edge()
         elif crop is not None:
-            down, right = (
-                (then - now) * own / n
-                for then, now, own, n in zip(
-                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
-                )
-            )
+            rows, cols = self._shape
+            down, right = (y - place[0]) * crop.rows / rows, (x - place[1]) * crop.cols / cols
             self._set_crop(crop.move(round(down), round(right), self._shape))
         if event.type == "mouseup":
             self._held = None

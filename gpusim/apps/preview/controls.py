@@ -80,9 +80,8 @@ class Control:
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
-                raise BadData(
-                    f"{self.label} = {format_value(value)}: wanted one of {', '.join(map(str, self.choices))}"
-                )
+                what = f"{self.label} = {format_value(value)}"
+                raise BadData(f"{what}: wanted one of {', '.join(map(str, self.choices))}")
             return
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
@@ -97,9 +96,8 @@ class Control:
             else (min(self.low, 0) * BEYOND, self.high * BEYOND)
         )
         if not low <= value <= high:
-            raise OutOfRange(
-                self.label, f"{format_value(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}"
-            )
+            allowed = f"{low:g} .. {high:g}"
+            raise OutOfRange(self.label, f"{format_value(value)} {self.unit}".rstrip(), allowed)
 
 
 def _log(section, key, label, low, high, unit="", off=None, default=None):

@@ -175,9 +175,7 @@ class Page:
     def _build_scene(self):
         with _group("Light"):
             self._choice("light", "light", (OWN, *LIGHTS), self._light)
-            self._slider(
-                "luminance", LUMINANCE, lambda value: self._set("luminance", luminance=value)
-            )
+            self._slider("luminance", LUMINANCE, self._luminance)
 
     def _build_control(self, control: Control):
         def turned(value):
@@ -197,13 +195,11 @@ class Page:
                 )
                 is_on.props("dense").props(mark(f"{name} on"))
             ui.label(control.label).classes("w-24 text-sm shrink-0")
-            slider = self._bar(
-                name,
-                control.label,
-                PLACES,
-                lambda place: self._slide(turned, control.to_value(place)),
-                "grow",
-            )
+
+            def slid(place):
+                self._slide(turned, control.to_value(place))
+
+            slider = self._bar(name, control.label, PLACES, slid, "grow")
             number = ui.number(suffix=control.unit or None).classes("w-28 shrink-0")
             number.props("dense borderless").props(mark(f"{name} number"))
             number.on("change", lambda: self._take_number(turned, number.value))
@@ -247,6 +243,9 @@ class Page:
 
     def _light(self, name):
         self._set(light=None if name == OWN else name)
+
+    def _luminance(self, value):
+        self._set("luminance", luminance=value)
 
     def _split(self, place):
         self._set("split", split=place / PLACES)

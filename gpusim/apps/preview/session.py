@@ -68,11 +68,9 @@ class Session:
     def rate(self) -> float:
         """Painted frames per second, of the last ones."""
         span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
-        return (
-            (len(self._painted) - 1) / span
-            if span and time.monotonic() - self._painted[-1] < 2
-            else 0.0
-        )
+        if span and time.monotonic() - self._painted[-1] < 2:
+            return (len(self._painted) - 1) / span
+        return 0.0
 
     @property
     def latency(self) -> float:

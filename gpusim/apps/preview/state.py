@@ -97,16 +97,11 @@ class State:
     def command(self, scene: str, file: str = "camera.toml") -> str:
         """Return the command line of the picture, with the camera's file next to it."""
         words = ["gpusim", "simulate", scene, "--camera", file]
-        for option, value in (
-            ("--light", self.light),
-            ("--luminance", self.luminance),
-            ("--tolerance", self.asked),
-        ):
-            words += (
-                []
-                if value is None
-                else [option, f"{value:g}" if isinstance(value, float) else str(value)]
-            )
+        given = {"light": self.light, "luminance": self.luminance, "tolerance": self.asked}
+        for option, value in given.items():
+            if value is not None:
+                text = f"{value:g}" if isinstance(value, float) else str(value)
+                words += [f"--{option}", text]
         return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
 
     @property

@@ -123,10 +123,8 @@ class Batch:
         shape = tuple(values.shape)
         channels = (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
         if len(shape) != 4 or 0 in shape or shape[1] not in channels:
-            raise BadData(
-                f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
-                f"{' or '.join(map(str, channels))} channels"
-            )
+            what = f"pictures: {shape}, wanted (pictures, channels"
+            raise BadData(f"{what}, rows, cols), {' or '.join(map(str, channels))} channels")
         if type_of(values) not in (np.float16, np.float32, np.float64):
             why = f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
             raise BadData(why)

@@ -69,23 +69,11 @@ def _converter(end, device, gain=100.0, sigma=0.5, size=2048):
     level = (0 if end == "black" else 65535) - black  # [DN] above black
     mean = np.full((size, size), max(level, 0) / gain, f32)
     offset = np.full((size, size), min(level, 0) / gain, f32)  # a scene has no negative electrons
-    dn = noise(
-        mean,
-        offset,
-        read_noise=sigma,
-        full_well=np.inf,
-        gain=gain,
-        black_level=black,
-        white_level=65535,
-        photon="none",
-        seed=2,
-        device=device,
-    )
+    settings = IDEAL | {"gain": gain, "black_level": black, "read_noise": sigma}
+    dn = noise(mean, offset, **settings, photon="none", seed=2, device=device)
     half = sigma / np.sqrt(2 * np.pi)  # mean of the remaining half of a normal distribution
-    return abs(
-        (dn.mean(dtype=np.float64) - black) / gain
-        - (level / gain + (half if end == "black" else -half))
-    )
+    exact = level / gain + (half if end == "black" else -half)
+    return abs((dn.mean(dtype=np.float64) - black) / gain - exact)
 
 
 @case(
