@@ -103,19 +103,15 @@ def _hard_rows(name):
 
 def _stage_line(row):
     """Return a line of a stage's case."""
-    return (
-        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
-        f"(tolerance {row['tolerance']:8.2e})  {row['case']}"
-        + ("" if row["ok"] else f": {row['why']}")
-    )
+    words = "{device:10s} {stage:22s} {max_error:9.2e} (tolerance {tolerance:8.2e})  {case}"
+    words = f"ok   {words}" if row["ok"] else f"FAIL {words}: {{why}}"
+    return words.format(**row)
 
 
 def _hard_line(row):
     """Return a line of a hard case."""
-    return (
-        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['number']:2d} {row['name']}: {row['asked']} | "
-        f"got {row['got']:.2g} of {row['limit']:.2g}: {row['why']}"
-    )
+    words = "{device:10s} {number:2d} {name}: {asked} | got {got:.2g} of {limit:.2g}: {why}"
+    return ("ok   " if row["ok"] else "FAIL ") + words.format(**row)
 
 
 def _as_hard(row):
@@ -173,11 +169,9 @@ def _speed_line(row):
         return words.format(**row)
     known = row["gflops"], row["ratio_to_floor"]
     rate, ratio = (f"{'-':>8s}" if value is None else f"{value:8.1f}" for value in known)
-    return (
-        f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p25']:9.3f} "
-        f"{row['ms_p50']:9.3f} {row['ms_p75']:9.3f} {row['gbps']:7.1f} {rate} {ratio} {row['build_ms']:9.1f} "
-        f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}"
-    )
+    times = "{device:10s} {stage:22s} {size:>10s} {ms_p25:9.3f} {ms_p50:9.3f} {ms_p75:9.3f}"
+    rest = "{build_ms:9.1f} {rel_rms_error:10.1e} {max_error:10.1e}"
+    return f"{times} {{gbps:7.1f}} {rate} {ratio} {rest}".format(**row)
 
 
 def _pareto(request):
@@ -202,10 +196,8 @@ def _pareto(request):
         rows.append(row)
         known = row["predicted_ms"], row["predicted"]
         ms, error = (f"{value:9.2g}" if value else f"{'-':>9s}" for value in known)
-        print(
-            f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error} {row['p999_sigma']:9.2g} "
-            f"{row['max_sigma']:9.2g}  {row['words']}"
-        )
+        start = f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error}"
+        print(f"{start} {row['p999_sigma']:9.2g} {row['max_sigma']:9.2g}  {row['words']}")
     _write_rows(request.json, rows)
     if request.out:
         size = f"{scene.shape[1]}x{scene.shape[0]}"
@@ -233,12 +225,10 @@ def list_devices(request: DevicesRequest) -> int:
         if entry["error"]:
             print(f"{entry['name']:12s} unusable: {entry['error']}")
             continue
-        kinds = "fp64" if entry["fp64"] else "no fp64"
-        kinds += ", fp16" if entry["fp16"] else ", no fp16"
-        print(
-            f"{entry['name']:12s} {entry['device']}; {entry['driver']} ({entry['version']}); {entry['units']} units, "
-            f"{kinds}; {entry['memory'] / 2**30:.1f} GiB; copy {entry['copy_gbps']:.1f} GB/s"
-        )
+        kinds = ", ".join(kind if entry[kind] else f"no {kind}" for kind in ("fp64", "fp16"))
+        what = "{name:12s} {device}; {driver} ({version}); {units} units".format(**entry)
+        memory, copy = f"{entry['memory'] / 2**30:.1f} GiB", f"{entry['copy_gbps']:.1f} GB/s"
+        print(f"{what}, {kinds}; {memory}; copy {copy}")
     return 0
 
 

@@ -409,13 +409,9 @@ class Request(Options):
             for name in ("guaranteed", "strict"):
                 self.refuse(name, "there is no tolerance to meet", "add --tolerance")
 
-        return Simulator(
-            self.open_camera() if camera is None else camera,
-            device=self.device,
-            tolerance=self.tolerance,
-            guaranteed=self.guaranteed,
-            strict=self.strict,
-        )
+        names = ("device", "tolerance", "guaranteed", "strict")
+        settings = {name: getattr(self, name) for name in names}
+        return Simulator(self.open_camera() if camera is None else camera, **settings)
 
 
 def describe_verdicts(states: Counter) -> str:

@@ -99,16 +99,12 @@ def preview(request: PreviewRequest) -> int:
 def require_port(host: str, port: int):
     """Raise OutOfRange if the port cannot be opened at this address."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM
-        )[0]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
-        raise OutOfRange(
-            "--host, --port",
-            f"{host}:{port}",
-            f"a free port of an address of this machine "
-            f"({error.strerror or error}); try --port {port % 65535 + 1}",
-        ) from None
+        allowed = f"a free port of an address of this machine ({error.strerror or error})"
+        remedy = f"try --port {port % 65535 + 1}"
+        raise OutOfRange("--host, --port", f"{host}:{port}", f"{allowed}; {remedy}") from None

@@ -83,11 +83,9 @@ def _require_intensity(path, names):
     """Raise BadFile for polarised light and bispectral reflectances."""
     for name in sorted(names):
         if POLARISED.fullmatch(name):
-            raise BadFile(
-                path,
-                f"channel {name!r}: polarised light, which is not simulated; write the file without "
-                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm",
-            )
+            what = f"channel {name!r}: polarised light, which is not simulated"
+            remedy = "write the file without S1, S2 and S3, or name the channels of S0"
+            raise BadFile(path, f"{what}; {remedy} with --band NAME=nm")
         if BISPECTRAL.fullmatch(name):
             what = f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated"
             raise BadFile(path, f"{what}; write the file without its T.<nm>.<nm> channels")
@@ -97,11 +95,9 @@ def _fichet(path, names):
     matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
     for name, match in matches:
         if not match:
-            raise BadFile(
-                path,
-                f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
-                "(other units and frequencies are not supported)",
-            )
+            wanted = "wanted S0.<wavelength>nm or T.<wavelength>nm"
+            others = "(other units and frequencies are not supported)"
+            raise BadFile(path, f"channel {name!r}: cannot be read; {wanted} {others}")
     kinds = {match[1] for _, match in matches}
     if len(kinds) > 1:
         why = "holds both emissive (S0) and reflective (T) channels; write only one kind"

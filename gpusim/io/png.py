@@ -65,11 +65,8 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
                 pieces.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
-        raise BadFile(
-            path,
-            f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
-            "pixels take",
-        )
+        what = f"{header.nbytes} bytes that {header.cols} x {header.rows} pixels take"
+        raise BadFile(path, f"truncated: holds {found} of the {what}")
     return header, b"".join(pieces)
 
 
@@ -84,10 +81,8 @@ def _chunks(path, data):
         body = view[place + 8 : place + 8 + length]
         if place + 12 + length > len(data):
             raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a chunk are present")
-        if (
-            zlib.crc32(body, zlib.crc32(kind))
-            != struct.unpack_from(">I", data, place + 8 + length)[0]
-        ):
+        (checksum,) = struct.unpack_from(">I", data, place + 8 + length)
+        if zlib.crc32(body, zlib.crc32(kind)) != checksum:
             raise BadFile(path, f"damaged: wrong checksum of a chunk at byte {place}")
         if header is None:
             cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", body)

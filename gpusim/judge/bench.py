@@ -63,9 +63,8 @@ def fma_gflops(device: Device) -> float:
         best_ms = min(best_ms, ms["common.fma"])
     # float32 rounds a by 6e-8, which 1 / (1 - a) makes 6e-6; rounding adds as little
     if not np.allclose(device.numpy(out), CHAINS * b / (1 - a), rtol=1e-4):
-        raise DeviceError(
-            f"{device.name}: a kernel of multiplications and additions gave other sums than it should"
-        )
+        what = "a kernel of multiplications and additions"
+        raise DeviceError(f"{device.name}: {what} gave other sums than it should")
     return 2 * CHAINS * width * items * steps / best_ms / 1e6
 
 

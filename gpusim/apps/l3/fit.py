@@ -155,11 +155,9 @@ class NormalEquations:
             total = a[:, p].sum(axis=(0, 1))
             values = np.linalg.eigvalsh(total)
             if not values[0] > 1e-13 * values[-1]:
-                raise BadData(
-                    f"{place}: the training frames are singular, of {terms} terms "
-                    f"{(values > 1e-13 * values[-1]).sum()} vary independently; add frames with more detail "
-                    "or noise"
-                )
+                free = f"of {terms} terms {(values > 1e-13 * values[-1]).sum()} vary independently"
+                what = f"{place}: the training frames are singular, {free}"
+                raise BadData(f"{what}; add frames with more detail or noise")
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
             everywhere = solve_ridge(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)

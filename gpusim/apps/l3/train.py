@@ -181,10 +181,9 @@ def ideal_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     its light.
     """
     if not scene.light_is_known:
-        raise BadData(
-            f"{scene.name}: radiance in an unknown light, which cannot be replaced; wanted reflectances and "
-            "their light, as charts and photographs have them"
-        )
+        what = f"{scene.name}: radiance in an unknown light, which cannot be replaced"
+        wanted = "reflectances and their light, as charts and photographs have them"
+        raise BadData(f"{what}; wanted {wanted}")
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
     return pixel_sums(scene, weights / weights.sum(axis=1)[1])
 
@@ -270,11 +269,8 @@ def _strengths(camera, light, luminances, scenes, seed):
         if values.ndim != 1 or not (np.isfinite(values) & (values > 0)).all():
             raise OutOfRange("luminances", luminances, "positive numbers [cd m-2]")
         if time is None:
-            raise OutOfRange(
-                "luminances of a camera that exposes automatically",
-                luminances,
-                "none, or a camera file with exposure_time_ms",
-            )
+            what = "luminances of a camera that exposes automatically"
+            raise OutOfRange(what, luminances, "none, or a camera file with exposure_time_ms")
         each = rates.max() * time * values / sensor.saturation
         lowest, highest = each.min(), each.max()
         if len(each) != 2:
@@ -298,10 +294,7 @@ def _check_scenes(scenes):
         raise BadData("training: no scenes; wanted some, or generated ones")
     for scene in scenes:
         if min(scene.shape) < SMALLEST:
-            raise OutOfRange(
-                f"size of training scene {scene.name}",
-                f"{scene.shape[1]}x{scene.shape[0]} pixels",
-                f"at least {SMALLEST}x{SMALLEST}",
-            )
+            size, least = f"{scene.shape[1]}x{scene.shape[0]} pixels", f"{SMALLEST}x{SMALLEST}"
+            raise OutOfRange(f"size of training scene {scene.name}", size, f"at least {least}")
         if not scene.light_is_known:
             ideal_colors(scene)  # says why not

@@ -86,15 +86,11 @@ class Control:
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
         if type(value) not in (int, float):
-            raise BadData(
-                f"{self.label} = {format_value(value)}: wanted a number"
-                + (f", or {self.off}" if self.off is not None else "")
-            )
-        low, high = (
-            (self.low / BEYOND_LOG, self.high * BEYOND_LOG)
-            if self.is_log
-            else (min(self.low, 0) * BEYOND, self.high * BEYOND)
-        )
+            or_off = f", or {self.off}" if self.off is not None else ""
+            raise BadData(f"{self.label} = {format_value(value)}: wanted a number{or_off}")
+        low, high = min(self.low, 0) * BEYOND, self.high * BEYOND
+        if self.is_log:
+            low, high = self.low / BEYOND_LOG, self.high * BEYOND_LOG
         if not low <= value <= high:
             allowed = f"{low:g} .. {high:g}"
             raise OutOfRange(self.label, f"{format_value(value)} {self.unit}".rstrip(), allowed)

@@ -73,15 +73,10 @@ class Producer:
         plan = program.plan
         tolerance = None if plan.is_draft else program.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
-        facts = {
-            "error": account.total.rms,
-            "left out": plan.left_out,
-            "draft": plan.is_draft,
-            "verdict": verdict and verdict.state,
-            "unknown": verdict.unknown if verdict else account.unknown,
-            "exposure": exposure.exposure_time,
-            "gain": exposure.gain,
-        }
+        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft}
+        facts["verdict"] = verdict and verdict.state
+        facts["unknown"] = verdict.unknown if verdict else account.unknown
+        facts |= {"exposure": exposure.exposure_time, "gain": exposure.gain}
         if state.other is None:
             self._other = None  # frees its memory on the device
         else:
@@ -97,9 +92,8 @@ class Producer:
         Raises as `picture`.
         """
         simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
-        return next(
-            simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)
-        ).complete()
+        scene = self._scene_in(state, number)
+        return next(simulator.frames(scene, 1, seed=state.seed, first=number)).complete()
 
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
         """Return a function that returns a map of the error of the mean electrons, and that error.
@@ -117,10 +111,8 @@ class Producer:
         def compare():
             mean, truth = mean_and_truth(simulator, scene, exposure)
             if mean.ndim == 1:
-                raise BadData(
-                    "error map: the frame is too large for the reference of a blur that varies over "
-                    "the field"
-                )
+                what = "the reference of a blur that varies over the field"
+                raise BadData(f"error map: the frame is too large for {what}")
             error = Error.between(mean, truth, simulator.camera.sensor.read_sigma)
             return error_map(mean, truth), error
 

@@ -65,28 +65,21 @@ class Lags:
     def check(self, camera: Camera, ramps: Ramps):
         """Raise Conflict if a loop has no effect, because its setting is given or fixed."""
         ramped = [name for name, _ in ramps.ranges]
-        if self.exposure is not None and (
-            camera.sensor.exposure_time is not None or "exposure" in ramped
-        ):
+        is_set = camera.sensor.exposure_time is not None or "exposure" in ramped
+        if self.exposure is not None and is_set:
             remedy = "use --exposure auto and no ramp of it"
             raise Conflict("--lag exposure", "the exposure time is set", remedy)
         if self.focus is not None and "focus" in ramped:
             raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
         if self.focus is not None and not lens_of(camera).is_adjustable:
-            raise Conflict(
-                "--lag focus",
-                "measured point spread functions have one focus",
-                "use a camera without [optics] psf",
-            )
+            reason = "measured point spread functions have one focus"
+            raise Conflict("--lag focus", reason, "use a camera without [optics] psf")
         if self.white is not None and not camera.processor.estimates_white:
             estimates = [
                 name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
             ]
-            raise Conflict(
-                "--lag white",
-                "the processor does not estimate the white",
-                f"set white_balance in the camera file to one of {', '.join(estimates)}",
-            )
+            remedy = f"set white_balance in the camera file to one of {', '.join(estimates)}"
+            raise Conflict("--lag white", "the processor does not estimate the white", remedy)
 
 
 @dataclass(frozen=True)

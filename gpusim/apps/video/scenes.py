@@ -161,11 +161,8 @@ def check_numbers(paths: Sequence[Path]):
     numbers = [int(part[2]) for part in parts]
     for path, before, number in zip(paths[1:], numbers, numbers[1:], strict=False):
         if number <= before:
-            raise BadFile(
-                path,
-                f"number {number} comes after {before}: the files are not in the order of their "
-                "numbers; --any-order keeps their order",
-            )
+            what = "the files are not in the order of their numbers; --any-order keeps their order"
+            raise BadFile(path, f"number {number} comes after {before}: {what}")
         if number > before + 1:
             missing = f"{before + 1}" + (f" .. {number - 1}" if number > before + 2 else "")
             raise BadFile(path, f"number {missing} is missing before it; --any-order allows gaps")

@@ -96,10 +96,8 @@ def _select_camera(chain, camera):
     if camera is None and len(chain) == 1:
         return next(iter(chain))
     if camera is None:
-        raise BadData(
-            f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"; known: '
-            f"{', '.join(map(str, chain))}"
-        )
+        what = f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"'
+        raise BadData(f"{what}; known: {', '.join(map(str, chain))}")
     if camera not in chain:
         raise UnknownName("camera", str(camera), [str(key) for key in chain])
     return camera

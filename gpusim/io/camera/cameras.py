@@ -358,10 +358,8 @@ def _efficiency(path, sensor):
         nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
         product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
     elif ends is not None:
-        raise BadFile(
-            path,
-            f'[sensor] qe_ends = {format_value(ends)}: wanted "zero" (no light outside the table) or leave it out',
-        )
+        wanted = '"zero" (no light outside the table) or leave it out'
+        raise BadFile(path, f"[sensor] qe_ends = {format_value(ends)}: wanted {wanted}")
     return product, channels
 
 

@@ -232,12 +232,9 @@ def _dark_noise_squared(electrons, numbers, gain, rounding):
         return electrons**2
     squared = (numbers**2 - ROUNDING) / gain**2
     if squared < 0:
-        raise OutOfRange(
-            "dark_noise_dn",
-            f"{numbers:.6g} DN",
-            f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding; "
-            "give dark noise without quantisation as dark_noise [e-]",
-        )
+        allowed = f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding"
+        remedy = "give dark noise without quantisation as dark_noise [e-]"
+        raise OutOfRange("dark_noise_dn", f"{numbers:.6g} DN", f"{allowed}; {remedy}")
     if electrons is None:
         return squared
     derived, formula = gain**2 * electrons**2 + ROUNDING, "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)"

@@ -47,11 +47,9 @@ class NoiseProfile:
 
     def __post_init__(self):
         if not 0 <= self.black_level < self.white_level <= 65535:
-            raise OutOfRange(
-                "black level, white level",
-                f"{self.black_level:.6g}, {self.white_level:.6g}",
-                "0 <= black < white <= 65535 DN",
-            )
+            levels = f"{self.black_level:.6g}, {self.white_level:.6g}"
+            allowed = "0 <= black < white <= 65535 DN"
+            raise OutOfRange("black level, white level", levels, allowed)
         if not 1e-9 <= self.scale <= 1:
             allowed = "1e-9 <= S <= 1, white at 1 .. 1e9 e-"
             raise OutOfRange("noise profile's scale S", f"{self.scale:.6g}", allowed)

@@ -64,10 +64,8 @@ def optiland_psf(
     checked_count("rays", rays, 16)
     if not (len(wavelengths) and np.isfinite(wavelengths).all() and wavelengths[0] > 0):
         raise BadData("optiland_psf: wanted wavelengths [nm] above 0")
-    if (
-        not (len(heights) and np.isfinite(heights).all() and heights[0] == 0)
-        or not 0 < corner < math.inf
-    ):
+    are_heights = len(heights) and np.isfinite(heights).all() and heights[0] == 0
+    if not (are_heights and 0 < corner < math.inf):
         what = "optiland_psf: wanted heights rising from 0"
         raise BadData(f"{what}, 1 at the frame's corner, and corner > 0 [m]")
     if reference is None:
@@ -88,9 +86,8 @@ def _chief(optic, field, wavelength):
     rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
     found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
     if not np.isfinite(found).all():
-        raise BadData(
-            f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at {wavelength:g} nm"
-        )
+        ray = f"the chief ray of field {field:.4g}"
+        raise BadData(f"optiland_psf: {ray} does not reach the image at {wavelength:g} nm")
     return found
 
 

@@ -46,15 +46,13 @@ def spread_of(
     fields = list(dict.fromkeys(one.field for one in traced))
     table = {(one.field, one.wavelength): one for one in traced}
     if not traced or len(table) != len(traced) or len(traced) != len(wavelengths) * len(fields):
-        raise BadData(
-            f"{len(traced)} point spreads of {len(fields)} field points and {len(wavelengths)} wavelengths: "
-            "wanted each wavelength once at every field point"
-        )
+        places = f"{len(fields)} field points and {len(wavelengths)} wavelengths"
+        wanted = "wanted each wavelength once at every field point"
+        raise BadData(f"{len(traced)} point spreads of {places}: {wanted}")
     middle = wavelengths[len(wavelengths) // 2] if reference is None else reference
     if middle not in wavelengths:
-        raise OutOfRange(
-            "reference wavelength", f"{middle:g} nm", ", ".join(f"{one:g}" for one in wavelengths)
-        )
+        allowed = ", ".join(f"{one:g}" for one in wavelengths)
+        raise OutOfRange("reference wavelength", f"{middle:g} nm", allowed)
     ideal = {field: table[field, middle].centre for field in fields}
     if len(fields) > 1:
         if corner is None or not 0 < corner < np.inf:
@@ -74,11 +72,9 @@ def spread_of(
     for end in (0.0, 1.0):
         heights[np.abs(heights - end) <= ON_AXIS] = end
     if heights[-1] < 1:
-        raise OutOfRange(
-            "field points",
-            f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis",
-            f"up to the frame's corner, {corner * 1e3:.4g} mm",
-        )
+        found = f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis"
+        allowed = f"up to the frame's corner, {corner * 1e3:.4g} mm"
+        raise OutOfRange("field points", found, allowed)
     return PointSpread(np.array(wavelengths), values, spacing, heights=heights)
 
 

@@ -109,11 +109,9 @@ def _levels(cfa, samples, black_level, white_level):
         what = f"black_level of a DNG: shape {black.shape}"
         raise BadData(f"{what}, wanted one number or {period}, the mosaic's period")
     if not (0 <= black.min() and black.max() < white_level <= 2**32 - 1):
-        raise OutOfRange(
-            "black_level, white_level",
-            f"{black.min():g} .. {black.max():g}, {white_level}",
-            "0 <= black < white <= 4294967295 DN",
-        )
+        levels = f"{black.min():g} .. {black.max():g}, {white_level}"
+        allowed = "0 <= black < white <= 4294967295 DN"
+        raise OutOfRange("black_level, white_level", levels, allowed)
     rows, cols = black.shape or (1, 1)
     values = np.repeat(black.ravel(), samples)
     kind, numbers = "2I", _fractions(values)

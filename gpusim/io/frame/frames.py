@@ -32,19 +32,16 @@ def check_format(path, camera, bits=None):
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
-        raise OutOfRange(
-            f"bits of a {suffix} output", bits, " or ".join(map(str, sorted(BITS[suffix])))
-        )
+        allowed = " or ".join(map(str, sorted(BITS[suffix])))
+        raise OutOfRange(f"bits of a {suffix} output", bits, allowed)
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
     check_dng(() if sensor.stacked or sensor.is_monochrome else sensor.cfa, sensor.channels)
     if not sensor.is_monochrome and table is not None and table.layout.outputs != sensor.channels:
-        raise OutOfRange(
-            "processor.table with a .dng output",
-            f"filters with the outputs {', '.join(table.layout.outputs)}",
-            "filters with the camera's channels as outputs: a raw converter needs their white",
-        )
+        found = f"filters with the outputs {', '.join(table.layout.outputs)}"
+        allowed = "filters with the camera's channels as outputs: a raw converter needs their white"
+        raise OutOfRange("processor.table with a .dng output", found, allowed)
 
 
 def write_frame(path, frame, bits=None):

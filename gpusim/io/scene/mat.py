@@ -89,11 +89,8 @@ class _Root(Value):
         if packed:
             kind, unpacked = struct.unpack(f"{self.order}II", self._inflate(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
-                raise BadFile(
-                    path,
-                    f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
-                    f"packed in {length}",
-                )
+                what = f"{unpacked} bytes of type {kind} cannot be packed in {length}"
+                raise BadFile(path, f"truncated or damaged at byte {start}: {what}")
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:

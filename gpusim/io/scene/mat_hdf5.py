@@ -29,11 +29,10 @@ def open_hdf5(path) -> Iterator[Value]:
     try:
         import h5py
     except ImportError:
-        raise BadFile(
-            path,
-            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or a file "
-            "written by save('scene.mat', 'scene', '-v7')",
-        ) from None
+        wanted = (
+            "pip install 'gpusim[isetcam]', or a file written by save('scene.mat', 'scene', '-v7')"
+        )
+        raise BadFile(path, f"a MATLAB file of version 7.3 (HDF5): wanted {wanted}") from None
     with (
         open_file(path) as whole,
         reading(path, WHAT),
@@ -91,11 +90,9 @@ class _Item(Value):
         import h5py
 
         item = self._local_item(name)
-        return (
-            isinstance(item, h5py.Dataset)
-            and h5py.check_ref_dtype(item.dtype) is h5py.Reference
-            and not _class(item)
-        )
+        if not isinstance(item, h5py.Dataset):
+            return False
+        return h5py.check_ref_dtype(item.dtype) is h5py.Reference and not _class(item)
 
     def _field(self, name):
         item = self._local_item(name)
@@ -166,10 +163,8 @@ def _check(path, label, item, size):
     layout = plist.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
-    if (
-        layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
-        or plist.get_external_count()
-    ):
+    inside = (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
+    if layout not in inside or plist.get_external_count():
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
     filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
@@ -178,11 +173,8 @@ def _check(path, label, item, size):
     if layout == h5py.h5d.CHUNKED:
         largest = max(nbytes, math.prod(plist.get_chunk()) * item.dtype.itemsize)
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
-        raise BadFile(
-            path,
-            f"{label}, truncated or damaged: {largest} bytes cannot come from {stored} in a "
-            f"file of {size}",
-        )
+        what = f"{label}, truncated or damaged: {largest} bytes cannot come from {stored}"
+        raise BadFile(path, f"{what} in a file of {size}")
 
 
 def _class(item) -> str:

@@ -32,9 +32,8 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
     if reflectance and isinstance(content, Illuminated):
         what = f"the light of {scene.name} varies over the scene, which reflectances cannot express"
         raise BadFile(path, f"{what}: use radiance=True, or an .npz")
-    light = (
-        np.ones(len(scene.wavelengths)) if reflectance else scene.illuminant.at(scene.wavelengths)
-    )
+    nodes = scene.wavelengths
+    light = np.ones(len(nodes)) if reflectance else scene.illuminant.at(nodes)
     values = np.empty((len(light), *content.shape), np.float32)
     require_memory(
         f"{path}: {len(light)} channels of {content.shape[1]} x {content.shape[0]} samples",

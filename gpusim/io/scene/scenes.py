@@ -110,13 +110,11 @@ def open_scene(
             if os.path.isfile(header):
                 why = f"the samples of an ENVI file; open its header {Path(header).name}"
                 raise BadFile(path, why)
-        raise UnknownName(
-            "scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
-        )
+        known = [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
+        raise UnknownName("scene", str(name_or_path), known)
     changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
-    return dataclasses.replace(
-        scene, **{key: value for key, value in changes.items() if value is not None}
-    )
+    changes = {key: value for key, value in changes.items() if value is not None}
+    return dataclasses.replace(scene, **changes)
 
 
 def save_scene(

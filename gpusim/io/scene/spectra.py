@@ -42,11 +42,8 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
     found = [table for table in tables if table]
     if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
-        raise BadFile(
-            path,
-            ("both the first column and the first line could be wavelengths; " if found else "")
-            + WANTED,
-        )
+        both = "both the first column and the first line could be wavelengths; "
+        raise BadFile(path, both + WANTED if found else WANTED)
     nm, spectra = found[0]
     if not np.isfinite(spectra).all():
         spectrum, band = np.argwhere(~np.isfinite(spectra))[0]

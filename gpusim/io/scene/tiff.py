@@ -170,14 +170,9 @@ def _page(path, page, size):
     if not all(isinstance(length, int) and length > 0 for length in shape):
         why = f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels"
         raise BadFile(path, why)
-    ends = [
-        start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=False)
-    ]
-    if (
-        len(ends) < max(1, len(page.databytecounts))
-        or min(page.databytecounts) < 1
-        or max(ends) > size
-    ):
+    starts, lengths = page.dataoffsets, page.databytecounts
+    ends = [start + length for start, length in zip(starts, lengths, strict=False)]
+    if len(ends) < max(1, len(lengths)) or min(lengths) < 1 or max(ends) > size:
         what = f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}"
         raise BadFile(path, f"{what}, or missing parts")
     nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
@@ -194,11 +189,9 @@ def _require_codecs(path, page):
     from importlib.util import find_spec
 
     if find_spec("imagecodecs") is None:
-        raise BadFile(
-            path,
-            f"compressed by {page.compression!r}, {page.predictor!r}: wanted pip install "
-            "'gpusim[tiff]', or a file that is not compressed",
-        )
+        what = f"compressed by {page.compression!r}, {page.predictor!r}"
+        wanted = "pip install 'gpusim[tiff]', or a file that is not compressed"
+        raise BadFile(path, f"{what}: wanted {wanted}")
 
 
 def _pixels(path, page):
