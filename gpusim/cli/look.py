@@ -85,6 +85,10 @@ def _photon_transfer(request, plot):
     return partial(plot.photon_transfer, camera, seed=request.seed, device=request.device)
 
 
+def _camera(request, plot):
+    return partial(plot.camera, request.open_camera(*LENS, "iso"))
+
+
 def _picture(request, plot):
     simulator, scene, seed = request.open_simulator(), request.open_shown(), request.seed
     return lambda: plot.picture(simulator(scene, seed=seed))
@@ -131,10 +135,7 @@ PANELS: dict[str, tuple[Callable, str]] = {
     "oi": (_optical_image, "optical image: irradiance as sRGB"),
     "psf": (_of_lens("psf"), "point spread functions by wavelength and channel"),
     "mtf": (_of_lens("mtf"), "modulation transfer functions of the lens by wavelength and channel"),
-    "camera": (
-        lambda request, plot: partial(plot.camera, request.open_camera(*LENS, "iso")),
-        "quantum efficiency, point spread, MTF and SNR",
-    ),
+    "camera": (_camera, "quantum efficiency, point spread, MTF and SNR"),
     "raw": (_of_frame("raw"), "mosaic in the colours of its filters"),
     "picture": (_picture, "display codes"),
     "noise": (_of_frame("noise"), "histogram of a frame's noise over its expected sigma"),

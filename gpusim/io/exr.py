@@ -76,14 +76,11 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     held = contents(path, names, bands or {})
     rows, cols = sizes[0]
     # Every channel of every part is read, at worst as 4-byte numbers; the cube is a copy.
-    stored = sum(
-        len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True)
-    )
+    counts = [len(header["channels"]) for header in parts]
+    stored = sum(n * math.prod(size) for n, size in zip(counts, sizes, strict=True))
     copied = len(held.channels) + (PLANES_OF_COLORS if held.is_picture else 1)
-    require_memory(
-        f"{path}: {len(names)} channels of {cols} x {rows} pixels",
-        4 * (stored + copied * rows * cols),
-    )
+    needed = 4 * (stored + copied * rows * cols)
+    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", needed)
     with reading(path, "an OpenEXR file whose pixels can be read"):
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
     values = np.empty((len(held.channels), rows, cols), np.float32)

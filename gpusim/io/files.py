@@ -98,16 +98,11 @@ def read_cells(path, longest: int) -> list[list[str]]:
     """
     text = read_text(path, "a CSV table", longest, older=True)
     with reading(path, "a CSV table"):
-        lines = [
-            line
-            for line in text.splitlines()
-            if line.strip(" \t,;") and not line.lstrip().startswith("#")
-        ]
+        lines = [line for line in text.splitlines() if line.strip(" \t,;")]
+        lines = [line for line in lines if not line.lstrip().startswith("#")]
         divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
-        cells = [
-            [cell.strip() for cell in row]
-            for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)
-        ]
+        rows = csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)
+        cells = [[cell.strip() for cell in row] for row in rows]
     if divider == ";":
         cells = [[cell.replace(",", ".") for cell in row] for row in cells]
     width = max(map(len, cells), default=0)

@@ -80,11 +80,9 @@ def transfer_of(optics: Optics, wavelength, pitch):
         out = np.zeros((len(fy), len(fx)), complex)
         inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
         out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
-        down, across = (
-            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
-            for spot, f in zip(spots, (fy, fx), strict=True)
-        )
-        return out * down[:, None] * across
+        for spot, f in zip(spots, (fy[:, None], fx), strict=True):
+            out = out * (np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2))
+        return out
 
     return transfer, 1 / q
 
@@ -98,17 +96,12 @@ def _measured(spread, wavelength, pitch):
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):
-        to_y, to_x = (
-            np.exp(-2j * np.pi * step * np.outer(f, at))
-            for f, at in zip((fy, fx), along, strict=True)
-        )
-        # a frequency of exactly half the rate counts half for either sign
-        if not spread.integrated:
-            to_y, to_x = (
-                to * _passed(np.abs(f) * step)[:, None]
-                for to, f in zip((to_y, to_x), (fy, fx), strict=True)
-            )
-        return to_y @ values @ to_x.T
+        to = []
+        for f, at in zip((fy, fx), along, strict=True):
+            waves = np.exp(-2j * np.pi * step * np.outer(f, at))
+            # a frequency of exactly half the rate counts half for either sign
+            to.append(waves if spread.integrated else waves * _passed(np.abs(f) * step)[:, None])
+        return to[0] @ values @ to[1].T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
 
@@ -197,10 +190,8 @@ class _PupilField(Field):
             for i, j in np.ndindex(*count):
                 table[i, j] = difference(axes[0][i], axes[1][j])
             splines = Splines(table, axes)
-            more = [
-                min(2 * n - 1, ceil(high - low) + 1)
-                for n, (low, high) in zip(count, self.limits, strict=True)
-            ]
+            most = [ceil(high - low) + 1 for low, high in self.limits]
+            more = [min(2 * n - 1, one) for n, one in zip(count, most, strict=True)]
             if more == count or splines.between(difference) <= ERROR * axis.max():
                 return splines
             count = more
@@ -298,16 +289,13 @@ class Splines:
         """Return the largest difference from `kernel(y, x)` half-way between places."""
         worst = 0.0
         for share in (0.5, 0.77, 1.0):
-            cells = [min(int(share * (len(places) - 1)), len(places) - 2) for places in self.axes]
-            y, x = (
-                (places[k] + places[k + 1]) / 2 for places, k in zip(self.axes, cells, strict=True)
-            )
-            down, across = (
-                self._basis(places, np.array([at]))
-                for places, at in zip(self.axes, (y, x), strict=True)
-            )
-            found = np.einsum("i,j,ijab->ab", down[0], across[0], self.table, optimize=True)
-            worst = max(worst, float(np.abs(found - kernel(y, x)).max()))
+            at, weights = [], []
+            for places in self.axes:
+                cell = min(int(share * (len(places) - 1)), len(places) - 2)
+                at.append((places[cell] + places[cell + 1]) / 2)
+                weights.append(self._basis(places, np.array(at[-1:]))[0])
+            found = np.einsum("i,j,ijab->ab", *weights, self.table, optimize=True)
+            worst = max(worst, float(np.abs(found - kernel(*at)).max()))
         return worst
 
     def parts(self, y, x):

@@ -16,11 +16,13 @@ import numpy as np
 from gpusim import __version__
 from gpusim.apps.l3.fit import NormalEquations
 from gpusim.apps.l3.layout import layout
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.learned import Code, FilterTable
 from gpusim.io.camera.learned import write_table
 from gpusim.io.scene.photo import read_samples
 
+decode_srgb, encode_srgb = DISPLAYS["srgb"].decode, DISPLAYS["srgb"].encode
 MOSAIC = ("RG", "GB")
 # of the code, relative to white: 15,600 to 12 electrons
 SIGMAS = 0.0, 0.004, 0.009, 0.018, 0.035, 0.07, 0.14
@@ -112,28 +114,9 @@ def sample_mosaic(planes):
     return raw
 
 
-def decode_srgb(code):
-    """Linear light of sRGB (IEC 61966-2-1), both 0 .. 1."""
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-
-
-def encode_srgb(light):
-    """Encode linear light as sRGB, both 0 .. 1."""
-    return np.where(
-        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055
-    )
-
-
 def blur_planes(planes, sigma):
     """Planes convolved with a Gaussian, mirrored at the borders."""
-    if sigma == 0:
-        return planes
+    from scipy.ndimage import gaussian_filter
+
     reach = int(np.ceil(4 * sigma))
-    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    for axis in (1, 2):
-        pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
-        windows = np.lib.stride_tricks.sliding_window_view(
-            np.pad(planes, pad, mode="reflect"), len(taps), axis
-        )
-        planes = windows @ (taps / taps.sum())
-    return planes
+    return gaussian_filter(planes, sigma, radius=reach, axes=(1, 2), mode="mirror")

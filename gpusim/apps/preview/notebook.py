@@ -123,10 +123,9 @@ class Preview(HBox):
             steps.append(ipywidgets.Button(icon=name, tooltip=name, layout=Layout(width="3em")))
             steps[-1].on_click(partial(self._step, step))
         self._undo, self._redo = steps
-        return VBox(
-            [self.image, HBox([view, *steps]), self._error, self._known, self._histogram],
-            layout=Layout(flex="1 1 480px"),
-        )
+        top = [self.image, HBox([view, *steps])]
+        shown = [*top, self._error, self._known, self._histogram]
+        return VBox(shown, layout=Layout(flex="1 1 480px"))
 
     def _right(self):
         groups = [
@@ -140,10 +139,8 @@ class Preview(HBox):
             [*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0
         )
         numbers = [self._whole("seed", "noise seed"), self._whole("frame", "noise frame")]
-        return VBox(
-            [self._choice("tolerance", "tolerance", TOLERANCES), *numbers, accordion],
-            layout=Layout(flex="0 1 420px"),
-        )
+        tolerance = self._choice("tolerance", "tolerance", TOLERANCES)
+        return VBox([tolerance, *numbers, accordion], layout=Layout(flex="0 1 420px"))
 
     def _make(self, control):
         if control.choices:

@@ -336,14 +336,12 @@ class Page:
             if only in CONTROLS:
                 return
             self._show("luminance", state.luminance)
-            for name, value in (
-                ("view", state.view),
-                ("live", state.is_live),
-                ("camera", state.camera),
-                ("tolerance", state.tolerance),
-                ("light", state.light or OWN),
-            ):
-                self._fields[name].value = value
+            self._fields["live"].value, self._fields["light"].value = (
+                state.is_live,
+                state.light or OWN,
+            )
+            for name in ("view", "camera", "tolerance"):
+                self._fields[name].value = getattr(state, name)
             for name in ("swap", "no B", "split"):
                 self._fields[name].visible = state.against is not None
             self._fields["split"].value = PLACES * state.split

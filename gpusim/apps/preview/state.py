@@ -124,9 +124,8 @@ class State:
             and self.view in VIEWS
             and isinstance(self.is_live, bool)
             and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
-            and (
-                other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"})
-            )
+            and isinstance(other, dict | None)
+            and (other or {}).keys() <= {"camera", "changes"}
             and type(self.split) in (int, float)
             and 0 <= self.split <= 1
         )

@@ -122,11 +122,13 @@ def converter(
 
 
 @contextmanager
-def _report_errors(path):
-    """Raise errors of FFmpeg as BadFile while it writes a file."""
+def _writing(path):
+    """Yield the container of a new file; errors of FFmpeg become BadFile."""
+    av = pyav()
     try:
-        yield
-    except pyav().error.FFmpegError as error:
+        with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+            yield container
+    except av.error.FFmpegError as error:
         raise BadFile(path, f"cannot be encoded: {error.strerror}") from error
 
 
@@ -200,11 +202,7 @@ class Encoder:
         BadFile.
         """
         av = pyav()
-        with (
-            _report_errors(path),
-            atomic_path(path) as temporary,
-            av.open(str(temporary), "w") as container,
-        ):
+        with _writing(path) as container:
             stream, change = self._stream(container), self._converter(av)
             for number, values in enumerate(frames):
                 frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
@@ -221,11 +219,7 @@ class Encoder:
             (number - shown for _, part in parts for number, shown, _ in self._packets(part)),
             default=0,
         )
-        with (
-            _report_errors(path),
-            atomic_path(path) as temporary,
-            pyav().open(str(temporary), "w") as container,
-        ):
+        with _writing(path) as container:
             stream = self._stream(container)  # its encoder yields no frames, only the header
             for first, part in parts:
                 for number, shown, packet in self._packets(part):

@@ -112,10 +112,8 @@ class Episode(EncodedFile):
             name for name in here.keys() | there.keys() if here.get(name) != there.get(name)
         )
         if others:
-            own, theirs = (
-                ", ".join(f"{name} {kinds.get(name, 'none')}" for name in others)
-                for kinds in (here, there)
-            )
+            own = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
+            theirs = ", ".join(f"{name} {there.get(name, 'none')}" for name in others)
             what = f"features of an episode in {self._root}"
             raise OutOfRange(what, own, f"the features of the others, {theirs}")
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
@@ -230,10 +228,8 @@ class Episode(EncodedFile):
         """Return the table of the frames, statistics of each feature, and the number of frames."""
         notes = []
         for segment in self._segments:
-            with (
-                reading(self._notes(segment), "data on frames"),
-                np.load(self._notes(segment)) as file,
-            ):
+            path = self._notes(segment)
+            with reading(path, "data on frames"), np.load(path) as file:
                 notes.append((file["known"], file["counts"]))
         known = np.concatenate([one for one, _ in notes])
         frames = np.arange(len(known))
@@ -248,10 +244,8 @@ class Episode(EncodedFile):
         for name, one in columns.items():
             found = _statistics(one, np.ones(len(one)))
             statistics[name] = {which: [value] for which, value in found.items()}
-        channels = [
-            _statistics(np.arange(CODES) / (CODES - 1), counts)
-            for counts in sum(one for _, one in notes)
-        ]
+        codes, counts = np.arange(CODES) / (CODES - 1), sum(one for _, one in notes)
+        channels = [_statistics(codes, count) for count in counts]
         statistics[self._key] = {
             which: [[[one[which]]] for one in channels] for which in channels[0]
         }

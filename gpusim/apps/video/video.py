@@ -231,10 +231,8 @@ class NumberedFiles:
         ]
         missing = [segment for segment in missing if len(segment) > 1]
         workers = os.cpu_count() or 1
-        with (
-            ThreadPoolExecutor(workers) as pool,
-            closing(ahead(make(missing), COMPUTED)) as computed,
-        ):
+        made = ahead(make(missing), COMPUTED)
+        with ThreadPoolExecutor(workers) as pool, closing(made) as computed:
             writing: dict = {}
             for one in computed:
                 writing[pool.submit(one.values.save, self.name(one.number))] = one

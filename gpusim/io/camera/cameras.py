@@ -135,19 +135,17 @@ def _chain(name_or_path):
 
 def anchor_paths(path: Path, table: dict) -> dict:
     """Return a table with absolute paths for files next to the camera's file `path`."""
-    return {
-        section: {
-            key: str((path.parent / value).resolve()) if _is_file(path, value) else value
-            for key, value in keys.items()
-        }
-        if isinstance(keys, dict)
-        else keys
-        for section, keys in table.items()
-    }
+    anchored = dict(table)
+    for section, keys in table.items():
+        if isinstance(keys, dict):
+            anchored[section] = {key: _anchor(path, value) for key, value in keys.items()}
+    return anchored
 
 
-def _is_file(path, value):
-    return isinstance(value, str) and Path(value).suffix and os.path.isfile(path.parent / value)
+def _anchor(path, value):
+    is_name = isinstance(value, str) and Path(value).suffix
+    is_file = is_name and os.path.isfile(path.parent / value)
+    return str((path.parent / value).resolve()) if is_file else value
 
 
 def _merge_keys(below, table):

@@ -81,12 +81,9 @@ class NoiseProfile:
     @property
     def fields(self) -> dict:
         """Fields of `Sensor` that the profile determines."""
-        return {
-            "gain": self.gain,
-            "full_well": 1 / self.scale,
-            "black_level": round(self.black_level),
-            "bits": max(1, math.ceil(math.log2(self.white_level + 1))),
-        }
+        bits = max(1, math.ceil(math.log2(self.white_level + 1)))
+        levels = {"black_level": round(self.black_level), "bits": bits}
+        return {"gain": self.gain, "full_well": 1 / self.scale} | levels
 
 
 def read_noise_profile(path: str | PathLike) -> NoiseProfile:

@@ -128,10 +128,10 @@ class _File:
         """Return radiance over irradiance of an optical image's lens at infinity focus [sr-1]."""
         number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
-            self.refuse(
-                f"{value.label}: an optical image without optics.fNumber, which converts its "
-                "irradiance to radiance; set it, or save the scene"
+            what = (
+                "an optical image without optics.fNumber, which converts its irradiance to radiance"
             )
+            self.refuse(f"{value.label}: {what}; set it, or save the scene")
         number = self.single(number)
         if not 0 < number < 1e6:
             self.refuse(f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number")
@@ -277,11 +277,8 @@ class _File:
 
     def split_light_map(self, content, data, own):
         """Return surfaces in light that varies over the scene; None if a few lights do not fit."""
-        if (
-            not isinstance(content, Cube)
-            or data.kind != "struct"
-            or not np.array_equal(own, content.wavelengths)
-        ):
+        is_cube = isinstance(content, Cube) and np.array_equal(own, content.wavelengths)
+        if not is_cube or data.kind != "struct":
             what = "an illuminant that varies over the scene"
             self.refuse(f"{what}: wanted photons at the scene's wavelengths")
         light = self.planes(data, "photons", len(own))

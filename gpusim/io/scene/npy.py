@@ -30,11 +30,11 @@ def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, 
             what = f"shape {shape} for {count} wavelengths"
             raise BadFile(path, f"{what}; wanted ({count}, rows, cols) or (rows, cols, {count})")
         if shape[0] == shape[-1]:
-            raise BadFile(
-                path,
-                f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)? "
-                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key determines it",
+            what = (
+                f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)"
             )
+            remedy = "Use gpusim.scene_from(array, axis=...), or an .npz, whose key determines it"
+            raise BadFile(path, f"{what}? {remedy}")
         wanted = shape[0] * shape[1] * shape[2] * dtype.itemsize
         if size - start != wanted:
             what = f"truncated or damaged: {wanted} bytes of numbers expected"

@@ -216,8 +216,5 @@ IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_fol
 
 def scene_files(folder: Path) -> list[Path]:
     """Return a folder's scene files in the order of their names, without hidden files."""
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IN_FOLDERS and not path.name.startswith(".") and path.is_file()
-    )
+    found = (path for path in folder.iterdir() if path.suffix.lower() in IN_FOLDERS)
+    return sorted(path for path in found if not path.name.startswith(".") and path.is_file())

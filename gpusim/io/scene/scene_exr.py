@@ -35,10 +35,8 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
     nodes = scene.wavelengths
     light = np.ones(len(nodes)) if reflectance else scene.illuminant.at(nodes)
     values = np.empty((len(light), *content.shape), np.float32)
-    require_memory(
-        f"{path}: {len(light)} channels of {content.shape[1]} x {content.shape[0]} samples",
-        COPIES * values.nbytes,
-    )
+    what = f"{len(light)} channels of {content.shape[1]} x {content.shape[0]} samples"
+    require_memory(f"{path}: {what}", COPIES * values.nbytes)
     for start in range(0, content.shape[0], ROWS):
         rows = slice(start, start + ROWS)
         values[:, rows] = np.maximum(content.bands_at(rows) * light[:, None, None], 0)

@@ -25,17 +25,7 @@ RATIOS = {1: 1, LZW: 2731, 8: 1032, 32946: 1032, 32773: 64}
 TYPES = ("uint8", "uint16", "float16", "float32", "float64")
 WHITE_IS_ZERO, BLACK_IS_ZERO, RGB = 0, 1, 2  # photometric interpretations
 SMALLER, MASK = 1, 4  # bits of the tag NewSubfileType: previews and masks
-# turns of samples (rows, cols, channels) by the tag Orientation
-TURNS = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1),
-    6: lambda a: a.swapaxes(0, 1)[:, ::-1],
-    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
-    8: lambda a: a.swapaxes(0, 1)[::-1],
-}
+
 COPIES = 3  # of a page's samples: as stored, decoded, and turned or put into a stack
 FLOATS = 48  # [byte] a pixel of a photograph: three channels as float64, and as coefficients
 
@@ -73,10 +63,8 @@ def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
                 raise BadFile(path, why)
         rows, cols = first.shape[1:]
         largest = max(math.prod(page.shape) for page in pages) * first.dtype.itemsize
-        require_memory(
-            f"{path}: {count} planes of {cols} x {rows} pixels",
-            4 * count * rows * cols + stored + COPIES * largest,
-        )
+        needed = 4 * count * rows * cols + stored + COPIES * largest
+        require_memory(f"{path}: {count} planes of {cols} x {rows} pixels", needed)
         values, start = np.empty((count, rows, cols), np.float32), 0
         for page in pages:
             planes = _pixels(path, page)
@@ -108,10 +96,8 @@ def read_picture(path) -> np.ndarray:
             raise BadFile(path, f"{what}, with or without alpha, or wavelengths of its planes")
         rows, cols = page.shape[1:]
         nbytes = math.prod(page.shape) * page.dtype.itemsize
-        require_memory(
-            f"{path}: picture of {cols} x {rows} pixels",
-            stored + COPIES * nbytes + FLOATS * rows * cols,
-        )
+        needed = stored + COPIES * nbytes + FLOATS * rows * cols
+        require_memory(f"{path}: picture of {cols} x {rows} pixels", needed)
         samples = np.moveaxis(_pixels(path, page), 0, -1)
     if samples.dtype.kind == "f":
         with np.errstate(over="ignore"):
@@ -120,8 +106,15 @@ def read_picture(path) -> np.ndarray:
     if page.photometric == WHITE_IS_ZERO:
         white = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
         samples[..., 0] = white - samples[..., 0]
-    turn = TURNS.get(page.orientation, TURNS[1])
-    return np.ascontiguousarray(turn(samples[..., :-1] if page.alpha == 1 else samples))
+    samples = samples[..., :-1] if page.alpha == 1 else samples
+    return np.ascontiguousarray(_turn(samples, page.orientation))
+
+
+def _turn(samples, orientation):
+    """Return samples (rows, cols, channels), turned as the tag Orientation, 1 .. 8, says."""
+    place = (orientation - 1) % 4 if 1 <= orientation <= 8 else 0
+    turned = samples.swapaxes(0, 1) if 5 <= orientation <= 8 else samples
+    return turned[:: -1 if place in (2, 3) else 1, :: -1 if place in (1, 2) else 1]
 
 
 @contextmanager

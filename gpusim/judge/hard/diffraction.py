@@ -158,13 +158,10 @@ def slanted_edge(rows: int, cols: int) -> np.ndarray:
     y, x = np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1])[:, None, None] / 2
     distance = a * x + b * y
     # area of {a u + b v > -distance} in the unit square: squared positive parts at the corners, / 2 a b
-    corners = [
-        (1, distance + (a + b) / 2),
-        (-1, distance + (a - b) / 2),
-        (-1, distance - (a - b) / 2),
-        (1, distance - (a + b) / 2),
-    ]
-    return sum(sign * np.maximum(at, 0) ** 2 for sign, at in corners) / (2 * a * b)
+    far, near = (a + b) / 2, (a - b) / 2
+    corners = [(1, far), (-1, near), (-1, -near), (1, -far)]
+    area = sum(sign * np.maximum(distance + at, 0) ** 2 for sign, at in corners)
+    return area / (2 * a * b)
 
 
 def _fitted_edge(image):

@@ -129,14 +129,11 @@ def at_the_corner(device):
             images = [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}]
         weights = electrons_per_content(lit, CAMERA)
         more = np.float64(np.float32(100.0)) - np.float32(1e-3)
-        adds = sum(
-            np.multiply.outer(
-                weights[:, band] * more,
-                truth.point(float(one), np.arange(shape[0]) - y, np.arange(shape[1]) - x),
-            )
-            for band, one in enumerate(q)
-            for y, x in images
-        )
+        adds, (rows, cols) = 0.0, map(np.arange, shape)
+        for band, one in enumerate(q):
+            for y, x in images:
+                pattern = truth.point(float(one), rows - y, cols - x)
+                adds = adds + np.multiply.outer(weights[:, band] * more, pattern)
         adds = truth.mosaic_of(adds, CFA)
         level = truth.even(np.full(len(lines), 1e-3), weights, shape, CFA)
         wrong = np.abs(after - before - adds) / (level + adds)

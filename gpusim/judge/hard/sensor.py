@@ -95,12 +95,9 @@ def darkness(device):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         none, some = Error.between(dark, dark, 0.0), Error.between(dark + 1e-3, dark, 0.0)
-    sane = (
-        none == Error(0.0, 0.0, 0.0, 0.0)
-        and some.rms > 0
-        and np.isfinite([some.rms, some.max_local, some.p999_sigma, some.max_sigma]).all()
-    )
-    yield Found(0 if sane else 1, 0, "the error without light")
+    figures = some.rms, some.max_local, some.p999_sigma, some.max_sigma
+    is_sane = some.rms > 0 and np.isfinite(figures).all() and none == Error(0.0, 0.0, 0.0, 0.0)
+    yield Found(0 if is_sane else 1, 0, "the error without light")
 
 
 @case(27, "rounding", "0.1 and 10 e-/DN: bias <= 1e-3 DN")

@@ -43,12 +43,9 @@ def lines(powers, width: float, pedestal: float = 0.0) -> Spectrum:
 def open_to_all(camera=CAMERA):
     """Return the camera without blur and with stacked pixels: only spectral integrals."""
     sensor: Sensor = replace(camera.sensor, stacked=True)
-    return replace(
-        camera,
-        sensor=sensor,
-        optics=replace(camera.optics, model="none"),
-        processor=replace(camera.processor, color="none"),
-    )  # a single line has no colours
+    processor = replace(camera.processor, color="none")  # a single line has no colours
+    optics = replace(camera.optics, model="none")
+    return replace(camera, sensor=sensor, optics=optics, processor=processor)
 
 
 def integrals(light: Spectrum) -> np.ndarray:
@@ -61,11 +58,8 @@ def integrals(light: Spectrum) -> np.ndarray:
     from scipy.interpolate import make_interp_spline
 
     sensor, optics = CAMERA.sensor, CAMERA.optics
-    ends = np.unique(
-        np.concatenate(
-            [light.wavelengths, sensor.qe.wavelengths, PATCHES.wavelengths, [400.0, 700.0]]
-        )
-    )
+    tables = light.wavelengths, sensor.qe.wavelengths, PATCHES.wavelengths, [400.0, 700.0]
+    ends = np.unique(np.concatenate(tables))
     ends = ends[(ends >= 400) & (ends <= 700)]
     nodes, mass = np.polynomial.legendre.leggauss(6)
     half = np.diff(ends)[:, None] / 2
