@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 
-from gpusim.cli.options import Options, option, size, write_json
+from gpusim.cli.options import Options, flag, option, size, write_json
 from gpusim.domain.errors import UnknownName
 
 VERIFY = {"help": "compare every stage with its float64 reference; status 1 on any failure"}
@@ -29,10 +29,8 @@ class StageRequest(Options):
 class VerifyRequest(StageRequest):
     """Options of `gpusim verify`."""
 
-    hard: bool = option(
-        default=False,
-        action="store_true",
-        help="run the 30 hard cases instead of the stages: the limit of each, and the result",
+    hard: bool = flag(
+        "run the 30 hard cases instead of the stages: the limit of each, and the result"
     )
 
 
@@ -59,7 +57,7 @@ class BenchRequest(StageRequest):
 class DevicesRequest(Options):
     """Options of `gpusim devices`."""
 
-    json: bool = option(default=False, action="store_true", help="print JSON")
+    json: bool = flag("print JSON")
 
 
 def verify(request: VerifyRequest) -> int:
@@ -105,33 +103,22 @@ def _hard_rows(name):
 
 def _stage_line(row):
     """Return a line of a stage's case."""
-    return (
-        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
-        f"(tolerance {row['tolerance']:8.2e})  {row['case']}"
-        + ("" if row["ok"] else f": {row['why']}")
-    )
+    words = "{device:10s} {stage:22s} {max_error:9.2e} (tolerance {tolerance:8.2e})  {case}"
+    words = f"ok   {words}" if row["ok"] else f"FAIL {words}: {{why}}"
+    return words.format(**row)
 
 
 def _hard_line(row):
     """Return a line of a hard case."""
-    return (
-        f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['number']:2d} {row['name']}: {row['asked']} | "
-        f"got {row['got']:.2g} of {row['limit']:.2g}: {row['why']}"
-    )
+    words = "{device:10s} {number:2d} {name}: {asked} | got {got:.2g} of {limit:.2g}: {why}"
+    return ("ok   " if row["ok"] else "FAIL ") + words.format(**row)
 
 
 def _as_hard(row):
     """Return the row of a device that does not open as a hard case has it."""
-    return {
-        "number": 0,
-        "name": "(open)",
-        "device": row["device"],
-        "asked": "the device opens",
-        "got": float("inf"),
-        "limit": 0.0,
-        "ok": False,
-        "why": row["why"],
-    }
+    case = {"number": 0, "name": "(open)", "asked": "the device opens"}
+    result = {"got": float("inf"), "limit": 0.0, "ok": False, "why": row["why"]}
+    return case | {"device": row["device"]} | result
 
 
 def bench(request: BenchRequest) -> int:
@@ -178,18 +165,13 @@ def bench(request: BenchRequest) -> int:
 def _speed_line(row):
     """Return a line of a stage's speed."""
     if "failed" in row:
-        return (
-            f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}"
-        )
-    rate, ratio = (
-        f"{'-':>8s}" if value is None else f"{value:8.1f}"
-        for value in (row["gflops"], row["ratio_to_floor"])
-    )
-    return (
-        f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p25']:9.3f} "
-        f"{row['ms_p50']:9.3f} {row['ms_p75']:9.3f} {row['gbps']:7.1f} {rate} {ratio} {row['build_ms']:9.1f} "
-        f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}"
-    )
+        words = "{device:10s} {stage:22s} no speed: verification failed, {failed}"
+        return words.format(**row)
+    known = row["gflops"], row["ratio_to_floor"]
+    rate, ratio = (f"{'-':>8s}" if value is None else f"{value:8.1f}" for value in known)
+    times = "{device:10s} {stage:22s} {size:>10s} {ms_p25:9.3f} {ms_p50:9.3f} {ms_p75:9.3f}"
+    rest = "{build_ms:9.1f} {rel_rms_error:10.1e} {max_error:10.1e}"
+    return f"{times} {{gbps:7.1f}} {rate} {ratio} {rest}".format(**row)
 
 
 def _pareto(request):
@@ -212,22 +194,15 @@ def _pareto(request):
     print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
     for row in pareto(camera, scene, device):
         rows.append(row)
-        ms, error = (
-            f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}"
-            for key in ("predicted_ms", "predicted")
-        )
-        print(
-            f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error} {row['p999_sigma']:9.2g} "
-            f"{row['max_sigma']:9.2g}  {row['words']}"
-        )
+        known = row["predicted_ms"], row["predicted"]
+        ms, error = (f"{value:9.2g}" if value else f"{'-':>9s}" for value in known)
+        start = f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error}"
+        print(f"{start} {row['p999_sigma']:9.2g} {row['max_sigma']:9.2g}  {row['words']}")
     _write_rows(request.json, rows)
     if request.out:
+        size = f"{scene.shape[1]}x{scene.shape[0]}"
         with atomic_path(request.out) as temporary:
-            draw(
-                rows,
-                temporary,
-                f"{scene.name} {scene.shape[1]}x{scene.shape[0]} by {camera.name} on {device.name}",
-            )
+            draw(rows, temporary, f"{scene.name} {size} by {camera.name} on {device.name}")
     return 0
 
 
@@ -250,12 +225,10 @@ def list_devices(request: DevicesRequest) -> int:
         if entry["error"]:
             print(f"{entry['name']:12s} unusable: {entry['error']}")
             continue
-        kinds = "fp64" if entry["fp64"] else "no fp64"
-        kinds += ", fp16" if entry["fp16"] else ", no fp16"
-        print(
-            f"{entry['name']:12s} {entry['device']}; {entry['driver']} ({entry['version']}); {entry['units']} units, "
-            f"{kinds}; {entry['memory'] / 2**30:.1f} GiB; copy {entry['copy_gbps']:.1f} GB/s"
-        )
+        kinds = ", ".join(kind if entry[kind] else f"no {kind}" for kind in ("fp64", "fp16"))
+        what = "{name:12s} {device}; {driver} ({version}); {units} units".format(**entry)
+        memory, copy = f"{entry['memory'] / 2**30:.1f} GiB", f"{entry['copy_gbps']:.1f} GB/s"
+        print(f"{what}, {kinds}; {memory}; copy {copy}")
     return 0
 
 
@@ -263,20 +236,13 @@ def _open_devices(name):
     """Return the named device, or all of them for "all", and a failed row for each unusable one."""
     from gpusim.backends import open_device
     from gpusim.backends.probe import devices
+    from gpusim.judge.verify import failed_row
 
     if name != "all":
         return [open_device(name)], []
     entries = [entry for entry in devices() if entry["name"] != "numpy"]
     broken = [
-        {
-            "stage": "(open)",
-            "device": entry["name"],
-            "case": "(failed to open)",
-            "max_error": float("inf"),
-            "tolerance": 0.0,
-            "ok": False,
-            "why": entry["error"],
-        }
+        failed_row("(open)", entry["name"], "(failed to open)", entry["error"])
         for entry in entries
         if entry["error"]
     ]
@@ -296,10 +262,8 @@ def _check_stages(names):
 
 def _write_rows(path, rows):
     """Write rows to a JSON file, if there is a path. JSON has no infinity: it becomes null."""
-    write_json(
-        path,
-        [
-            {key: None if value == float("inf") else value for key, value in row.items()}
-            for row in rows
-        ],
-    )
+    plain = [
+        {key: None if value == float("inf") else value for key, value in row.items()}
+        for row in rows
+    ]
+    write_json(path, plain)

@@ -1,13 +1,20 @@
 """`gpusim look`: plots of a scene, a camera or a frame, in a file or a window."""
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusim.cli.options import CAMERA_HELP, SCENE_HELP, Request, option, whole
+from gpusim.cli.options import (
+    CAMERA_HELP,
+    SCENE_HELP,
+    Request,
+    option,
+    reads,
+    scene_option,
+    seed_option,
+)
 from gpusim.domain.errors import BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -26,16 +33,12 @@ TEXTS = {
 }
 
 
+@reads("COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30")
 def _place(text):
     """Return the numbers of a pixel or a region."""
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
+    numbers = tuple(int(part) for part in text.split(","))
     if len(numbers) not in (2, 4):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted COL,ROW or LEFT,TOP,RIGHT,BOTTOM, such as 40,30"
-        )
+        raise ValueError
     return numbers
 
 
@@ -51,9 +54,8 @@ def _kinds(text):
 
 
 def _scene(request, plot):
-    return partial(
-        plot.inspect if request.out is None else plot.scene, request.open_shown(OF_CAMERA)
-    )
+    draw = plot.inspect if request.out is None else plot.scene
+    return partial(draw, request.open_shown(OF_CAMERA))
 
 
 def _spectra(request, plot):
@@ -61,12 +63,8 @@ def _spectra(request, plot):
 
 
 def _optical_image(request, plot):
-    return partial(
-        plot.optical_image,
-        request.open_camera(*LENS),
-        request.open_shown(),
-        device=request.device,
-    )
+    camera, scene = request.open_camera(*LENS), request.open_shown()
+    return partial(plot.optical_image, camera, scene, device=request.device)
 
 
 def _sfr(request, plot):
@@ -83,12 +81,12 @@ def _snr(request, plot):
 
 
 def _photon_transfer(request, plot):
-    return partial(
-        plot.photon_transfer,
-        request.open_camera("iso"),
-        seed=request.seed,
-        device=request.device,
-    )
+    camera = request.open_camera("iso")
+    return partial(plot.photon_transfer, camera, seed=request.seed, device=request.device)
+
+
+def _camera(request, plot):
+    return partial(plot.camera, request.open_camera(*LENS, "iso"))
 
 
 def _picture(request, plot):
@@ -137,10 +135,7 @@ PANELS: dict[str, tuple[Callable, str]] = {
     "oi": (_optical_image, "optical image: irradiance as sRGB"),
     "psf": (_of_lens("psf"), "point spread functions by wavelength and channel"),
     "mtf": (_of_lens("mtf"), "modulation transfer functions of the lens by wavelength and channel"),
-    "camera": (
-        lambda request, plot: partial(plot.camera, request.open_camera(*LENS, "iso")),
-        "quantum efficiency, point spread, MTF and SNR",
-    ),
+    "camera": (_camera, "quantum efficiency, point spread, MTF and SNR"),
     "raw": (_of_frame("raw"), "mosaic in the colours of its filters"),
     "picture": (_picture, "display codes"),
     "noise": (_of_frame("noise"), "histogram of a frame's noise over its expected sigma"),
@@ -157,12 +152,10 @@ PANELS: dict[str, tuple[Callable, str]] = {
 class LookRequest(Request):
     """Options of `gpusim look`."""
 
-    scene: str | None = option(
-        positional=True,
-        nargs="?",
-        metavar="SCENE",
-        help=f"{SCENE_HELP}; psf, mtf, camera, snr and ptc take none (default: colorchecker, for sfr "
+    scene: str | None = scene_option(
+        f"{SCENE_HELP}; psf, mtf, camera, snr and ptc take none (default: colorchecker, for sfr "
         f"slanted-edge, {SIZE[0]}x{SIZE[1]})",
+        nargs="?",
     )
     camera: str = option(default="phone", help=f"{CAMERA_HELP} (default: phone)")
     what: str = option(
@@ -185,9 +178,7 @@ class LookRequest(Request):
         help="for psf and mtf: wavelengths in nm and letters of channels, such as 450,550,R "
         "(default: 450,550,650 and all channels)",
     )
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"
-    )
+    seed: int = seed_option("the temporal noise")
     out: str | None = option(
         "-o", "--out", metavar="OUT", help=f"file: {', '.join(FORMATS)} (default: a window)"
     )

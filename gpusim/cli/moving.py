@@ -1,6 +1,5 @@
 """Options of commands with several scenes or a moving camera, and the scenes of their frames."""
 
-import argparse
 from dataclasses import dataclass
 from fractions import Fraction
 from math import radians
@@ -8,7 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.apps.video.actors import Cast
-from gpusim.cli.options import SCENES_HELP, Request, option, whole
+from gpusim.cli.options import (
+    SCENES_HELP,
+    Request,
+    flag,
+    number,
+    option,
+    reads,
+    scene_option,
+    whole,
+)
 from gpusim.domain.errors import BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -19,45 +27,30 @@ MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 
 
-def _rate(text):
-    """Return a frame rate as a fraction."""
-    try:
-        rate = Fraction(text).limit_denominator(1001)
-    except (ValueError, ZeroDivisionError):
-        rate = Fraction(0)
-    if not 0 < rate <= FASTEST:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted frames per second, such as 24, 29.97 or 30000/1001"
-        )
-    return rate
+_rate = number(
+    "frames per second, such as 24, 29.97 or 30000/1001",
+    lambda rate: 0 < rate <= FASTEST,
+    lambda text: Fraction(text).limit_denominator(1001),
+)
 
 
-def _number(text):
-    """Return a number."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted a number") from None
-
-
+@reads("two numbers, DOWN,RIGHT, such as 0,20")
 def _pair(text):
     """Return the two numbers of DOWN,RIGHT."""
-    try:
-        down, right = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted two numbers, DOWN,RIGHT, such as 0,20"
-        ) from None
+    down, right = (float(part) for part in text.split(","))
     return down, right
+
+
+def _movement(default, metavar, words):
+    """Return the field of an option with one number."""
+    return option(default=default, type=number("a number"), metavar=metavar, help=words)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovingRequest(Request):
     """One scene or several, the movement of the camera, and actors in front of the scene."""
 
-    scene: list[str] = option(
-        positional=True, in_key=False, nargs="+", metavar="SCENE", help=SCENES_HELP
-    )
+    scene: list[str] = scene_option(SCENES_HELP, nargs="+")
     frames: int | None = option(
         type=whole(1, MOST_FRAMES),
         in_key=False,
@@ -78,31 +71,15 @@ class MovingRequest(Request):
         metavar="DOWN,RIGHT",
         help="speed of the camera over the scene [pixel/s]",
     )
-    roll: float = option(
-        default=0.0,
-        type=_number,
-        metavar="DEG_S",
-        help="rotation about the optical axis [degree/s]",
+    roll: float = _movement(0.0, "DEG_S", "rotation about the optical axis [degree/s]")
+    zoom: float = _movement(
+        1.0,
+        "Z",
+        "magnification of the first frame, at least 1: 1.1 leaves a margin for a moving camera "
+        "(default: 1)",
     )
-    zoom: float = option(
-        default=1.0,
-        type=_number,
-        metavar="Z",
-        help="magnification of the first frame, at least 1: 1.1 leaves a margin for a moving "
-        "camera (default: 1)",
-    )
-    zooming: float = option(
-        default=1.0,
-        type=_number,
-        metavar="FACTOR",
-        help="growth of the magnification per second (default: 1)",
-    )
-    shake: float = option(
-        default=0.0,
-        type=_number,
-        metavar="PIXELS",
-        help="root mean square displacement of a hand-held camera",
-    )
+    zooming: float = _movement(1.0, "FACTOR", "growth of the magnification per second (default: 1)")
+    shake: float = _movement(0.0, "PIXELS", "root mean square displacement of a hand-held camera")
     actor: list[Cast] | tuple = option(
         default=(),
         type=Cast.parse,
@@ -117,12 +94,7 @@ class MovingRequest(Request):
         help="transfer function of a video's codes, in place of its tag: bt709, srgb, pq, hlg, "
         "linear, gamma2.2, gamma2.8",
     )
-    any_order: bool = option(
-        default=False,
-        in_key=False,
-        action="store_true",
-        help="keep the order of scene files whatever their numbers",
-    )
+    any_order: bool = flag("keep the order of scene files whatever their numbers", in_key=False)
 
     def open_scenes(self, seed: int = 0, flicker: "Flicker | None" = None) -> "Scenes":
         """Return the scenes of all frames.
@@ -169,12 +141,10 @@ class MovingRequest(Request):
         if len(names) == 1 and not is_folder:
             self.refuse("any_order", "one scene has only one order")
         if films:
-            options = {
-                name: value
-                for name in ("light", "luminance", "border", "samples_per_pixel")
-                if (value := getattr(self, name)) is not None
-            }
-            film = Film(Path(names[0]), self.transfer, **options)
+            given = ("light", "luminance", "border", "samples_per_pixel")
+            settings = {name: getattr(self, name) for name in given}
+            settings = {name: value for name, value in settings.items() if value is not None}
+            film = Film(Path(names[0]), self.transfer, **settings)
             return film if self.frames is None else First(film, self.frames)
         if len(names) == 1 and not is_folder:
             return Still(self.open_scene(names[0]), self.frames or 1)

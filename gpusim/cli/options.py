@@ -5,6 +5,7 @@ of them the command has read, so that a command can refuse an option that has no
 """
 
 import argparse
+import functools
 import json
 import math
 from collections import Counter
@@ -36,11 +37,7 @@ SCENE_OPTIONS = (
 
 
 def option(
-    *flags: str,
-    default: Any = None,
-    in_key: bool = True,
-    positional: bool = False,
-    **settings: Any,
+    *flags: str, default: Any = None, in_key: bool = True, positional: bool = False, **settings: Any
 ) -> Any:
     """Return the dataclass field of an option.
 
@@ -53,6 +50,16 @@ def option(
     """
     metadata = {"flags": flags, "settings": settings, "in_key": in_key, "positional": positional}
     return field(default=default, metadata=metadata)
+
+
+def flag(words: str, **settings: Any) -> Any:
+    """Return the field of an option without a value. words: help; settings: as for `option`."""
+    return option(default=False, action="store_true", help=words, **settings)
+
+
+def scene_option(words: str, **settings: Any) -> Any:
+    """Return the field of the argument SCENE. words, settings: as for `flag`."""
+    return option(positional=True, in_key=False, metavar="SCENE", help=words, **settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +95,9 @@ class Options:
         """
         parser = commands.add_parser(name, **texts)
         for part in fields(cls):
-            flags = (
-                (part.name,)
-                if part.metadata["positional"]
-                else part.metadata["flags"] or (_flag(part),)
-            )
+            flags = part.metadata["flags"] or (_flag(part),)
+            if part.metadata["positional"]:
+                flags = (part.name,)
             hidden = {"help": argparse.SUPPRESS} if part.name in cls.REFUSED else {}
             settings = part.metadata["settings"] | hidden
             parser.add_argument(*flags, default=argparse.SUPPRESS, **settings)
@@ -165,28 +170,57 @@ def _channel(text):
         raise OutOfRange("--band", text, "NAME=wavelength in nm, such as --band red=630") from None
 
 
-def size(text: str) -> tuple[int, int]:
-    """Return the columns and rows of the text COLSxROWS. Raises ArgumentTypeError."""
-    try:
-        cols, rows = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted COLSxROWS, such as 1920x1080") from None
-    return cols, rows
+def reads(wanted: str) -> Callable:
+    """Return a decorator of a function from a text of the command line to its value.
+
+    Args:
+        wanted: Allowed texts in words: a ValueError, a division by 0 or an overflow becomes
+            ArgumentTypeError with them.
+    """
+
+    def add(read):
+        @functools.wraps(read)
+        def checked(text):
+            try:
+                return read(text)
+            except (ValueError, ZeroDivisionError, OverflowError):
+                raise argparse.ArgumentTypeError(f"{text!r}: wanted {wanted}") from None
+
+        return checked
+
+    return add
+
+
+def number(
+    wanted: str, is_allowed: Callable[[Any], bool] = lambda value: True, kind: Callable = float
+) -> Callable[[str], Any]:
+    """Return a function that reads an allowed number. wanted: in words."""
+
+    @reads(wanted)
+    def read(text):
+        value = kind(text)
+        if not is_allowed(value):
+            raise ValueError
+        return value
+
+    return read
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """Return a function that reads a whole number from `low` to `high`."""
+    return number(f"a whole number, {low} .. {high}", lambda value: low <= value <= high, int)
 
-    def read(text):
-        try:
-            value = int(text)
-        except ValueError:
-            value = None
-        if value is None or not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, {low} .. {high}")
-        return value
 
-    return read
+def seed_option(of: str) -> Any:
+    """Return the field of an option --seed. of: what it seeds, in words."""
+    return option(default=0, type=whole(0, 2**64 - 1), help=f"seed of {of} (default: 0)")
+
+
+@reads("COLSxROWS, such as 1920x1080")
+def size(text: str) -> tuple[int, int]:
+    """Return the columns and rows of the text COLSxROWS. Raises ArgumentTypeError."""
+    cols, rows = (int(part) for part in text.lower().split("x"))
+    return cols, rows
 
 
 def _time(text):
@@ -201,17 +235,7 @@ def _time(text):
 
 def _positive(wanted, most):
     """Return a function that reads a number above 0, up to `most`. wanted: in words."""
-
-    def read(text):
-        try:
-            value = float(text)
-        except ValueError:
-            value = 0.0
-        if not 0 < value <= most:
-            raise argparse.ArgumentTypeError(f"{text!r}: wanted {wanted}")
-        return value
-
-    return read
+    return number(wanted, lambda value: 0 < value <= most)
 
 
 def _fov(text):
@@ -219,49 +243,31 @@ def _fov(text):
     return math.radians(_positive("degrees above 0 and below 180", 179.99)(text))
 
 
+@reads("FIRST:LAST:STEP, such as 400:700:10, or a list such as 450,550,650")
 def _wavelengths(text):
     """Return the wavelengths [nm] of FIRST:LAST:STEP or of a list."""
-    try:
-        if ":" not in text:
-            return [float(part) for part in text.split(",")]
-        first, last, step = (float(part) for part in text.split(":"))
-        count = round((last - first) / step)
-        if not (0 < count < 10_000 and abs(first + count * step - last) < 1e-6 * step):
-            raise ValueError
-        return [first + number * step for number in range(count + 1)]
-    except (ValueError, ZeroDivisionError, OverflowError):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted FIRST:LAST:STEP, such as 400:700:10, or a list such as 450,550,650"
-        ) from None
+    if ":" not in text:
+        return [float(part) for part in text.split(",")]
+    first, last, step = (float(part) for part in text.split(":"))
+    count = round((last - first) / step)
+    if not (0 < count < 10_000 and abs(first + count * step - last) < 1e-6 * step):
+        raise ValueError
+    return [first + number * step for number in range(count + 1)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request(Options):
     """A scene, a camera with its controls, and the settings of the planner."""
 
-    scene: Any = option(
-        positional=True,
-        in_key=False,
-        metavar="SCENE",
-        help=SCENE_HELP,
-    )
+    scene: Any = scene_option(SCENE_HELP)
     camera: str = option(in_key=False, required=True, help=CAMERA_HELP)
     device: str = option(default="auto", in_key=False, help=DEVICE_HELP)
     tolerance: str | None = option(
         help="error that the frame may have: preview, video, metrology, or a relative RMS error "
-        "(default: exact, every wavelength is computed)",
+        "(default: exact, every wavelength is computed)"
     )
-    guaranteed: bool = option(
-        default=False,
-        action="store_true",
-        help="meet --tolerance for every possible spectrum",
-    )
-    strict: bool = option(
-        default=False,
-        in_key=False,
-        action="store_true",
-        help="fail if --tolerance is not predicted to be met",
-    )
+    guaranteed: bool = flag("meet --tolerance for every possible spectrum")
+    strict: bool = flag("fail if --tolerance is not predicted to be met", in_key=False)
     size: tuple[int, int] | None = option(
         type=size,
         metavar="COLSxROWS",
@@ -403,13 +409,9 @@ class Request(Options):
             for name in ("guaranteed", "strict"):
                 self.refuse(name, "there is no tolerance to meet", "add --tolerance")
 
-        return Simulator(
-            self.open_camera() if camera is None else camera,
-            device=self.device,
-            tolerance=self.tolerance,
-            guaranteed=self.guaranteed,
-            strict=self.strict,
-        )
+        names = ("device", "tolerance", "guaranteed", "strict")
+        settings = {name: getattr(self, name) for name in names}
+        return Simulator(self.open_camera() if camera is None else camera, **settings)
 
 
 def describe_verdicts(states: Counter) -> str:

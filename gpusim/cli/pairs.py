@@ -12,10 +12,14 @@ from gpusim.cli.options import (
     SCENE_HELP,
     Request,
     describe_verdicts,
+    flag,
     make_folder,
     option,
+    scene_option,
+    seed_option,
     whole,
 )
+from gpusim.cli.video import shard_option
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict
 
@@ -34,20 +38,14 @@ TEXTS = {
 class PairsRequest(Request):
     """Options of `gpusim pairs`."""
 
-    scene: list[str] = option(
-        positional=True,
-        in_key=False,
-        nargs="+",
-        metavar="SCENE",
-        help=f"{SCENE_HELP}; several of them, or folders",
-    )
+    scene: list[str] = scene_option(f"{SCENE_HELP}; several of them, or folders", nargs="+")
     out: str = option(
         "-o",
         "--out",
         in_key=False,
-        required=True,
         metavar="FOLDER",
         help="folder of the tar files 000000.tar, ...; it is created if it does not exist",
+        required=True,
     )
     vary: Variety = option(
         default=Variety(),
@@ -59,30 +57,17 @@ class PairsRequest(Request):
         "light=D65|A|FL11",
     )
     each: int = option(
-        default=1,
-        type=whole(1, MOST),
-        metavar="N",
-        help="pairs per photograph (default: 1)",
+        default=1, type=whole(1, MOST), metavar="N", help="pairs per photograph (default: 1)"
     )
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the noise and of --vary (default: 0)"
-    )
-    pictures: bool = option(
-        default=False, action="store_true", help="also write KEY.rgb.png of every frame"
-    )
+    seed: int = seed_option("the noise and of --vary")
+    pictures: bool = flag("also write KEY.rgb.png of every frame")
     in_shard: int = option(
         default=IN_SHARD,
         type=whole(1, MOST),
         metavar="N",
         help=f"pairs per tar file (default: {IN_SHARD})",
     )
-    shard: Shard = option(
-        default=Shard(),
-        in_key=False,
-        type=Shard.parse,
-        metavar="I/N",
-        help="make only part I of N of the tar files, counted from 0",
-    )
+    shard: Shard = shard_option("part I of N of the tar files, counted from 0")
 
     def check_settings(self) -> None:
         """Raise Conflict for two options that set the same, or that have no effect together."""
@@ -123,26 +108,16 @@ def pairs(request: PairsRequest) -> int:
     for light in varied.get("light", ()):
         illuminant(light)
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
-        raise Conflict(
-            "--vary iso",
-            "automatic exposure chooses the gain",
-            "add --exposure TIME or --vary exposure=LOW..HIGH",
-        )
+        remedy = "add --exposure TIME or --vary exposure=LOW..HIGH"
+        raise Conflict("--vary iso", "automatic exposure chooses the gain", remedy)
     photographs = _photographs(request)
 
     def open_drawn(path, values):
         return request.open_scene(str(path), **scene_options(values))
 
     open_drawn(photographs[0], request.vary.draw(request.seed, 0))
-    made = Pairs(
-        simulator,
-        photographs,
-        open_drawn,
-        request.vary,
-        request.each,
-        request.seed,
-        request.pictures,
-    )
+    settings = request.vary, request.each, request.seed, request.pictures
+    made = Pairs(simulator, photographs, open_drawn, *settings)
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
@@ -150,24 +125,19 @@ def pairs(request: PairsRequest) -> int:
     own = request.shard.of(shards, "--in-shard")
     request.refuse_unread("pairs")
     make_folder(folder)
-    content = describe_run(
-        simulator,
-        photographs,
-        request.key(),
-        photographs=[str(path) for path in photographs],
-        vary={name: list(values) for name, values in varied.items()},
-    )
+    others = {"photographs": [str(path) for path in photographs]}
+    others["vary"] = {name: list(values) for name, values in varied.items()}
+    content = describe_run(simulator, photographs, request.key(), **others)
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))
     states: Counter[str] = Counter()
+
+    def is_empty():
+        return not any(folder.glob("*.tar"))
+
     with (
-        keep_manifest(
-            folder / "pairs.json",
-            content,
-            "its tar files",
-            lambda: not any(folder.glob("*.tar")),
-        ),
+        keep_manifest(folder / "pairs.json", content, "its tar files", is_empty),
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
         for shard in missing:

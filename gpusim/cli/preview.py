@@ -37,11 +37,10 @@ class PreviewRequest(MovingRequest):
             "optics.f_number": self.f_number,
             "optics.object_distance_m": self.focus,
             "processor.scaling": self.scaling,
+            "sensor.exposure_time_ms": self.exposure,
         }
-        if self.exposure is not None:
-            given["sensor.exposure_time_ms"] = (
-                self.exposure if isinstance(self.exposure, str) else 1e3 * self.exposure
-            )
+        if isinstance(self.exposure, int | float):
+            given["sensor.exposure_time_ms"] = 1e3 * self.exposure
         return {name: value for name, value in given.items() if value is not None}
 
 
@@ -60,9 +59,8 @@ def preview(request: PreviewRequest) -> int:
     try:
         from nicegui import app, ui
     except ImportError:
-        raise Missing(
-            "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
-        ) from None
+        why = "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
+        raise Missing(why) from None
     from gpusim.apps.preview.controls import TOLERANCES
     from gpusim.apps.preview.guard import Guard
     from gpusim.apps.preview.page import mount
@@ -82,13 +80,8 @@ def preview(request: PreviewRequest) -> int:
     request.open_camera()  # refuses wrong settings before the page opens
     require_port(request.host, request.port)
     request.refuse_unread("preview")
-    mount(
-        lambda: Producer(scenes, device, period),
-        State(request.camera, changes, tolerance=tolerance),
-        first.name,
-        first.shape,
-        " ".join(request.scene),
-    )
+    state, words = State(request.camera, changes, tolerance=tolerance), " ".join(request.scene)
+    mount(lambda: Producer(scenes, device, period), state, first.name, first.shape, words)
     hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
     if request.host not in LOOPBACK:
@@ -96,33 +89,22 @@ def preview(request: PreviewRequest) -> int:
             f"{request.host}: anyone who reaches this address may use this preview and its device"
         )
     print(f"http://{request.host}:{request.port}/  (Ctrl+C ends it)", flush=True)
-    ui.run(
-        host=request.host,
-        port=request.port,
-        reload=False,
-        show=False,
-        show_welcome_message=False,
-        ws_per_message_deflate=False,
-        ws_max_size=2**16,
-        title="gpusim",
-        uvicorn_logging_level="error",
-    )
+    quiet = {"show": False, "show_welcome_message": False, "uvicorn_logging_level": "error"}
+    socket = {"ws_per_message_deflate": False, "ws_max_size": 2**16}
+    address = {"host": request.host, "port": request.port}
+    ui.run(**address, **quiet, **socket, reload=False, title="gpusim")
     return 0
 
 
 def require_port(host: str, port: int):
     """Raise OutOfRange if the port cannot be opened at this address."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM
-        )[0]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
-        raise OutOfRange(
-            "--host, --port",
-            f"{host}:{port}",
-            f"a free port of an address of this machine "
-            f"({error.strerror or error}); try --port {port % 65535 + 1}",
-        ) from None
+        allowed = f"a free port of an address of this machine ({error.strerror or error})"
+        remedy = f"try --port {port % 65535 + 1}"
+        raise OutOfRange("--host, --port", f"{host}:{port}", f"{allowed}; {remedy}") from None

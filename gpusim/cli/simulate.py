@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gpusim.apps.video.segments import numbered_path
-from gpusim.cli.options import Request, option, whole, write_json
+from gpusim.cli.options import Request, flag, option, seed_option, whole, write_json
 from gpusim.domain.errors import BadFile
 
 WITHOUT_PICTURE = (".dng", ".npz")  # files that no setting of the picture changes
@@ -18,9 +18,7 @@ TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
 class SimulateRequest(Request):
     """Options of `gpusim simulate`."""
 
-    seed: int = option(
-        default=0, type=whole(0, 2**64 - 1), help="seed of the temporal noise (default: 0)"
-    )
+    seed: int = seed_option("the temporal noise")
     frames: int = option(
         default=1,
         type=whole(1, 10**6),
@@ -30,11 +28,11 @@ class SimulateRequest(Request):
     out: list[str] | tuple = option(
         "-o",
         "--out",
-        default=(),
-        action="append",
         metavar="OUT",
         help="file: .png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be "
         "repeated",
+        default=(),
+        action="append",
     )
     bits: int | None = option(
         type=int,
@@ -45,11 +43,7 @@ class SimulateRequest(Request):
     report: str | None = option(
         metavar="FILE.json", help="file of the report: models, times and errors"
     )
-    verify: bool = option(
-        default=False,
-        action="store_true",
-        help="also compute the float64 reference, and report the true error",
-    )
+    verify: bool = flag("also compute the float64 reference, and report the true error")
 
     def check_outputs(self) -> list[Callable[[int], Path]]:
         """Return a function from a frame's number to its path for each output.
@@ -82,10 +76,8 @@ class SimulateRequest(Request):
         for path in (*report, *frames):
             here = place(path)
             if here in taken:
-                raise BadFile(
-                    path,
-                    f"{taken[here]}, and would be overwritten; give each -o and --report its own name",
-                )
+                what = f"{taken[here]}, and would be overwritten"
+                raise BadFile(path, f"{what}; give each -o and --report its own name")
             taken[here] = "is given twice"
         return outputs
 

@@ -1,37 +1,31 @@
 """`gpusim train-l3`: filters for a camera from simulated frames."""
 
-import argparse
 from dataclasses import dataclass
+from functools import partial
 
-from gpusim.cli.options import DEVICE_HELP, Options, option, whole
+from gpusim.cli.options import DEVICE_HELP, Options, option, reads, scene_option, seed_option
 
 TEXTS = {
     "help": "train a camera's filters for demosaicking, noise, blur and colour on simulated frames"
 }
 
 
+@reads("LOW..HIGH or a list such as 1,10,100 [cd/m2]")
 def luminances(text: str) -> tuple[float, ...]:
     """Return the luminances of "LOW..HIGH" or "A,B,C" [cd m-2]. Raises ArgumentTypeError."""
-    try:
-        low, dots, high = text.partition("..")
-        return (float(low), float(high)) if dots else tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: wanted LOW..HIGH or a list such as 1,10,100 [cd/m2]"
-        ) from None
+    low, dots, high = text.partition("..")
+    return (float(low), float(high)) if dots else tuple(float(part) for part in text.split(","))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainRequest(Options):
     """Options of `gpusim train-l3`."""
 
-    scenes: list[str] | tuple = option(
+    scenes: list[str] | tuple = scene_option(
+        "scenes to train on in addition to the generated ones: photographs, spectral files with "
+        "their light, charts",
         default=(),
-        positional=True,
         nargs="*",
-        metavar="SCENE",
-        help="scenes to train on in addition to the generated ones: photographs, spectral files "
-        "with their light, charts",
     )
     camera: str = option(
         required=True, help="as for simulate; any mosaic of three or more channels"
@@ -39,10 +33,10 @@ class TrainRequest(Options):
     out: str = option(
         "-o",
         "--out",
-        required=True,
         metavar="TABLE.npz",
-        help='file of the filters, for [processor] demosaic = "learned", table = "TABLE.npz" in '
-        "the camera file",
+        help='file of the filters, for [processor] demosaic = "learned", table = "TABLE.npz" in the '
+        "camera file",
+        required=True,
     )
     light: str = option(default="D65", help="light on the scenes (default: D65)")
     luminance: tuple[float, ...] | None = option(
@@ -63,11 +57,7 @@ class TrainRequest(Options):
         help="values that the filters estimate: the camera's red, green and blue without noise and "
         "colour error, or CIE XYZ (default: channels)",
     )
-    seed: int = option(
-        default=0,
-        type=whole(0, 2**64 - 1),
-        help="seed of the generated scenes and of the noise (default: 0)",
-    )
+    seed: int = seed_option("the generated scenes and of the noise")
     device: str = option(default="auto", help=DEVICE_HELP)
 
 
@@ -97,17 +87,13 @@ def train_l3(request: TrainRequest) -> int:
         raise OutOfRange("--out", request.out, "a name that ends in .npz")
     camera = open_camera(request.camera)
     training_camera(camera)
-    table = train(
-        camera,
-        [open_scene(name, light=request.light) for name in request.scenes],
-        light=request.light,
-        luminances=request.luminance,
-        generated=GENERATED if request.generated is None else request.generated,
-        outputs=request.outputs,
-        seed=request.seed,
-        device=request.device,
-        progress=lambda frames: tqdm(frames, unit="frame", disable=None),
-    )
+    light = request.light
+    scenes = [open_scene(name, light=light) for name in request.scenes]
+    settings = {name: getattr(request, name) for name in ("outputs", "seed", "device")}
+    settings["generated"] = GENERATED if request.generated is None else request.generated
+    settings |= {"light": light, "luminances": request.luminance}
+    bar = partial(tqdm, unit="frame", disable=None)
+    table = train(camera, scenes, **settings, progress=bar)
     write_table(request.out, table)
     made = table.layout
     levels, positions, classes, _, weights = made.shape[1:]

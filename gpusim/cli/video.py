@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.segments import LENGTH, Shard, segments_of
 from gpusim.cli.moving import MOST_FRAMES, MovingRequest
-from gpusim.cli.options import describe_verdicts, make_folder, option, whole
+from gpusim.cli.options import (
+    describe_verdicts,
+    flag,
+    make_folder,
+    number,
+    option,
+    seed_option,
+    whole,
+)
 from gpusim.cli.simulate import WITHOUT_PICTURE
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange, UnknownName
@@ -51,26 +59,18 @@ def _make_flicker(text, **numbers):
     """Return a Flicker. numbers: its fields, as text."""
     from gpusim.domain.flicker import Flicker
 
+    why = "wanted one or two numbers, such as 100,0.5"
     try:
         return Flicker(**{name: float(number) for name, number in numbers.items()})
     except (ValueError, OutOfRange) as error:
-        why = (
-            str(error)
-            if isinstance(error, OutOfRange)
-            else "wanted one or two numbers, such as 100,0.5"
-        )
+        why = str(error) if isinstance(error, OutOfRange) else why
         raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
 
 
-def _read_quality(text):
-    """Return a constant rate factor."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 51:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted a number, 0 .. 51")
-    return value
+def shard_option(part: str) -> Any:
+    """Return the field of the option --shard. part: what a shard makes, in words."""
+    parts = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
+    return option(help=f"make only {part}", **parts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +81,10 @@ class VideoRequest(MovingRequest):
         "-o",
         "--out",
         in_key=False,
-        required=True,
         metavar="OUT",
-        help="encoded video .mp4 or .mkv, or numbered files .png, .tif, .exr, .dng, .npz (a.png "
-        "gives a_0000.png, ...); with --lerobot a folder",
+        help="encoded video .mp4 or .mkv, or numbered files .png, .tif, .exr, .dng, .npz (a.png gives "
+        "a_0000.png, ...); with --lerobot a folder",
+        required=True,
     )
     lerobot: str | None = option(
         in_key=False,
@@ -92,16 +92,8 @@ class VideoRequest(MovingRequest):
         help="add an episode of this task, such as 'pick up the cube', to the LeRobot data set "
         "(version 3.0) in the folder -o, which is created if it does not exist",
     )
-    seed: int = option(
-        default=0,
-        type=whole(0, 2**64 - 1),
-        help="seed of the temporal noise and of --shake (default: 0)",
-    )
-    blur: bool = option(
-        default=False,
-        action="store_true",
-        help="simulate motion blur and rolling shutter (slow)",
-    )
+    seed: int = seed_option("the temporal noise and of --shake")
+    blur: bool = flag("simulate motion blur and rolling shutter (slow)")
     ramp: Ramps = option(
         default=Ramps(),
         type=Ramps.parse,
@@ -135,18 +127,12 @@ class VideoRequest(MovingRequest):
     )
     quality: float | None = option(
         in_key=False,
-        type=_read_quality,
+        type=number("a number, 0 .. 51", lambda value: 0 <= value <= 51),
         metavar="CRF",
         help="constant rate factor of h264 and h265, 0 .. 51, lower is better (default: the "
         "encoder's)",
     )
-    shard: Shard = option(
-        default=Shard(),
-        in_key=False,
-        type=Shard.parse,
-        metavar="I/N",
-        help="make only part I of N, counted from 0; all parts together equal one run",
-    )
+    shard: Shard = shard_option("part I of N, counted from 0; all parts together equal one run")
     segment: int = option(
         default=LENGTH,
         type=whole(1, MOST_FRAMES),
@@ -202,7 +188,7 @@ def video(request: VideoRequest) -> int:
     """
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, keep_manifest
-    from gpusim.apps.video.video import within_period
+    from gpusim.apps.video.video import blurred_frames, frames, within_period
 
     request.check_settings()
     scenes = request.open_scenes(request.seed, request.flicker or request.pwm)
@@ -221,12 +207,14 @@ def video(request: VideoRequest) -> int:
         make_folder(folder)
     loops = NO_LOOPS
     if request.lag:
-        loops = Loops.read_manifest(manifest, request.lag, scenes.count) or _meter(
-            request, simulator, scenes
-        )
+        known = Loops.read_manifest(manifest, request.lag, scenes.count)
+        loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
+    make = blurred_frames if request.blur or request.flicker or request.pwm else frames
+    settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
     with keep_manifest(manifest, made, target.words, target.is_empty):
-        return _write(target, simulator, scenes, own, request.seed, loops, Plans(manifest))
+        written = target.write(partial(make, simulator, scenes, **settings), own)
+        return _report(target, written, own, simulator.tolerance, Plans(manifest))
 
 
 def _meter(request, simulator, scenes):
@@ -235,22 +223,16 @@ def _meter(request, simulator, scenes):
 
     from gpusim.apps.video.loops import meter_scenes
 
+    settings = request.lag, request.ramp, float(1 / request.fps)
     with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
-        return meter_scenes(
-            simulator,
-            scenes,
-            request.lag,
-            request.ramp,
-            float(1 / request.fps),
-            seed=request.seed,
-            seen=bar.update,
-        )
+        return meter_scenes(simulator, scenes, *settings, seed=request.seed, seen=bar.update)
 
 
-def _write(target, simulator, scenes, own, seed, loops, plans):
-    """Write what is missing, and say what was done; plans: of the manifest.
+def _report(target, written, own, tolerance, plans):
+    """Write what is missing, and say what was done.
 
-    Returns the exit status.
+    written: frames of the target, each after it was written. own: segments of this run. plans: of
+    the manifest. Returns the exit status.
     """
     from tqdm import tqdm
 
@@ -259,13 +241,13 @@ def _write(target, simulator, scenes, own, seed, loops, plans):
     begun, worst, count, states = time.perf_counter(), None, 0, Counter()
     total, ends = sum(len(segment) for segment in own), {segment[-1] for segment in own}
     with plans, tqdm(total=total, unit="frame", disable=None) as bar:
-        for one in target.write(simulator, scenes, own, seed, loops):
+        for one in written:
             count += 1
             plans.add(one.plan, one.number, one.number in ends)
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)
-            if simulator.tolerance is not None:
-                states[one.account.verdict(simulator.tolerance).state] += 1
+            if tolerance is not None:
+                states[one.account.verdict(tolerance).state] += 1
             bar.set_postfix_str(f"worst error {worst:.2g}", refresh=False)
             bar.update()
     seconds = time.perf_counter() - begun
@@ -287,32 +269,22 @@ def _target(request, simulator, scenes, segments):
     Raises BadFile, Conflict, OutOfRange, UnknownName.
     """
     from gpusim.apps.video.manifest import describe_run, file_digest
-    from gpusim.apps.video.video import blurred_frames, frames
     from gpusim.io.frame.frames import FORMATS
 
-    frames_of = partial(
-        blurred_frames if request.blur or request.flicker or request.pwm else frames,
-        ramps=request.ramp,
-    )
     is_list = len(request.scene) > 1 or Path(request.scene[0]).is_dir()
-    made = describe_run(
-        simulator,
-        scenes.names if is_list else request.scene,
-        request.key(),
-        scenes=scenes.names,
-        actors=[file_digest(cast.path) for cast in request.actor],
-        frames=scenes.count,
-    )
+    shown = scenes.names if is_list else request.scene
+    others = {"scenes": scenes.names, "actors": [file_digest(cast.path) for cast in request.actor]}
+    made = describe_run(simulator, shown, request.key(), **others, frames=scenes.count)
     path = Path(request.out)
     if request.lerobot is not None or request.suffix in ENCODED:
-        target, more = _open_encoded(request, path, simulator, scenes, segments, frames_of)
+        target, more = _open_encoded(request, path, simulator, scenes, segments)
         return target, target.folder / "video.json", made | more
     if request.suffix not in FORMATS:
         raise UnknownName("output format", request.suffix or request.out, [*ENCODED, *FORMATS])
-    return *_open_numbered(path, simulator, scenes, frames_of), made
+    return *_open_numbered(path, simulator, scenes), made
 
 
-def _open_numbered(path, simulator, scenes, frames_of):
+def _open_numbered(path, simulator, scenes):
     """Return numbered files as the output, and the path of their manifest.
 
     Raises BadFile, OutOfRange.
@@ -322,18 +294,17 @@ def _open_numbered(path, simulator, scenes, frames_of):
     from gpusim.io.frame.frames import check_format
 
     check_format(path, replace(simulator.camera, sensor=simulator.readout.output))
-    numbered = NumberedFiles(path, scenes.count, frames_of)
+    numbered = NumberedFiles(path, scenes.count)
     manifest = path.with_name(f"{path.stem}_video.json")
     check_output(manifest)
     there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)
     if there is not None and not manifest.exists():
-        raise BadFile(
-            there, "exists, and no video was begun here; remove it, or give -o another name"
-        )
+        why = "exists, and no video was begun here; remove it, or give -o another name"
+        raise BadFile(there, why)
     return numbered, manifest
 
 
-def _open_encoded(request, path, simulator, scenes, segments, frames_of):
+def _open_encoded(request, path, simulator, scenes, segments):
     """Return an encoded video or an episode as the output, and its part of the manifest."""
     from gpusim.apps.video.codecs import CODECS, Encoder, codec_of
     from gpusim.apps.video.lerobot import Episode
@@ -344,44 +315,24 @@ def _open_encoded(request, path, simulator, scenes, segments, frames_of):
     is_episode = request.lerobot is not None
     codec = codec_of(Path("episode.mp4") if is_episode else path, request.codec)
     if is_episode and codec != CODECS["h264"]:
-        raise Conflict(
-            "--codec", "the videos of a LeRobot data set are h264", "leave --codec or --lerobot out"
-        )
+        remedy = "leave --codec or --lerobot out"
+        raise Conflict("--codec", "the videos of a LeRobot data set are h264", remedy)
     if is_episode and request.shard.count > 1:
         raise Conflict("--shard", "one run makes an episode", "leave --shard or --lerobot out")
     if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
-        raise OutOfRange(
-            "raw values of an encoded video",
-            "stacked pixels" if sensor.stacked else f"{sensor.bits} bits",
-            "one mosaic of up to 16 bits; .npz files hold any",
-        )
+        found = "stacked pixels" if sensor.stacked else f"{sensor.bits} bits"
+        allowed = "one mosaic of up to 16 bits; .npz files hold any"
+        raise OutOfRange("raw values of an encoded video", found, allowed)
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-    encoder = Encoder(
-        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
-    )
-    made: dict[str, Any] = {
-        "fps": str(request.fps),
-        "codec": request.codec,
-        "quality": request.quality,
-    }
-    target: EncodedFile
+    tone, quality = camera.processor.tone, request.quality
+    encoder = Encoder(codec, shape, request.fps, camera.display, tone, quality)
+    made: dict[str, Any] = {"fps": str(request.fps), "codec": request.codec, "quality": quality}
     if is_episode:
-        target = Episode(
-            path,
-            request.lerobot,
-            camera.name,
-            shape,
-            request.fps,
-            request.seed,
-            codec,
-            encoder,
-            segments,
-            frames_of,
-        )
-        made["task"] = request.lerobot
-    else:
-        check_output(path)
-        target = EncodedFile(path, codec, encoder, segments, frames_of)
-        if path.exists() and not target.folder.exists():
-            raise BadFile(path, "exists; remove it, or give -o another name")
+        task = request.lerobot
+        episode = Episode(path, task, camera.name, request.seed, encoder, segments)
+        return episode, made | {"task": task}
+    check_output(path)
+    target = EncodedFile(path, encoder, segments)
+    if path.exists() and not target.folder.exists():
+        raise BadFile(path, "exists; remove it, or give -o another name")
     return target, made

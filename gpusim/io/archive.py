@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -59,37 +59,36 @@ class Archive(Mapping):
                 raise BadFile(path, f"holds two arrays {name!r}")
             self._members[name] = self._member(info)
 
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
+
     def _member(self, info):
         """Return the header of a member; raise BadFile if the file cannot hold its size."""
         what = f"array {info.filename!r}"
         if info.flag_bits & ENCRYPTED or info.compress_type not in METHODS:
-            raise BadFile(
-                self.path,
+            self.refuse(
                 f"{what} is encrypted or uses another compression than NumPy; write it with "
-                "np.savez or np.savez_compressed",
+                "np.savez or np.savez_compressed"
             )
         if info.compress_size > self._size or info.file_size > LARGEST_RATIO * info.compress_size:
-            raise BadFile(
-                self.path,
+            self.refuse(
                 f"{what}, truncated or damaged: {info.file_size} bytes cannot come from "
-                f"{info.compress_size} in a file of {self._size}",
+                f"{info.compress_size} in a file of {self._size}"
             )
         with self._zip.open(info) as stream:
             head = io.BytesIO(stream.read(LONGEST_HEADER))
         shape, fortran, dtype = array_header(head)
         member = _Member(info, shape, dtype, fortran, head.tell())
         if dtype.kind not in "biufcUS" or dtype.subdtype:
-            raise BadFile(self.path, f"{what} holds {dtype}: not {WHAT}")
+            self.refuse(f"{what} holds {dtype}: not {WHAT}")
         if min(shape, default=0) < 0 or member.nbytes != info.file_size - member.start:
-            raise BadFile(
-                self.path,
+            self.refuse(
                 f"{what}, truncated or damaged: shape {shape} of {dtype} are not its "
-                f"{info.file_size - member.start} bytes",
+                f"{info.file_size - member.start} bytes"
             )
         if dtype.kind in "US" and member.nbytes > LONGEST_TEXT:
-            raise BadFile(
-                self.path, f"{what}: {member.nbytes} bytes of text; at most {LONGEST_TEXT} are read"
-            )
+            self.refuse(f"{what}: {member.nbytes} bytes of text; at most {LONGEST_TEXT} are read")
         return member
 
     def __contains__(self, name):  # Mapping's own would read the array
@@ -105,9 +104,7 @@ class Archive(Mapping):
         """Raise BadFile if an array is missing."""
         missing = [name for name in names if name not in self]
         if missing:
-            raise BadFile(
-                self.path, f"lacks {', '.join(missing)}; it has {', '.join(self) or 'nothing'}"
-            )
+            self.refuse(f"lacks {', '.join(missing)}; it has {', '.join(self) or 'nothing'}")
 
     def shape(self, name, kinds=NUMBERS, *, wanted=None) -> tuple[int, ...]:
         """Return the shape of an array without reading it.
@@ -116,19 +113,14 @@ class Archive(Mapping):
         any length; None is any shape. Raises BadFile if the array is missing or different.
         """
         if name not in self:
-            raise BadFile(
-                self.path, f"key {name!r} is missing; there are {', '.join(self) or 'none'}"
-            )
+            self.refuse(f"key {name!r} is missing; there are {', '.join(self) or 'none'}")
         shape, dtype = self._members[name].shape, self._members[name].dtype
         if dtype.kind not in kinds:
-            raise BadFile(self.path, f"{name}: {dtype}, wanted {KINDS.get(kinds, KINDS[NUMBERS])}")
-        if wanted is not None and not (
-            len(shape) == len(wanted)
-            and 0 not in shape
-            and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))
-        ):
+            self.refuse(f"{name}: {dtype}, wanted {KINDS.get(kinds, KINDS[NUMBERS])}")
+        fits = wanted is None or (len(shape) == len(wanted) and 0 not in shape)
+        if not (fits and all(n in (None, m) for n, m in zip(wanted or (), shape, strict=False))):
             lengths = ", ".join("any" if n is None else str(n) for n in wanted)
-            raise BadFile(self.path, f"{name}: shape {shape}, wanted ({lengths})")
+            self.refuse(f"{name}: shape {shape}, wanted ({lengths})")
         return shape
 
     def __getitem__(self, name) -> np.ndarray:
@@ -143,19 +135,16 @@ class Archive(Mapping):
                 if stream.readinto(piece) != len(piece):
                     raise EOFError(f"{member.info.filename!r} ends early")
             if array.dtype.kind == "U" and array.size:
-                letters = array.reshape(-1).view(
-                    np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
-                )
+                letter = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
+                letters = array.reshape(-1).view(letter)
                 if letters.max() > sys.maxunicode:  # else Python raises ValueError
                     raise UnicodeError(f"{member.info.filename!r} holds invalid characters")
         return array.transpose() if member.fortran else array
 
     def require_memory(self, copies: float):
         """Raise DoesNotFit unless all arrays fit as stored plus `copies` of them in float64."""
-        needed = sum(
-            member.nbytes + 8 * copies * math.prod(member.shape)
-            for member in self._members.values()
-        )
+        members = self._members.values()
+        needed = sum(one.nbytes + 8 * copies * math.prod(one.shape) for one in members)
         require_memory(f"{self.path}: {len(self)} arrays", math.ceil(needed))
 
 
@@ -169,11 +158,10 @@ def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
         version = np.lib.format.read_magic(head)
         if version not in VERSIONS:
             raise ValueError(f"version {version[0]}.{version[1]} of its header")
-        long = version != (1, 0)
-        header = (
-            np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
-        )
-        return header(head)
+        read = np.lib.format.read_array_header_2_0
+        if version == (1, 0):
+            read = np.lib.format.read_array_header_1_0
+        return read(head)
 
 
 class _Bounded:

@@ -62,6 +62,6 @@ def _kind(path):
         return None
     except ValueError:
         raise BadFile(path, "no file can have this name") from None
-    return (
-        "a folder" if stat.S_ISDIR(mode) else None if stat.S_ISREG(mode) else "a device or a pipe"
-    )
+    if stat.S_ISREG(mode):
+        return None
+    return "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"

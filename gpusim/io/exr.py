@@ -76,14 +76,11 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     held = contents(path, names, bands or {})
     rows, cols = sizes[0]
     # Every channel of every part is read, at worst as 4-byte numbers; the cube is a copy.
-    stored = sum(
-        len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True)
-    )
+    counts = [len(header["channels"]) for header in parts]
+    stored = sum(n * math.prod(size) for n, size in zip(counts, sizes, strict=True))
     copied = len(held.channels) + (PLANES_OF_COLORS if held.is_picture else 1)
-    require_memory(
-        f"{path}: {len(names)} channels of {cols} x {rows} pixels",
-        4 * (stored + copied * rows * cols),
-    )
+    needed = 4 * (stored + copied * rows * cols)
+    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", needed)
     with reading(path, "an OpenEXR file whose pixels can be read"):
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
     values = np.empty((len(held.channels), rows, cols), np.float32)
@@ -97,18 +94,13 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
             values, notes = _colors(values, held.kind, parts[0].get("chromaticities"))
     distances = _pixels(path, channels, held.depth, (rows, cols)) if depth and held.depth else None
     if distances is not None and held.other_depths:
-        notes = [
-            *notes,
-            f"depth is channel {held.depth!r}; not read: {', '.join(held.other_depths[:4])}",
-        ]
-    return Exr(
-        "rgb" if held.is_picture else held.kind,
-        None if held.is_picture else np.array([nm for _, nm in held.channels]),
-        values,
-        None if distances is None else held.depth,
-        distances,
-        tuple(notes),
-    )
+        others = ", ".join(held.other_depths[:4])
+        notes = [*notes, f"depth is channel {held.depth!r}; not read: {others}"]
+    kind, nodes = "rgb", None
+    if not held.is_picture:
+        kind, nodes = held.kind, np.array([nm for _, nm in held.channels])
+    name = None if distances is None else held.depth
+    return Exr(kind, nodes, values, name, distances, tuple(notes))
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):
@@ -116,9 +108,8 @@ def _pixels(path, channels, name, shape, *, finite=False, negative=True):
     # None: OpenEXR does not find all channels that it lists
     pixels = getattr(channels.get(name), "pixels", None)
     if pixels is None or pixels.shape != shape:
-        raise BadFile(
-            path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
-        )
+        why = f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
+        raise BadFile(path, why)
     if pixels.dtype.kind != "f":
         raise BadFile(path, f"channel {name!r}: {pixels.dtype}, wanted half or float")
     if finite and not np.isfinite([pixels.min(), pixels.max()]).all():
@@ -172,9 +163,8 @@ def write_spectral_exr(
         name = ("T." if reflectance else "S0.") + f"{nm:.6f}nm".replace(".", ",")
         channels[name] = _to_floats(path, name, np.asarray(plane, np.float64) * energy, half)
     if len(channels) < len(values):
-        raise BadData(
-            f"{path}: wavelengths differ by less than 1e-6 nm, the resolution of channel names"
-        )
+        why = f"{path}: wavelengths differ by less than 1e-6 nm, the resolution of channel names"
+        raise BadData(why)
     channels |= {name: _to_floats(path, name, plane, False) for name, plane in (more or {}).items()}
     units = {} if reflectance else {"emissiveUnits": UNITS}
     _write(path, channels, spectralLayoutVersion="1.0", **units, **attributes)
@@ -201,9 +191,8 @@ def _to_floats(path, name, plane, half):
     if not np.isfinite([plane.min(), plane.max()]).all():
         raise BadData(f"{path}: channel {name!r}: NaN or infinite values")
     if half and np.abs(plane).max() > np.finfo(np.float16).max:
-        raise BadData(
-            f"{path}: channel {name!r}: {np.abs(plane).max():.3g} does not fit 16-bit floats (65504)"
-        )
+        what = f"{path}: channel {name!r}"
+        raise BadData(f"{what}: {np.abs(plane).max():.3g} does not fit 16-bit floats (65504)")
     return np.ascontiguousarray(plane, np.float16 if half else np.float32)
 
 

@@ -83,34 +83,25 @@ def _require_intensity(path, names):
     """Raise BadFile for polarised light and bispectral reflectances."""
     for name in sorted(names):
         if POLARISED.fullmatch(name):
-            raise BadFile(
-                path,
-                f"channel {name!r}: polarised light, which is not simulated; write the file without "
-                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm",
-            )
+            what = f"channel {name!r}: polarised light, which is not simulated"
+            remedy = "write the file without S1, S2 and S3, or name the channels of S0"
+            raise BadFile(path, f"{what}; {remedy} with --band NAME=nm")
         if BISPECTRAL.fullmatch(name):
-            raise BadFile(
-                path,
-                f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated; "
-                "write the file without its T.<nm>.<nm> channels",
-            )
+            what = f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated"
+            raise BadFile(path, f"{what}; write the file without its T.<nm>.<nm> channels")
 
 
 def _fichet(path, names):
     matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
     for name, match in matches:
         if not match:
-            raise BadFile(
-                path,
-                f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
-                "(other units and frequencies are not supported)",
-            )
+            wanted = "wanted S0.<wavelength>nm or T.<wavelength>nm"
+            others = "(other units and frequencies are not supported)"
+            raise BadFile(path, f"channel {name!r}: cannot be read; {wanted} {others}")
     kinds = {match[1] for _, match in matches}
     if len(kinds) > 1:
-        raise BadFile(
-            path,
-            "holds both emissive (S0) and reflective (T) channels; write only one kind",
-        )
+        why = "holds both emissive (S0) and reflective (T) channels; write only one kind"
+        raise BadFile(path, why)
     if not kinds:
         return None
     found = [(name, float(match[2].replace(",", "."))) for name, match in matches]
@@ -128,17 +119,12 @@ def _indigo(path, names):
         return None
     edges = _ascending(path, edges)
     if len(edges) < 2:
-        raise BadFile(
-            path,
-            f"only one bucket ({edges[0][0]!r}) of unknown width; at least 2 are needed",
-        )
+        why = f"only one bucket ({edges[0][0]!r}) of unknown width; at least 2 are needed"
+        raise BadFile(path, why)
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
-        raise BadFile(
-            path,
-            f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted "
-            "equally spaced edges",
-        )
+        what = f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width"
+        raise BadFile(path, f"{what}; wanted equally spaced edges")
     return Contents("radiance", [(name, edge + width / 2) for name, edge in edges], unit=1e-9)
 
 
@@ -161,9 +147,8 @@ def _ascending(path, channels):
     channels = sorted(channels, key=lambda channel: channel[1])
     for (one, first), (two, second) in pairwise(channels):
         if first == second:
-            raise BadFile(
-                path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm"
-            )
+            why = f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm"
+            raise BadFile(path, why)
     for name, nm in channels:
         if not 0 < nm < np.inf:
             raise BadFile(path, f"channel {name!r}: {nm:g} nm, wanted a positive wavelength")

@@ -35,11 +35,7 @@ def open_file(path) -> io.BufferedReader:
     try:
         _require_regular(path, path.stat())  # before opening: opening a device may have effects
         # non-blocking, in case it has become a pipe meanwhile
-        file = open(
-            path,
-            "rb",
-            opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)),
-        )
+        file = open(path, "rb", opener=_open_at_once)
     except FileNotFoundError:
         raise BadFile(path, "no such file") from None
     except OSError as error:
@@ -52,6 +48,10 @@ def open_file(path) -> io.BufferedReader:
         file.close()
         raise
     return file
+
+
+def _open_at_once(name, flags):
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _require_regular(path, status):
@@ -98,16 +98,11 @@ def read_cells(path, longest: int) -> list[list[str]]:
     """
     text = read_text(path, "a CSV table", longest, older=True)
     with reading(path, "a CSV table"):
-        lines = [
-            line
-            for line in text.splitlines()
-            if line.strip(" \t,;") and not line.lstrip().startswith("#")
-        ]
+        lines = [line for line in text.splitlines() if line.strip(" \t,;")]
+        lines = [line for line in lines if not line.lstrip().startswith("#")]
         divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
-        cells = [
-            [cell.strip() for cell in row]
-            for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)
-        ]
+        rows = csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)
+        cells = [[cell.strip() for cell in row] for row in rows]
     if divider == ";":
         cells = [[cell.replace(",", ".") for cell in row] for row in cells]
     width = max(map(len, cells), default=0)
@@ -130,17 +125,14 @@ def reading(path, what: str):
     except (GpusimError, NameError):
         raise
     except MemoryError:
-        raise BadFile(
-            path, f"not {what}, or this computer has too little memory to read it"
-        ) from None
+        why = f"not {what}, or this computer has too little memory to read it"
+        raise BadFile(path, why) from None
     except OSError as error:
-        raise BadFile(
-            path, f"cannot be read: not {what}, or truncated ({error.strerror or error})"
-        ) from error
+        why = f"cannot be read: not {what}, or truncated ({error.strerror or error})"
+        raise BadFile(path, why) from error
     except Exception as error:
-        raise BadFile(
-            path, f"not {what}, or truncated ({str(error) or type(error).__name__})"
-        ) from error
+        why = f"not {what}, or truncated ({str(error) or type(error).__name__})"
+        raise BadFile(path, why) from error
 
 
 @contextmanager

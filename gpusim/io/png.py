@@ -39,15 +39,12 @@ class Header:
     def nbytes(self) -> int:
         """Bytes of all lines, each with its filter byte."""
         passes = ADAM7 if self.interlaced else ((0, 0, 1, 1),)
-        sizes = [
-            (math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx))
-            for x, y, dx, dy in passes
-        ]
-        return sum(
-            rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
-            for rows, cols in sizes
-            if rows > 0 and cols > 0
-        )
+        nbytes = 0
+        for x, y, dx, dy in passes:
+            rows, cols = math.ceil((self.rows - y) / dy), math.ceil((self.cols - x) / dx)
+            if rows > 0 and cols > 0:
+                nbytes += rows * (1 + math.ceil(cols * self.bits * CHANNELS[self.colour] / 8))
+        return nbytes
 
 
 def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
@@ -62,19 +59,14 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             lines = inflate.decompress(piece, min(PIECE, header.nbytes - found + 1))
             found += len(lines)
             if found > header.nbytes:
-                raise BadFile(
-                    path,
-                    f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels",
-                )
+                why = f"damaged: holds more than the lines of {header.cols} x {header.rows} pixels"
+                raise BadFile(path, why)
             if keep:
                 pieces.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
-        raise BadFile(
-            path,
-            f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x {header.rows} "
-            "pixels take",
-        )
+        what = f"{header.nbytes} bytes that {header.cols} x {header.rows} pixels take"
+        raise BadFile(path, f"truncated: holds {found} of the {what}")
     return header, b"".join(pieces)
 
 
@@ -89,10 +81,8 @@ def _chunks(path, data):
         body = view[place + 8 : place + 8 + length]
         if place + 12 + length > len(data):
             raise BadFile(path, f"truncated: {len(body)} of {length} bytes of a chunk are present")
-        if (
-            zlib.crc32(body, zlib.crc32(kind))
-            != struct.unpack_from(">I", data, place + 8 + length)[0]
-        ):
+        (checksum,) = struct.unpack_from(">I", data, place + 8 + length)
+        if zlib.crc32(body, zlib.crc32(kind)) != checksum:
             raise BadFile(path, f"damaged: wrong checksum of a chunk at byte {place}")
         if header is None:
             cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", body)

@@ -15,10 +15,7 @@ from gpusim.judge.verify import verify
 from gpusim.kernels.stage import public_function, stage_module, stage_names
 
 # the reference of a full frame takes minutes; errors are measured on this size
-ERROR_SIZE = (
-    270,
-    480,
-)
+ERROR_SIZE = 270, 480
 # of `fma_gflops`; enough steps to hide launch times
 CHAINS = 10
 CPU_STEPS = 100_000
@@ -52,34 +49,31 @@ def fma_gflops(device: Device) -> float:
     Raises:
         DeviceError: The sums are wrong.
     """
-    is_cpu = not device.is_gpu
+    is_cpu, is_opencl = not device.is_gpu, device.kind == "opencl"
     items, steps = (64, CPU_STEPS) if is_cpu else (2**18, GPU_STEPS)
-    width = vector_width(device) if is_cpu and device.kind == "opencl" else 1
-    defines = (
-        {"VECTOR": f"float{width}" if width > 1 else "float"} if device.kind == "opencl" else {}
-    )
+    width = vector_width(device) if is_cpu and is_opencl else 1
+    build: dict = {"defines": {}, "group": (1,) if is_cpu else None}
+    if is_opencl:
+        build["defines"] = {"VECTOR": f"float{width}" if width > 1 else "float"}
     out, a, b, best_ms = device.empty((items * width,)), 0.99, 0.5, np.inf
+    given = out, a, b, steps, items
     for _ in range(10):
         with device.timed() as ms:
-            device.launch(
-                "common.fma",
-                "fma_chains",
-                (items,),
-                out,
-                a,
-                b,
-                steps,
-                items,
-                defines=defines,
-                group=(1,) if is_cpu else None,
-            )
+            device.launch("common.fma", "fma_chains", (items,), *given, **build)
         best_ms = min(best_ms, ms["common.fma"])
     # float32 rounds a by 6e-8, which 1 / (1 - a) makes 6e-6; rounding adds as little
     if not np.allclose(device.numpy(out), CHAINS * b / (1 - a), rtol=1e-4):
-        raise DeviceError(
-            f"{device.name}: a kernel of multiplications and additions gave other sums than it should"
-        )
+        what = "a kernel of multiplications and additions"
+        raise DeviceError(f"{device.name}: {what} gave other sums than it should")
     return 2 * CHAINS * width * items * steps / best_ms / 1e6
+
+
+def make_resident(device: Device, inputs: dict) -> dict:
+    """Return inputs of a stage with their arrays on the device."""
+    return {
+        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+        for key, value in inputs.items()
+    }
 
 
 def bench(
@@ -110,39 +104,24 @@ def bench(
     """
     limits = ceilings(device) if limits is None else limits
     for name in stages or stage_names():
-        failed = (
-            [row for row in verify(device, [name]) if not row["ok"]]
-            if device.kind != "numpy"
-            else []
-        )
+        row = {"stage": name, "device": device.name}
+        failed = []
+        if device.kind != "numpy":
+            failed = [found for found in verify(device, [name]) if not found["ok"]]
         if failed:
-            worst = failed[0]
-            yield {
-                "stage": name,
-                "device": device.name,
-                "failed": f"{len(failed)} cases, such as {worst['case']}: error {worst['max_error']:.3g}, tolerance "
-                f"{worst['tolerance']:.3g} ({worst['why']})",
-            }
+            words = "{case}: error {max_error:.3g}, tolerance {tolerance:.3g} ({why})"
+            text = f"{len(failed)} cases, such as {words.format(**failed[0])}"
+            yield row | {"failed": text}
             continue
         rms, largest = _errors(name, device)
         times, moved, operations = _measure(name, device, size, seconds)
         p25, p50, p75 = map(float, np.percentile(times, (25, 50, 75)))
-        yield {
-            "stage": name,
-            "device": device.name,
-            "size": f"{size[1]}x{size[0]}",
-            "ms_p25": p25,
-            "ms_p50": p50,
-            "ms_p75": p75,
-            "bytes": moved,
-            "gbps": moved / p50 / 1e6,
-            "operations": operations,
-            "gflops": None if operations is None else operations / p50 / 1e6,
-            **_floor(moved, operations, p50, limits),
-            "build_ms": getattr(device, "build_ms", {}).get(name, 0.0),
-            "rel_rms_error": rms,
-            "max_error": largest,
-        }
+        row |= {"size": f"{size[1]}x{size[0]}", "ms_p25": p25, "ms_p50": p50, "ms_p75": p75}
+        row |= {"bytes": moved, "gbps": moved / p50 / 1e6, "operations": operations}
+        row["gflops"] = None if operations is None else operations / p50 / 1e6
+        row |= _floor(moved, operations, p50, limits)
+        row["build_ms"] = getattr(device, "build_ms", {}).get(name, 0.0)
+        yield row | {"rel_rms_error": rms, "max_error": largest}
 
 
 def _floor(moved, operations, p50, limits):
@@ -152,11 +131,8 @@ def _floor(moved, operations, p50, limits):
     memory = moved / limits["copy_gbps"] / 1e6
     arithmetic = 0.0 if operations is None else operations / limits["fma_gflops"] / 1e6
     floor, bound = max((memory, "memory"), (arithmetic, "arithmetic"))
-    return {
-        "floor_ms": floor,
-        "bound": None if operations is None else bound,
-        "ratio_to_floor": p50 / floor,
-    }
+    bound = None if operations is None else bound
+    return {"floor_ms": floor, "bound": bound, "ratio_to_floor": p50 / floor}
 
 
 def _errors(name, device):
@@ -176,10 +152,7 @@ def _measure(name, device, size, seconds):
     moved = sum(value.nbytes for value in inputs.values() if isinstance(value, np.ndarray))
     counted = getattr(module, "operations", None)
     operations = None if counted is None else int(counted(**inputs))
-    resident = {
-        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-        for key, value in inputs.items()
-    }
+    resident = make_resident(device, inputs)
     function = public_function(name)
     result = function(**resident, device=device)  # warm: built, cached
     moved += int(np.prod(result.shape)) * np.dtype(device.numpy(result).dtype).itemsize

@@ -22,6 +22,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import require_truth, true_mean
+from gpusim.judge.truth_light import MODES, centre_pads
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.lens import lens_of
@@ -31,12 +32,7 @@ from gpusim.planner.choices import Blur, Falloff, Sampling
 
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, None)
 # stages that are not part of the mean electrons
-LATER = (
-    "spectral.survey",
-    "sensor.meter",
-    "sensor.pattern",
-    "sensor.chip",
-)
+LATER = "spectral.survey", "sensor.meter", "sensor.pattern", "sensor.chip"
 REPEATS, SECONDS = 5, 2.0  # frames per point, at least, and time for more [s]
 
 
@@ -60,9 +56,8 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     """
     require_truth(camera, scene)
     if not lens_of(camera).is_uniform:
-        raise BadData(
-            "bench --pareto: a blur that varies over the field; wanted one that is the same everywhere"
-        )
+        what = "bench --pareto: a blur that varies over the field"
+        raise BadData(f"{what}; wanted one that is the same everywhere")
     exact = Simulator(camera, device=device)
     seconds = exact.expose(scene).exposure_time
     start = time.perf_counter()
@@ -71,25 +66,14 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
     def row(point, kind, ms, mean, **more):
         error = Error.between(mean, truth, camera.sensor.read_sigma)
-        return {
-            "point": point,
-            "kind": kind,
-            "tolerance": None,
-            "ms": ms,
-            "predicted_ms": None,
-            "rms": error.rms,
-            "p999_sigma": error.p999_sigma,
-            "max_sigma": error.max_sigma,
-            "predicted": None,
-            "met": None,
-            "words": "",
-        } | more
+        found = {"point": point, "kind": kind, "tolerance": None, "ms": ms, "predicted_ms": None}
+        found |= {name: getattr(error, name) for name in ("rms", "p999_sigma", "max_sigma")}
+        return found | {"predicted": None, "met": None, "words": ""} | more
 
     speeds, seen = Speeds(device), set()
     for tolerance in TOLERANCES:
-        simulator = Simulator(
-            camera, device=device, tolerance=None if tolerance is None else Tolerance(rms=tolerance)
-        )
+        wanted = None if tolerance is None else Tolerance(rms=tolerance)
+        simulator = Simulator(camera, device=device, tolerance=wanted)
         ms, mean, plan = _frames(simulator, scene, seconds)
         words = "; ".join(
             text for stage, text in plan.models.items() if stage in ("optics.mosaic", "optics.blur")
@@ -98,19 +82,10 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
         if words in seen:
             continue
         seen.add(words)
-        name = "exact" if tolerance is None else f"{tolerance:g}"
-        kind = "exact" if tolerance is None else "plan"
-        yield row(
-            name,
-            kind,
-            ms,
-            mean,
-            tolerance=tolerance,
-            words=words,
-            predicted=plan.account.total.rms,
-            met=plan.verdict and plan.verdict.is_met,
-            predicted_ms=sum(frame_ms(simulator, plan, speeds).values()),
-        )
+        kind = ("exact", "exact") if tolerance is None else (f"{tolerance:g}", "plan")
+        more = {"tolerance": tolerance, "words": words, "predicted": plan.account.total.rms}
+        more["predicted_ms"] = sum(frame_ms(simulator, plan, speeds).values())
+        yield row(*kind, ms, mean, **more, met=plan.verdict and plan.verdict.is_met)
     for name, made in _naive(camera, scene, seconds).items():
         times: list[float] = []
         while len(times) < 3:
@@ -131,11 +106,8 @@ def _frames(simulator, scene, seconds):
         program.update(scene=replace(scene, content=copied))
         exposure = program.exposure
         times.append(sum(ms for stage, ms in exposure.ms.items() if stage not in LATER))
-    return (
-        float(np.median(times[1:])),
-        np.array(simulator.device.numpy(exposure.mean)),
-        program.plan,
-    )
+    mean = np.array(simulator.device.numpy(exposure.mean))
+    return float(np.median(times[1:])), mean, program.plan
 
 
 def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
@@ -160,13 +132,8 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
         _whole(bands, plan.period), np.complex64 if np.iscomplexobj(bands) else np.float32
     )
     weights = (plan.weights / plan.flat).astype(np.float32)
-    mode: dict = {"zero": {"mode": "constant"}, "reflect": {"mode": "symmetric"}}.get(
-        scene.border, {"mode": "edge"}
-    )
-    pads = [
-        ((length - n) // 2, length - n - (length - n) // 2)
-        for length, n in zip(plan.period, cube.shape[1:], strict=True)
-    ]
+    mode = MODES[scene.border]
+    pads = centre_pads(plan.period, cube.shape[1:])
     workers, margin = os.cpu_count(), scene.margin
     cfa = camera.sensor.cfa_indices
 
@@ -183,19 +150,17 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
     def each_band():
         channels = np.zeros((len(weights), *plan.period), np.float32)
         for band, table, weight in zip(cube, tables, weights.T, strict=True):
-            spectrum = scipy.fft.rfft2(np.pad(band, pads, **mode), workers=workers) * table
-            channels += weight[:, None, None] * scipy.fft.irfft2(
-                spectrum, plan.period, workers=workers
-            )
+            spectrum = scipy.fft.rfft2(np.pad(band, pads, mode), workers=workers) * table
+            blurred = scipy.fft.irfft2(spectrum, plan.period, workers=workers)
+            channels += weight[:, None, None] * blurred
         return mosaic(channels)
 
     def each_channel():
         light = np.abs(plan.weights) * cube.reshape(len(cube), -1).mean(axis=1)
-        mean = np.tensordot(
-            (light / light.sum(axis=1, keepdims=True)).astype(np.float32), tables, 1
-        )
+        light /= light.sum(axis=1, keepdims=True)
+        mean = np.tensordot(light.astype(np.float32), tables, 1)
         planes = np.tensordot(weights, cube, 1)
-        spectra = scipy.fft.rfft2(np.pad(planes, [(0, 0), *pads], **mode), workers=workers) * mean
+        spectra = scipy.fft.rfft2(np.pad(planes, [(0, 0), *pads], mode), workers=workers) * mean
         return mosaic(scipy.fft.irfft2(spectra, plan.period, workers=workers))
 
     return {"each band": each_band, "one PSF per channel": each_channel}
@@ -236,20 +201,10 @@ def draw(rows: list[dict], path, title: str):
         )
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
         for number, (x, y, name) in enumerate(points):  # neighbours alternate above and below
-            axes.annotate(
-                name,
-                (x, y),
-                textcoords="offset points",
-                xytext=(5, -12 if number % 2 else 5),
-                fontsize=8,
-            )
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="true relative RMS error of the mean electrons",
-        ylabel="time [ms]",
-        title=title,
-    )
+            apart = (5, -12 if number % 2 else 5)
+            axes.annotate(name, (x, y), apart, textcoords="offset points", fontsize=8)
+    axes.set(xscale="log", yscale="log", ylabel="time [ms]", title=title)
+    axes.set_xlabel("true relative RMS error of the mean electrons")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     figure.savefig(path, dpi=110)

@@ -46,16 +46,13 @@ class Forecast:
             GpusimError: As `Simulator.plan` does.
         """
         plan, speeds = simulator.plan(scene), Speeds(simulator.device)
-        front = tuple(
-            sorted(
-                (
-                    (sum(frame_ms(simulator, _vary_plan(plan, option), speeds).values()), option)
-                    for option in plan.front
-                ),
-                key=lambda one: one[0],
-            )
-        )
-        return cls(plan, simulator.device.name, frame_ms(simulator, plan, speeds), front)
+        front = [
+            (sum(frame_ms(simulator, _vary_plan(plan, option), speeds).values()), option)
+            for option in plan.front
+        ]
+        front.sort(key=lambda one: one[0])
+        ms = frame_ms(simulator, plan, speeds)
+        return cls(plan, simulator.device.name, ms, tuple(front))
 
     @property
     def _tolerance(self) -> Tolerance:

@@ -13,6 +13,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.backends.probe import cache_file, write_cache
 from gpusim.backends.tape import Tape, recording
+from gpusim.judge.bench import make_resident
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function, stage_module
 from gpusim.optics.splines import multiplications
@@ -34,10 +35,8 @@ class Speeds:
     """
 
     def __init__(self, device: Device, cache: Path | None = None):
-        self.device, self.cache = (
-            device,
-            cache or cache_file(f"speeds-{device.name.replace(':', '-')}"),
-        )
+        self.device = device
+        self.cache = cache or cache_file(f"speeds-{device.name.replace(':', '-')}")
         self.known: dict[str, list[float]] = self._read()
 
     def of(self, stage: str) -> tuple[float, float]:
@@ -49,13 +48,9 @@ class Speeds:
             stage: Name of the stage.
         """
         if stage not in self.known:
-            sizes = (
-                REFERENCE_SIZES
-                if self.device.kind == "numpy"
-                else GPU_SIZES
-                if self.device.is_gpu
-                else SIZES
-            )
+            sizes = GPU_SIZES if self.device.is_gpu else SIZES
+            if self.device.kind == "numpy":
+                sizes = REFERENCE_SIZES
             (low, small), (high, large) = (self._time_stage(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
@@ -79,10 +74,7 @@ class Speeds:
     def _time_stage(self, stage, rows, cols):
         """Return the work of the stage benchmark and its median time [ms], with resident arrays."""
         inputs = stage_module(stage).bench(rows, cols)
-        resident = {
-            key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-            for key, value in inputs.items()
-        }
+        resident = make_resident(self.device, inputs)
         function, times, in_a_row, tape = public_function(stage), [], 0, Tape()
 
         def run():

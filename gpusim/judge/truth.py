@@ -112,22 +112,18 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
         )
     else:
         rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
-    more = (
-        [0.0] * len(parts)
-        if lens.is_uniform
-        else varying_rates(light, camera, scene, _within(parts, scene.shape))
-    )
+    more = [0.0] * len(parts)
+    if not lens.is_uniform:
+        more = varying_rates(light, camera, scene, _within(parts, scene.shape))
     gain = exposure_time * falloff_gain(camera, scene)
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
     found = []
     for part, own in zip(parts, more, strict=True):
         electrons = gain[part] * (rates[:, *part] + own)
-        found.append(
-            electrons
-            if camera.sensor.stacked
-            else np.take_along_axis(electrons, channel[part][None], 0)[0]
-        )
+        if not camera.sensor.stacked:
+            electrons = np.take_along_axis(electrons, channel[part][None], 0)[0]
+        found.append(electrons)
     return found
 
 

@@ -19,7 +19,7 @@ import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.judge.truth_lens import transfer_of
-from gpusim.judge.truth_light import MODES, pixel_places
+from gpusim.judge.truth_light import MODES, centre_pads, pixel_places
 from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import at_samples, rule_of, unseen_light
 from gpusim.optics.weights import electrons_per_content
@@ -45,10 +45,8 @@ def period_of(
     lens = open_lens(optics, pitch)
     reach = ceil(max(depth_reach, lens.spread(scene.wavelengths))) + 2
     if scene.border == "reflect":
-        return tuple(
-            2 * n * ceil((n + 2 * displaced + (0 if lens.tail else 2 * reach)) / (2 * n))
-            for n in shape
-        )
+        more = 2 * displaced + (0 if lens.tail else 2 * reach)
+        return tuple(2 * n * ceil((n + more) / (2 * n)) for n in shape)
     if lens.tail:
         q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
         reach = max(RADII * reach, ceil(RINGS * q), BLADES_REACH if lens.tail.lines else REACH)
@@ -67,20 +65,12 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
     optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
     weights, pitch = electrons_per_content(scene, camera), sensor.pixel_pitch / ratio
     places = pixel_places(camera, scene)
-    period = period_of(
-        optics,
-        scene,
-        pitch,
-        displaced=ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio),
-    )
+    displaced = ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio)
+    period = period_of(optics, scene, pitch, displaced=displaced)
     q = scene.wavelengths * 1e-9 * optics.working_f_number / pitch
     wide = [side / pitch for side in sensor.aperture]
-    before = [(length - n) // 2 for length, n in zip(period, light.shape[1:], strict=True)]
-    pads = [
-        (first, length - n - first)
-        for first, n, length in zip(before, light.shape[1:], period, strict=True)
-    ]
-    at = [first + scene.margin + place for first, place in zip(before, places, strict=True)]
+    pads = centre_pads(period, light.shape[1:])
+    at = [first + scene.margin + place for (first, _), place in zip(pads, places, strict=True)]
     total, tails = np.zeros((len(weights), *scene.shape)), weights * q
     for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
         if weight.any() and plane.any():
@@ -106,29 +96,13 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
     border, tail = rule_of(scene.border), open_lens(optics, 1.0).tail
     if border == "reflect" or tail is None:
         return 0.0
-    seen = np.tensordot(weights, light, 1)
     around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2
-    rows, cols = (scene.margin + place for place in places)
-    return np.stack(
-        [
-            at_samples(
-                unseen_light(
-                    one,
-                    period,
-                    border,
-                    max(around / CELLS, 1),
-                    tail.strength,
-                    times=(3, 5, 7),
-                    soft=2,
-                ),
-                one.shape,
-                period,
-                rows,
-                cols,
-            )
-            for one in seen
-        ]
-    )
+    cell, at = max(around / CELLS, 1), [scene.margin + place for place in places]
+    found = []
+    for one in np.tensordot(weights, light, 1):
+        far = unseen_light(one, period, border, cell, tail.strength, times=(3, 5, 7), soft=2)
+        found.append(at_samples(far, one.shape, period, *at))
+    return np.stack(found)
 
 
 def _at_pixels(spectrum, period, transfer, cut, wide, places):
@@ -166,9 +140,8 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
     if not whole:
         return seen / even, float(np.mean(even))
     picture = scipy.fft.irfft2(folded * spectrum, period, workers=-1)
-    at = np.ix_(
-        *(np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True))
-    )
+    at = (np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True))
+    at = np.ix_(*at)
     even = float(folded[0, 0].real)
     return picture[at] / even, even
 

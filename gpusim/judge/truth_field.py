@@ -32,10 +32,9 @@ def blocks(shape) -> list[tuple[slice, slice]]:
         return [(slice(0, shape[0]), slice(0, shape[1]))]
     fractions = scipy.stats.qmc.Halton(2, scramble=False).random(BLOCKS + 1)[1:]
     first = (fractions * np.maximum(np.array(shape) - SIDE, 0)).astype(int)
-    return [
-        (slice(y, min(y + SIDE, shape[0])), slice(x, min(x + SIDE, shape[1])))
-        for y, x in first.tolist()
-    ]
+    rows, cols = shape
+    ends = ((y, min(y + SIDE, rows), x, min(x + SIDE, cols)) for y, x in first.tolist())
+    return [np.s_[top:bottom, left:right] for top, bottom, left, right in ends]
 
 
 def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
@@ -59,13 +58,8 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
             continue
         kernels = lens.differences(wavelength)
         for one, part in zip(total, parts, strict=True):
-            _spread(
-                one,
-                _take_windows(seen, part, lens.half, scene.margin, scene.border),
-                kernels,
-                lens.limits,
-                part,
-            )
+            window = _take_windows(seen, part, lens.half, scene.margin, scene.border)
+            _spread(one, window, kernels, lens.limits, part)
     return total
 
 
@@ -106,8 +100,6 @@ def _spread(total, light, kernels, limits, part):
             for first, n, length in zip((top, left), total.shape[1:], wide.shape[1:], strict=True)
         ]
         if all(one.stop > one.start for one in inside):
-            total[
-                :,
-                top + inside[0].start : top + inside[0].stop,
-                left + inside[1].start : left + inside[1].stop,
-            ] += wide[:, inside[0], inside[1]]
+            y, x = inside
+            there = np.s_[:, top + y.start : top + y.stop, left + x.start : left + x.stop]
+            total[there] += wide[:, y, x]

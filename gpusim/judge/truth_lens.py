@@ -37,34 +37,21 @@ def require_truth(camera, scene):
         OutOfRange: It does not; the message says what is allowed.
     """
     optics = camera.optics
-    for what, allowed, is_so in (
-        (
-            f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
-            "1 sample per pixel",
-            optics.varies and scene.samples_per_pixel != 1,
-        ),
-        (
-            f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
-            "1 sample per pixel, or samples of the irradiance",
-            optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1,
-        ),
-        (
-            "depth beside distortion, a calibration or measured point spreads",
-            "a scene without depth, or a lens without them",
-            scene.depth is not None
-            and optics.model != "none"
-            and (optics.distortion is not None or optics.psf is not None),
-        ),
-    ):
-        if is_so:
-            raise OutOfRange("verify", what, allowed)
-    if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
-        raise OutOfRange(
-            "verify",
-            "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
-            "middle".format(*axis),
-            "an axis in the middle",
-        )
+    has_psf, samples = optics.psf is not None, f"{scene.samples_per_pixel:g} samples per pixel"
+    if scene.samples_per_pixel != 1 and optics.varies:
+        what = f"{samples} with a blur that varies over the field"
+        raise OutOfRange("verify", what, "1 sample per pixel")
+    if scene.samples_per_pixel != 1 and has_psf and optics.psf.integrated:
+        allowed = "1 sample per pixel, or samples of the irradiance"
+        raise OutOfRange("verify", f"{samples} with measured energies of pixels", allowed)
+    is_shaped = optics.model != "none" and (optics.distortion is not None or has_psf)
+    if scene.depth is not None and is_shaped:
+        what = "depth beside distortion, a calibration or measured point spreads"
+        raise OutOfRange("verify", what, "a scene without depth, or a lens without them")
+    if optics.varies and has_psf and any(axis := axis_of(camera, scene.shape)):
+        off = "{:.3g}, {:.3g} pixels off the frame's middle".format(*axis)
+        what = f"point spreads of field points, with the axis {off}"
+        raise OutOfRange("verify", what, "an axis in the middle")
 
 
 def transfer_of(optics: Optics, wavelength, pitch):
@@ -93,11 +80,9 @@ def transfer_of(optics: Optics, wavelength, pitch):
         out = np.zeros((len(fy), len(fx)), complex)
         inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
         out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
-        down, across = (
-            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
-            for spot, f in zip(spots, (fy, fx), strict=True)
-        )
-        return out * down[:, None] * across
+        for spot, f in zip(spots, (fy[:, None], fx), strict=True):
+            out = out * (np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2))
+        return out
 
     return transfer, 1 / q
 
@@ -111,17 +96,12 @@ def _measured(spread, wavelength, pitch):
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):
-        to_y, to_x = (
-            np.exp(-2j * np.pi * step * np.outer(f, at))
-            for f, at in zip((fy, fx), along, strict=True)
-        )
-        # a frequency of exactly half the rate counts half for either sign
-        if not spread.integrated:
-            to_y, to_x = (
-                to * _passed(np.abs(f) * step)[:, None]
-                for to, f in zip((to_y, to_x), (fy, fx), strict=True)
-            )
-        return to_y @ values @ to_x.T
+        to = []
+        for f, at in zip((fy, fx), along, strict=True):
+            waves = np.exp(-2j * np.pi * step * np.outer(f, at))
+            # a frequency of exactly half the rate counts half for either sign
+            to.append(waves if spread.integrated else waves * _passed(np.abs(f) * step)[:, None])
+        return to[0] @ values @ to[1].T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
 
@@ -142,19 +122,12 @@ class Field(ABC):
     """
 
     def __init__(self, lens, middle, corner, limits, half):
-        self.lens, self.middle, self.corner, self.limits, self.half = (
-            lens,
-            middle,
-            corner,
-            limits,
-            half,
-        )
+        self.lens, self.middle, self.corner = lens, middle, corner
+        self.limits, self.half = limits, half
 
     def kernel(self, wavelength, y, x) -> np.ndarray:
         """Return the energy of the pixels around a point at (y, x), (size, size)."""
-        place = [
-            (at - middle) / self.corner for at, middle in zip((y, x), self.middle, strict=True)
-        ]
+        place = (y - self.middle[0]) / self.corner, (x - self.middle[1]) / self.corner
         return self.lens.kernels([wavelength], place, 2 * self.half + 1)[0]
 
     @abstractmethod
@@ -172,36 +145,27 @@ class _PupilField(Field):
     def wavelengths(self, known):
         """See `Field`."""
         known = np.asarray(known, np.float64)
-        places = [
-            [limit[1] for limit in self.limits],
-            [
-                (middle + limit[1]) / 2
-                for middle, limit in zip(self.middle, self.limits, strict=True)
-            ],
-        ]
+        ends = [limit[1] for limit in self.limits]
+        halfway = [(middle + end) / 2 for middle, end in zip(self.middle, ends, strict=True)]
         for count in (LEAST_WAVELENGTHS, 2 * LEAST_WAVELENGTHS - 1, 4 * LEAST_WAVELENGTHS - 3):
             if count >= len(known):
                 break
-            nodes = np.linspace(known[0], known[-1], count)
-            share = scipy.interpolate.make_interp_spline(
-                nodes, np.eye(count), min(DEGREE, count - 1)
-            )
-            tried = known[
-                np.abs(known[:, None] - (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2).argmin(
-                    axis=0
-                )
-            ]
-            if all(
-                np.abs(
-                    np.tensordot(share(one), [self.kernel(node, *place) for node in nodes], 1)
-                    - (own := self.kernel(one, *place))
-                ).max()
-                <= ERROR * own.max()
-                for place in places
-                for one in tried
-            ):
+            nodes, degree = np.linspace(known[0], known[-1], count), min(DEGREE, count - 1)
+            share = scipy.interpolate.make_interp_spline(nodes, np.eye(count), degree)
+            between = (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2
+            tried = known[np.abs(known[:, None] - between).argmin(axis=0)]
+            if all(self._is_near(nodes, share, tried, place) for place in (ends, halfway)):
                 return nodes, share(known).T
         return known, np.eye(len(known))
+
+    def _is_near(self, nodes, share, tried, place):
+        """Return whether kernels at a place may be splines through those at the nodes."""
+        kernels = [self.kernel(node, *place) for node in nodes]
+        for one in tried:
+            own = self.kernel(one, *place)
+            if np.abs(np.tensordot(share(one), kernels, 1) - own).max() > ERROR * own.max():
+                return False
+        return True
 
     def differences(self, wavelength):
         """See `Field`."""
@@ -209,16 +173,10 @@ class _PupilField(Field):
 
         def difference(y, x):
             """At a place; of a lens that has a mirror, from the quadrant where both are on the positive side."""
-            side = [1, 1]
+            side, (row, col) = [1, 1], self.middle
             if self.lens.symmetry.is_mirrored:
-                side = [
-                    1 if at >= middle else -1
-                    for at, middle in zip((y, x), self.middle, strict=True)
-                ]
-                y, x = (
-                    middle + abs(at - middle)
-                    for at, middle in zip((y, x), self.middle, strict=True)
-                )
+                side = [1 if y >= row else -1, 1 if x >= col else -1]
+                y, x = row + abs(y - row), col + abs(x - col)
             at = round(y, 6), round(x, 6)
             if at not in known:
                 own = self.kernel(wavelength, y, x) - axis
@@ -232,21 +190,15 @@ class _PupilField(Field):
             for i, j in np.ndindex(*count):
                 table[i, j] = difference(axes[0][i], axes[1][j])
             splines = Splines(table, axes)
-            more = [
-                min(2 * n - 1, ceil(high - low) + 1)
-                for n, (low, high) in zip(count, self.limits, strict=True)
-            ]
+            most = [ceil(high - low) + 1 for low, high in self.limits]
+            more = [min(2 * n - 1, one) for n, one in zip(count, most, strict=True)]
             if more == count or splines.between(difference) <= ERROR * axis.max():
                 return splines
             count = more
             needed = 8 * prod(count) * axis.size
             if needed > MOST_BYTES:
-                raise DoesNotFit(
-                    f"verify: kernels at {count[1]} x {count[0]} places of the field",
-                    needed,
-                    MOST_BYTES,
-                    "the reference",
-                )
+                what = f"verify: kernels at {count[1]} x {count[0]} places of the field"
+                raise DoesNotFit(what, needed, MOST_BYTES, "the reference")
 
 
 class _MeasuredField(Field):
@@ -256,11 +208,9 @@ class _MeasuredField(Field):
         """See `Field`."""
         known = np.asarray(known, np.float64)
         own = self.lens.spread_data.wavelengths
-        return (
-            (known, np.eye(len(known)))
-            if len(known) <= len(own)
-            else (own, np.stack([np.interp(known, own, one) for one in np.eye(len(own))]))
-        )
+        if len(known) <= len(own):
+            return known, np.eye(len(known))
+        return own, np.stack([np.interp(known, own, one) for one in np.eye(len(own))])
 
     def differences(self, wavelength):
         """See `Field`."""
@@ -275,9 +225,8 @@ class _MeasuredField(Field):
                 middle + self.corner * np.asarray(at)
                 for middle, at in zip(self.middle, spread.grid, strict=True)
             ]
-            return Splines(
-                np.array([[difference(y, x) for x in axes[1]] for y in axes[0]]), axes, 1
-            )
+            kernels = np.array([[difference(y, x) for x in axes[1]] for y in axes[0]])
+            return Splines(kernels, axes, 1)
         heights = self.corner * np.asarray(spread.heights)
 
         def around(count, first=0.0):
@@ -287,9 +236,8 @@ class _MeasuredField(Field):
                 for height in np.maximum(heights, 1e-9)
                 for angle in angles
             ]
-            return np.array([difference(*one) for one in at]).reshape(
-                len(heights), count, *axis.shape
-            )
+            found = np.array([difference(*one) for one in at])
+            return found.reshape(len(heights), count, *axis.shape)
 
         for count in ANGLES:
             turned = Turned(around(count), heights, self.middle)
@@ -341,16 +289,13 @@ class Splines:
         """Return the largest difference from `kernel(y, x)` half-way between places."""
         worst = 0.0
         for share in (0.5, 0.77, 1.0):
-            cells = [min(int(share * (len(places) - 1)), len(places) - 2) for places in self.axes]
-            y, x = (
-                (places[k] + places[k + 1]) / 2 for places, k in zip(self.axes, cells, strict=True)
-            )
-            down, across = (
-                self._basis(places, np.array([at]))
-                for places, at in zip(self.axes, (y, x), strict=True)
-            )
-            found = np.einsum("i,j,ijab->ab", down[0], across[0], self.table, optimize=True)
-            worst = max(worst, float(np.abs(found - kernel(y, x)).max()))
+            at, weights = [], []
+            for places in self.axes:
+                cell = min(int(share * (len(places) - 1)), len(places) - 2)
+                at.append((places[cell] + places[cell + 1]) / 2)
+                weights.append(self._basis(places, np.array(at[-1:]))[0])
+            found = np.einsum("i,j,ijab->ab", *weights, self.table, optimize=True)
+            worst = max(worst, float(np.abs(found - kernel(*at)).max()))
         return worst
 
     def parts(self, y, x):

@@ -20,18 +20,20 @@ from gpusim.optics.geometry import microlens_gain, relative_illumination, vignet
 TAPS = 10
 # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
 SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)
-MODES: dict[str, Any] = {
-    "zero": "constant",
-    "edge": "edge",
-    "scene": "edge",
-    "reflect": "symmetric",
-}
+MODES: dict[str, Any] = {"zero": "constant", "edge": "edge", "scene": "edge"}
+MODES["reflect"] = "symmetric"
 # [sample] around the scene in the series: beyond the displaced places, and at most
 RIM = 32
 FARTHEST = 512
 # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 FINER = 2.0
 PARTS = 4
+
+
+def centre_pads(period, shape) -> list[tuple[int, int]]:
+    """Return the samples before and after an array that centre it in a period, by axis."""
+    gaps = [length - n for length, n in zip(period, shape, strict=True)]
+    return [(gap // 2, gap - gap // 2) for gap in gaps]
 
 
 def axis_of(camera, shape) -> tuple[float, float]:
@@ -55,12 +57,9 @@ def placed_light(camera, scene) -> np.ndarray:
         return light
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-    model = (
-        None
-        if distortion is None
-        else fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
-    )
-    pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
+    model, pitch = None, camera.sensor.pixel_pitch / scene.samples_per_pixel
+    if distortion is not None:
+        model = fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
 
     def source(y, x):
         """Return rows and columns of the source, and its area relative to the image."""
@@ -154,12 +153,8 @@ def falloff_gain(camera, scene) -> np.ndarray:
     Raises:
         OutOfRange: A table of the relative illumination ends before the corner of the frame.
     """
-    optics, sensor, shape, pitch = (
-        camera.optics,
-        camera.sensor,
-        scene.shape,
-        camera.sensor.pixel_pitch,
-    )
+    optics, sensor, shape = camera.optics, camera.sensor, scene.shape
+    pitch, distance = sensor.pixel_pitch, optics.image_distance
     from_axis = tuple(
         move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True)
     )
@@ -167,17 +162,10 @@ def falloff_gain(camera, scene) -> np.ndarray:
     if optics.relative_illumination == "cos4":
         gain = (1 + _tangent(camera, scene) ** 2) ** -2
     elif optics.relative_illumination != "none":
-        gain = relative_illumination(
-            optics.relative_illumination,
-            shape,
-            pitch,
-            optics.image_distance,
-            displacement=from_axis,
-        )
+        table = optics.relative_illumination
+        gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
     if sensor.microlens is not None:
-        gain = gain * microlens_gain(
-            sensor.microlens, shape, pitch, optics.image_distance, from_axis
-        )
+        gain = gain * microlens_gain(sensor.microlens, shape, pitch, distance, from_axis)
     if sensor.vignetting is not None:
         gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
     return gain
@@ -198,11 +186,9 @@ def _tangent(camera, scene):
     model = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
     step = sensor.pixel_pitch / model.radius
     u, v = ideal(model, x * step, y[:, None] * step)
-    return (
-        np.hypot(*model.normalise(u, v))
-        if isinstance(model, Framed)
-        else np.hypot(u, v) / step * slope
-    )
+    if isinstance(model, Framed):
+        return np.hypot(*model.normalise(u, v))
+    return np.hypot(u, v) / step * slope
 
 
 def pixel_places(camera, scene) -> list[np.ndarray]:
@@ -233,14 +219,8 @@ def plain_rates(channels, camera, scene) -> np.ndarray:
         low, high = places - width / 2, places + width / 2
         more = max(0, ceil(-low.min()), ceil(high.max() - n)) + 1
         cells = np.arange(-more, n + more)
-        share = (
-            np.clip(
-                np.minimum(high[:, None], cells + 0.5) - np.maximum(low[:, None], cells - 0.5),
-                0,
-                None,
-            )
-            / width
-        )
+        overlap = np.minimum(high[:, None], cells + 0.5) - np.maximum(low[:, None], cells - 0.5)
+        share = np.maximum(overlap, 0) / width
         short = max(0, more - margin)
         pads = [(0, 0)] * 3
         pads[axis] = (short, short)

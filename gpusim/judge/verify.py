@@ -48,19 +48,15 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
     for name in stages or stage_names():
         try:
             for case, error in compare(name, device):
-                yield {
-                    "stage": name,
-                    "device": device.name,
-                    "case": case.name,
-                    "max_error": error,
-                    "tolerance": case.tolerance,
-                    "ok": bool(error <= case.tolerance),
-                    "why": case.why,
-                }
+                yield _row(name, device.name, case.name, error, case.tolerance, case.why)
         except Exception as error:  # a driver may raise anything; the next stages are still judged
-            yield failed_row(
-                name, device.name, "(failed to run)", f"{type(error).__name__}: {error}"
-            )
+            why = f"{type(error).__name__}: {error}"
+            yield failed_row(name, device.name, "(failed to run)", why)
+
+
+def _row(stage, device, case, error, tolerance, why):
+    row = {"stage": stage, "device": device, "case": case, "max_error": error}
+    return row | {"tolerance": tolerance, "ok": bool(error <= tolerance), "why": why}
 
 
 def failed_row(stage: str, device: str, case: str, why: str) -> dict:
@@ -75,15 +71,7 @@ def failed_row(stage: str, device: str, case: str, why: str) -> dict:
     Returns:
         A row as `verify` yields it.
     """
-    return {
-        "stage": stage,
-        "device": device,
-        "case": case,
-        "max_error": float("inf"),
-        "tolerance": 0.0,
-        "ok": False,
-        "why": (why.splitlines() or [""])[0],
-    }
+    return _row(stage, device, case, float("inf"), 0.0, (why.splitlines() or [""])[0])
 
 
 def verify_devices(

@@ -52,14 +52,12 @@ class NormalEquations:
         layout = self.layout
         raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
         if wanted.shape != (len(layout.outputs), *raw.shape):
-            raise BadData(
-                f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}"
-            )
+            what = f"wanted: shape {wanted.shape}"
+            raise BadData(f"{what}; raw and layout make it {(len(layout.outputs), *raw.shape)}")
         shift = (0, 0) if phase is None else layout.shift(phase)
         codes = code.encode_raw(raw)
-        classes, levels = classify(
-            codes, code, layout, layout.floor[number], layout.strengths[number]
-        )
+        floor, strengths = layout.floor[number], layout.strengths[number]
+        classes, levels = classify(codes, code, layout, floor, strengths)
         inside = np.s_[border : raw.shape[0] - border, border : raw.shape[1] - border]
         s = sum_groups(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
         if self.constant:
@@ -88,11 +86,9 @@ class NormalEquations:
     def _sums(self, number):
         terms, outputs = self._sizes
         if number not in self.sums:
-            a, b, c = (
-                np.zeros((*self.layout.shape[1:4], *rest))
-                for rest in ((terms, terms), (terms, outputs), (outputs,))
-            )
-            self.sums[number] = a, b, c
+            bins = self.layout.shape[1:4]
+            a, b = np.zeros((*bins, terms, terms)), np.zeros((*bins, terms, outputs))
+            self.sums[number] = a, b, np.zeros((*bins, outputs))
         return self.sums[number]
 
     def merge(self, other: "NormalEquations"):
@@ -122,23 +118,19 @@ class NormalEquations:
         """
         layout = self.layout
         if preserve and not set(layout.outputs) <= set(layout.channels):
-            raise BadData(
-                f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}"
-            )
+            what = f"outputs {layout.outputs}"
+            raise BadData(f"{what}: flat fields can be kept in channels, {layout.channels}")
         maps = symmetries(layout, exchanges)
         constraints = flat_sums(layout, self.constant)
         if preserve and not constraints.any(axis=2).all():
-            raise BadData(
-                "taps: some position has no sample of some channel among them, and flat fields shall be kept"
-            )
-        filters = np.zeros(
-            (*layout.shape[:2], layout.positions, layout.classes, *self._sizes[::-1])
-        )
+            what = "taps: some position has no sample of some channel among them"
+            raise BadData(f"{what}, and flat fields shall be kept")
+        bins = (*layout.shape[:2], layout.positions, layout.classes)
+        filters = np.zeros((*bins, *self._sizes[::-1]))
         for number in range(len(layout.noise)):
             if number not in self.sums:
-                raise BadData(
-                    f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
-                )
+                why = f"noise level {number} ({layout.noise[number]:g} of white): no training frame"
+                raise BadData(why)
             a, b, c = (
                 share_mirrored(part, maps, axes, self.constant)
                 for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True)
@@ -148,12 +140,8 @@ class NormalEquations:
         filters = np.rint(filters * 2.0**40) / 2.0**40
         filters = np.stack([share_mirrored(some, maps, "og", self.constant) for some in filters])
         groups = layout.shape[-1]
-        return FilterTable(
-            layout,
-            filters[..., :groups],
-            filters[..., groups] if self.constant else None,
-            provenance,
-        )
+        offsets = filters[..., groups] if self.constant else None
+        return FilterTable(layout, filters[..., :groups], offsets, provenance)
 
     def _solve_position(self, a, b, c, ridge, preserve, constraints, number):
         layout = self.layout
@@ -167,11 +155,9 @@ class NormalEquations:
             total = a[:, p].sum(axis=(0, 1))
             values = np.linalg.eigvalsh(total)
             if not values[0] > 1e-13 * values[-1]:
-                raise BadData(
-                    f"{place}: the training frames are singular, of {terms} terms "
-                    f"{(values > 1e-13 * values[-1]).sum()} vary independently; add frames with more detail "
-                    "or noise"
-                )
+                free = f"of {terms} terms {(values > 1e-13 * values[-1]).sum()} vary independently"
+                what = f"{place}: the training frames are singular, {free}"
+                raise BadData(f"{what}; add frames with more detail or noise")
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
             everywhere = solve_ridge(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
@@ -181,9 +167,9 @@ class NormalEquations:
                 )
                 for k in range(layout.classes):
                     out[at, p, k] = solve_ridge(a[at, p, k], b[at, p, k], unit, level, limit).T
-            for o in [
-                o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None
-            ]:
+            for o, name in enumerate(layout.outputs):
+                if name != letters[p] or own is None:
+                    continue
                 square = c[:, p, :, o].sum()
                 left = square - 2 * b[:, p, :, own, o].sum() + a[:, p, :, own, own].sum()
                 if abs(left) <= 1e-9 * square:
@@ -253,23 +239,14 @@ def symmetries(layout: Layout, exchanges=()):
                 outputs = [swap.get(name, name) for name in layout.outputs]
                 if not set(outputs) <= set(layout.outputs):
                     continue
-                for shift in np.ndindex(rows, cols):
-                    places = np.indices((rows, cols)).reshape(2, -1)
-                    y, x = (places[::-1] if transpose else places) * sign[:, None] + np.array(
-                        shift
-                    )[:, None]
-                    y, x = y % rows, x % cols
-                    if [swap.get(letter, letter) for letter in letters.ravel()] == letters[
-                        y, x
-                    ].tolist():
-                        found.append(
-                            (
-                                y * cols + x,
-                                classes,
-                                groups,
-                                [layout.outputs.index(name) for name in outputs],
-                            )
-                        )
+                names = [layout.outputs.index(name) for name in outputs]
+                swapped = [swap.get(letter, letter) for letter in letters.ravel()]
+                places = np.indices((rows, cols)).reshape(2, -1)
+                places = (places[::-1] if transpose else places) * sign[:, None]
+                for down, right in np.ndindex(rows, cols):
+                    y, x = (places[0] + down) % rows, (places[1] + right) % cols
+                    if swapped == letters[y, x].tolist():
+                        found.append((y * cols + x, classes, groups, names))
     return found
 
 

@@ -32,15 +32,11 @@ def layout(
     radius = radius or (4 if longest <= 4 else 5)
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= radius]
-    groups = (
-        np.unique(abs(taps), axis=0, return_inverse=True)[1]
-        if longest <= 2
-        else np.arange(len(taps))
-    )
+    groups = np.arange(len(taps))
+    if longest <= 2:
+        groups = np.unique(abs(taps), axis=0, return_inverse=True)[1]
     pairs = rows == cols == 2
-    contrast = [
-        np.array(HAMILTON_ADAMS if pairs else difference(period)) for period in (rows, cols)
-    ]
+    contrast = [np.array(HAMILTON_ADAMS if pairs else difference(n)) for n in (rows, cols)]
     largest = int(np.sqrt(LARGEST_SUM / np.abs(contrast[0]).sum()) - 1) // 2
     box = min(max(2, longest // 2), largest) if box is None else box
     sums = np.abs(contrast[0]).sum() / 2
@@ -50,22 +46,10 @@ def layout(
     floor = np.hypot(0.5 / 255, gain * sigma)
     strengths = np.hypot(CLEAN, np.multiply.outer(gain * sigma, NOISY))
     detail = (np.array(OWN_COLOR), np.array(OWN_COLOR)) if pairs else None
-    return Layout(
-        tuple(mosaic),
-        tuple(outputs),
-        domain,
-        taps,
-        groups.ravel(),
-        (contrast[0], contrast[1]),
-        box,
-        np.array(RATIOS),
-        sigma,
-        floor,
-        strengths,
-        np.array(levels),
-        detail,
-        np.array(SHARES if pairs else ()),
-    )
+    shares = np.array(SHARES if pairs else ())
+    samples = taps, groups.ravel(), (contrast[0], contrast[1]), box
+    classes = np.array(RATIOS), sigma, floor, strengths, np.array(levels), detail, shares
+    return Layout(tuple(mosaic), tuple(outputs), domain, *samples, *classes)
 
 
 def difference(period):

@@ -16,22 +16,16 @@ import numpy as np
 from gpusim import __version__
 from gpusim.apps.l3.fit import NormalEquations
 from gpusim.apps.l3.layout import layout
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.learned import Code, FilterTable
 from gpusim.io.camera.learned import write_table
 from gpusim.io.scene.photo import read_samples
 
+decode_srgb, encode_srgb = DISPLAYS["srgb"].decode, DISPLAYS["srgb"].encode
 MOSAIC = ("RG", "GB")
 # of the code, relative to white: 15,600 to 12 electrons
-SIGMAS = (
-    0.0,
-    0.004,
-    0.009,
-    0.018,
-    0.035,
-    0.07,
-    0.14,
-)
+SIGMAS = 0.0, 0.004, 0.009, 0.018, 0.035, 0.07, 0.14
 READ = 2.0  # [e-]
 BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
 NOISY_BLURS = (0.0, 0.8, 2.0)
@@ -57,9 +51,8 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
                     raw = sample_mosaic(255 * wanted)
                 elif blur in NOISY_BLURS:
                     code, wanted = electron_code(sigma), soft
-                    raw = random.poisson(sample_mosaic(wanted) / code.scale) + random.normal(
-                        0, READ, wanted.shape[1:]
-                    )
+                    raw = random.poisson(sample_mosaic(wanted) / code.scale)
+                    raw = raw + random.normal(0, READ, wanted.shape[1:])
                 else:
                     continue
                 found.add(raw, wanted, code, number, border=BORDER, weight=BLURRED if blur else 1.0)
@@ -80,29 +73,26 @@ def _rgb(file):
     """Three channels of a photograph, 0 .. 255."""
     samples = read_samples(file)
     if samples.shape[-1] != 3 or samples.dtype != np.uint8:
-        raise BadFile(
-            file,
-            f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB",
-        )
+        kind = f"{samples.dtype} of {samples.shape[-1]} channels"
+        raise BadFile(file, f"{kind}; wanted a photograph of 8 bits in RGB")
     return samples
 
 
 def provenance(names) -> str:
     """Return the provenance of a table of these photographs, as JSON."""
-    return json.dumps(
-        {
-            "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",
-            "date": f"{datetime.date.today()}",
-            "photographs": list(names),
-            "seeds": [1, 2],
-            "noise of code / white": SIGMAS,
-            "read noise [e-]": READ,
-            "blur [pixel]": BLURS,
-            "blur with noise [pixel]": NOISY_BLURS,
-            "weight of blurred frames": BLURRED,
-            "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)",
-        }
-    )
+    found = {
+        "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",
+        "date": f"{datetime.date.today()}",
+        "photographs": list(names),
+        "seeds": [1, 2],
+        "noise of code / white": SIGMAS,
+        "read noise [e-]": READ,
+        "blur [pixel]": BLURS,
+        "blur with noise [pixel]": NOISY_BLURS,
+        "weight of blurred frames": BLURRED,
+        "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)",
+    }
+    return json.dumps(found)
 
 
 def table(found: NormalEquations, text: str) -> FilterTable:
@@ -124,28 +114,9 @@ def sample_mosaic(planes):
     return raw
 
 
-def decode_srgb(code):
-    """Linear light of sRGB (IEC 61966-2-1), both 0 .. 1."""
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-
-
-def encode_srgb(light):
-    """Encode linear light as sRGB, both 0 .. 1."""
-    return np.where(
-        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055
-    )
-
-
 def blur_planes(planes, sigma):
     """Planes convolved with a Gaussian, mirrored at the borders."""
-    if sigma == 0:
-        return planes
+    from scipy.ndimage import gaussian_filter
+
     reach = int(np.ceil(4 * sigma))
-    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    for axis in (1, 2):
-        pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
-        windows = np.lib.stride_tricks.sliding_window_view(
-            np.pad(planes, pad, mode="reflect"), len(taps), axis
-        )
-        planes = windows @ (taps / taps.sum())
-    return planes
+    return gaussian_filter(planes, sigma, radius=reach, axes=(1, 2), mode="mirror")

@@ -36,18 +36,11 @@ def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE)
 
 def _scene(number, light, random, size):
     surfaces = SURFACES[number % len(SURFACES)]
-    base = chart(
-        "deadleaves",
-        size=(size, size),
-        light=light,
-        samples_per_pixel=FINENESS,
-        surfaces=surfaces,
-        smallest=SMALLEST[number % len(SMALLEST)],
-        seed=int(random.integers(2**31)),
-    )
-    spectra = np.vstack(
-        [reflectances(surfaces).at(WAVELENGTHS, outside=None), np.ones((1, len(WAVELENGTHS)))]
-    )
+    leaves = {"surfaces": surfaces, "smallest": SMALLEST[number % len(SMALLEST)]}
+    leaves |= {"size": (size, size), "light": light, "samples_per_pixel": FINENESS}
+    base = chart("deadleaves", seed=int(random.integers(2**31)), **leaves)
+    white = np.ones((1, len(WAVELENGTHS)))
+    spectra = np.vstack([reflectances(surfaces).at(WAVELENGTHS, outside=None), white])
     ids, shading = base.content.ids.astype(np.uint16), base.content.shading.astype(np.float64)
     grey = len(spectra) - 1
     _strokes(ids, shading, random, grey)
@@ -70,15 +63,13 @@ def _strokes(ids, shading, random, grey):
     on_page[page] = True
     for _ in range(n // 3):
         # half of them upright or level, as most strokes of print are
-        angle = (
-            random.integers(4) * np.pi / 2 if random.random() < 0.5 else random.uniform(0, np.pi)
-        )
+        is_level = random.random() < 0.5
+        angle = random.integers(4) * np.pi / 2 if is_level else random.uniform(0, np.pi)
         cy, cx = random.uniform(0, n, 2)
         along = (x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)
         across = (y - cy) * np.cos(angle) - (x - cx) * np.sin(angle)
-        line = (abs(along) < random.uniform(2, 15) * FINENESS) & (
-            abs(across) < random.uniform(0.25, 1.5) * FINENESS
-        )
+        line = abs(along) < random.uniform(2, 15) * FINENESS
+        line &= abs(across) < random.uniform(0.25, 1.5) * FINENESS
         if on_page[int(cy), int(cx)]:
             line &= on_page
             shading[line] = random.uniform(0.02, 0.15)
@@ -119,10 +110,7 @@ def _shade(shape, random):
 
     # in patches, most of it faint: filters treat a feature of all scenes as detail, and would keep
     # such noise
-    texture = (
-        0.15
-        * random.random() ** 3
-        * (field(0.6 * FINENESS) + field(2 * FINENESS))
-        * (field(shape[0] / 16) > 0.5)
-    )
+    strength = 0.15 * random.random() ** 3
+    fine = field(0.6 * FINENESS) + field(2 * FINENESS)
+    texture = strength * fine * (field(shape[0] / 16) > 0.5)
     return np.exp2(np.clip(field(shape[0] / 5) - 0.7, -2, 1)) * np.exp(texture)

@@ -88,11 +88,9 @@ def train(
     if outputs not in OUTPUTS:
         raise UnknownName("outputs", outputs, OUTPUTS)
     sound = training_camera(camera)
-    scenes = (
-        [*training_scenes(generated, light=light, seed=seed), *scenes]
-        if generated
-        else list(scenes)
-    )
+    scenes = list(scenes)
+    if generated:
+        scenes = training_scenes(generated, light=light, seed=seed) + scenes
     _check_scenes(scenes)
     letters, matrix = (
         colorimetric_channels(sound, light) if outputs == "channels" else (XYZ, np.eye(3))
@@ -102,40 +100,31 @@ def train(
     chosen = training_layout(sound.sensor.cfa, letters, code, lowest)
     equations = NormalEquations(chosen, constant=True)
     reach = int(abs(chosen.taps).max())
-    for pair in progress(
-        simulate_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)
-    ):
+    pairs = simulate_pairs(sound, scenes, strengths, letters, matrix, seed=seed, device=device)
+    for pair in progress(pairs):
         equations.add(pair.raw, pair.wanted, code, border=reach)
     optics, sensor = camera.optics, camera.sensor
-    made = ([f"{generated} generated"] if generated else []) + [
-        scene.name for scene in scenes[generated:]
-    ]
-    return equations.solve(
-        RIDGE,
-        provenance=json.dumps(
-            {
-                "program": f"gpusim {__version__}",
-                "date": f"{datetime.date.today()}",
-                "camera": camera.name,
-                "f_number": optics.f_number,
-                "pixel_pitch_um": round(sensor.pixel_pitch * 1e6, 6),
-                "exposure_time_ms": None
-                if sensor.exposure_time is None
-                else round(sensor.exposure_time * 1e3, 6),
-                "saturation_e": round(sensor.saturation, 1),
-                "read_noise_e": round(sensor.read_sigma, 3),
-                "light": light,
-                "target": camera.processor.target,
-                "outputs": "".join(letters),
-                "white_over_saturation": [
-                    float(f"{strength:.3g}") for strength in (lowest, highest)
-                ],
-                "scenes": made,
-                "seed": seed,
-                "frames": strengths.size,
-            }
-        ),
-    )
+    time = sensor.exposure_time
+    made = [f"{generated} generated"] if generated else []
+    made += [scene.name for scene in scenes[generated:]]
+    provenance = {
+        "program": f"gpusim {__version__}",
+        "date": f"{datetime.date.today()}",
+        "camera": camera.name,
+        "f_number": optics.f_number,
+        "pixel_pitch_um": round(sensor.pixel_pitch * 1e6, 6),
+        "exposure_time_ms": None if time is None else round(time * 1e3, 6),
+        "saturation_e": round(sensor.saturation, 1),
+        "read_noise_e": round(sensor.read_sigma, 3),
+        "light": light,
+        "target": camera.processor.target,
+        "outputs": "".join(letters),
+        "white_over_saturation": [float(f"{strength:.3g}") for strength in (lowest, highest)],
+        "scenes": made,
+        "seed": seed,
+        "frames": strengths.size,
+    }
+    return equations.solve(RIDGE, provenance=json.dumps(provenance))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -177,16 +166,10 @@ def simulate_pairs(
         for step, strength in enumerate(strengths[number]):
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
-            raw = simulator.readout.draw_electrons(
-                electrons[part] * brighter, time, seed=seed, frame=number * steps + step
-            )
-            white = (
-                brighter
-                * best
-                * time
-                * sensor.gain_dn_per_electron
-                / (sensor.white_level - sensor.dark_level)
-            )
+            mean, frame = electrons[part] * brighter, number * steps + step
+            raw = simulator.readout.draw_electrons(mean, time, seed=seed, frame=frame)
+            span = sensor.white_level - sensor.dark_level
+            white = brighter * best * time * sensor.gain_dn_per_electron / span
             yield Pair(raw, wanted[:, *part] * white, white)
 
 
@@ -198,10 +181,9 @@ def ideal_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     its light.
     """
     if not scene.light_is_known:
-        raise BadData(
-            f"{scene.name}: radiance in an unknown light, which cannot be replaced; wanted reflectances and "
-            "their light, as charts and photographs have them"
-        )
+        what = f"{scene.name}: radiance in an unknown light, which cannot be replaced"
+        wanted = "reflectances and their light, as charts and photographs have them"
+        raise BadData(f"{what}; wanted {wanted}")
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
     return pixel_sums(scene, weights / weights.sum(axis=1)[1])
 
@@ -215,25 +197,15 @@ def training_camera(camera: Camera) -> Camera:
     optics, sensor = camera.optics, camera.sensor
     if sensor.stacked or len(sensor.channels) < 3:
         kind = "stacked pixels" if sensor.stacked else f"{len(sensor.channels)} channel(s)"
-        raise OutOfRange(
-            "camera to train filters for",
-            f"{camera.name}, {kind}",
-            "a mosaic of 3 channels or more: others have nothing to demosaic",
-        )
+        allowed = "a mosaic of 3 channels or more: others have nothing to demosaic"
+        raise OutOfRange("camera to train filters for", f"{camera.name}, {kind}", allowed)
     if sensor.binning != (1, 1):
-        raise OutOfRange(
-            "sensor.binning",
-            sensor.binning,
-            "(1, 1): train for a camera of pixels as large as the binned ones",
-        )
+        allowed = "(1, 1): train for a camera of pixels as large as the binned ones"
+        raise OutOfRange("sensor.binning", sensor.binning, allowed)
     optics = dataclasses.replace(optics, distortion=None, relative_illumination="none")
-    sensor = dataclasses.replace(
-        sensor,
-        offset=(0.0, 0.0),
-        microlens=None,
-        vignetting=None,
-        noise=dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0),
-    )
+    noise = dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0)
+    centred = {"offset": (0.0, 0.0), "microlens": None, "vignetting": None}
+    sensor = dataclasses.replace(sensor, noise=noise, **centred)
     processor = dataclasses.replace(camera.processor, demosaic="bilinear", table=None)
     return dataclasses.replace(camera, optics=optics, sensor=sensor, processor=processor)
 
@@ -242,12 +214,8 @@ def frame_code(camera: Camera) -> Code:
     """Return the code of the camera's digital numbers for its filters, as in use."""
     sensor = camera.sensor
     noise = Developer(camera, open_device("numpy")).noise
-    return Code(
-        "root",
-        sensor.dark_level,
-        1 / (sensor.white_level - sensor.dark_level),
-        noise if noise[0] else (0, 0),
-    )
+    scale = 1 / (sensor.white_level - sensor.dark_level)
+    return Code("root", sensor.dark_level, scale, noise if noise[0] else (0, 0))
 
 
 def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], np.ndarray]:
@@ -259,14 +227,9 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
     method = "white-preserving" if processor.color == "none" else processor.color
-    transform = color_matrix(
-        efficiency(camera, letters),
-        light,
-        processor.training,
-        method=method,
-        target_light=processor.target,
-        channels=letters,
-    )
+    seen, surfaces = efficiency(camera, letters), processor.training
+    how = {"method": method, "target_light": processor.target, "channels": letters}
+    transform = color_matrix(seen, light, surfaces, **how)
     return letters, np.linalg.inv(transform.xyz)
 
 
@@ -280,25 +243,15 @@ def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
     dark = 0.03 * lowest
     steps = max(1, ceil(log(BRIGHT_LEVELS[0] / dark) / log(LEVEL_STEP)))
     levels = np.append(np.geomspace(dark, BRIGHT_LEVELS[0], steps + 1)[:-1], BRIGHT_LEVELS)
-    made = layout(
-        mosaic,
-        outputs,
-        code.domain,
-        (code.sigma,),
-        code.encode(levels / code.scale) / code.white,
-        radius=6 if positions <= 4 else 4,
-    )
+    codes = code.encode(levels / code.scale) / code.white
+    radius = 6 if positions <= 4 else 4
+    made = layout(mosaic, outputs, code.domain, (code.sigma,), codes, radius=radius)
     ratios = np.array((12, 24) if positions <= 16 else (16,))
     weights = made.contrast[0] / (abs(made.contrast[0]).sum() / 2)
     strengths = np.hypot(CLEAN, NOISY * np.linalg.norm(weights) / np.sqrt(0.75) * code.sigma)[None]
-    return dataclasses.replace(
-        made,
-        ratios=ratios,
-        detail=None,
-        shares=np.zeros(0, np.int32),
-        strengths=strengths,
-        floor=np.array([0.5 / 255]),
-    )
+    classes = {"ratios": ratios, "detail": None, "shares": np.zeros(0, np.int32)}
+    floor = np.array([0.5 / 255])
+    return dataclasses.replace(made, strengths=strengths, floor=floor, **classes)
 
 
 def _strengths(camera, light, luminances, scenes, seed):
@@ -316,11 +269,8 @@ def _strengths(camera, light, luminances, scenes, seed):
         if values.ndim != 1 or not (np.isfinite(values) & (values > 0)).all():
             raise OutOfRange("luminances", luminances, "positive numbers [cd m-2]")
         if time is None:
-            raise OutOfRange(
-                "luminances of a camera that exposes automatically",
-                luminances,
-                "none, or a camera file with exposure_time_ms",
-            )
+            what = "luminances of a camera that exposes automatically"
+            raise OutOfRange(what, luminances, "none, or a camera file with exposure_time_ms")
         each = rates.max() * time * values / sensor.saturation
         lowest, highest = each.min(), each.max()
         if len(each) != 2:
@@ -344,10 +294,7 @@ def _check_scenes(scenes):
         raise BadData("training: no scenes; wanted some, or generated ones")
     for scene in scenes:
         if min(scene.shape) < SMALLEST:
-            raise OutOfRange(
-                f"size of training scene {scene.name}",
-                f"{scene.shape[1]}x{scene.shape[0]} pixels",
-                f"at least {SMALLEST}x{SMALLEST}",
-            )
+            size, least = f"{scene.shape[1]}x{scene.shape[0]} pixels", f"{SMALLEST}x{SMALLEST}"
+            raise OutOfRange(f"size of training scene {scene.name}", size, f"at least {least}")
         if not scene.light_is_known:
             ideal_colors(scene)  # says why not

@@ -49,13 +49,8 @@ class Pairs:
         plan: Plan | None = None,
     ):
         self._simulator, self._photographs, self._opened = simulator, photographs, opened
-        self._variety, self._each, self._seed, self._pictures, self._plan = (
-            variety,
-            each,
-            seed,
-            pictures,
-            plan,
-        )
+        self._variety, self._each, self._seed = variety, each, seed
+        self._pictures, self._plan = pictures, plan
 
     def __len__(self):
         return self._each * len(self._photographs)
@@ -94,9 +89,8 @@ class Pairs:
         light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
-            pair["rgb"] = np.array(
-                simulator.device.numpy(program.codes(seed=self._seed, frame=number))
-            )
+            codes = program.codes(seed=self._seed, frame=number)
+            pair["rgb"] = np.array(simulator.device.numpy(codes))
         record = {
             "photograph": self._photographs[number // self._each].name,
             "camera": simulator.camera.name,
@@ -123,6 +117,5 @@ def gain_of(camera: Camera, speed: float | None) -> float:
 
     Raises OutOfRange.
     """
-    return (
-        1.0 if speed is None else gain_for_speed(camera.sensor, speed) / camera.sensor.analog_gain
-    )
+    sensor = camera.sensor
+    return 1.0 if speed is None else gain_for_speed(sensor, speed) / sensor.analog_gain

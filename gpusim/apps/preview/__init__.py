@@ -46,9 +46,8 @@ class _Function(ModuleType):
             import ipywidgets  # noqa: F401
             import simplejpeg  # noqa: F401
         except ImportError as error:
-            raise Missing(
-                f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'"
-            ) from None
+            why = f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'"
+            raise Missing(why) from None
         from gpusim.apps.preview.notebook import open_widget
 
         return open_widget(scene, camera, device, tolerance)

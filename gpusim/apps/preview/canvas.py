@@ -7,6 +7,8 @@ from nicegui import ui
 from gpusim.apps.preview.crop import enlarge
 from gpusim.apps.preview.session import Session
 
+MOUSE = ["mousedown", "mousemove", "mouseup"]  # events of the mouse
+
 
 def mark(name: str) -> str:
     """Return the properties of an element by which tests find it."""
@@ -52,20 +54,13 @@ class Canvas:
             )
             # separate, because the image is positioned relative to itself
             with ui.element("div").classes("absolute inset-0"):
-                self._overlay: Any = (
-                    ui.interactive_image(
-                        size=(cols, rows),
-                        events=["mousedown", "mousemove", "mouseup"],
-                        on_mouse=self._on_mouse,
-                    )
-                    .on(
-                        "wheel.prevent",
-                        lambda event: self.zoom(1 if event.args["deltaY"] < 0 else -1),
-                        ["deltaY"],
-                        throttle=0.1,
-                    )
-                    .props(mark("overlay"))
-                )
+                self._overlay: Any = ui.interactive_image(
+                    size=(cols, rows), events=MOUSE, on_mouse=self._on_mouse
+                ).props(mark("overlay"))
+                self._overlay.on("wheel.prevent", self._on_wheel, ["deltaY"], throttle=0.1)
+
+    def _on_wheel(self, event):
+        self.zoom(1 if event.args["deltaY"] < 0 else -1)
 
     def _on_mouse(self, event):
         place = event.image_y, event.image_x
@@ -81,12 +76,8 @@ class Canvas:
             self.edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
             self._draw_edge()
         elif crop is not None:
-            down, right = (
-                (then - now) * own / n
-                for then, now, own, n in zip(
-                    (y, x), place, (crop.rows, crop.cols), self._shape, strict=True
-                )
-            )
+            rows, cols = self._shape
+            down, right = (y - place[0]) * crop.rows / rows, (x - place[1]) * crop.cols / cols
             self._set_crop(crop.move(round(down), round(right), self._shape))
         if event.type == "mouseup":
             self._held = None
@@ -109,15 +100,8 @@ class Canvas:
 
     def zoom(self, step: int) -> None:
         """Enlarge (step 1) or shrink (-1) the picture around the pointer."""
-        self._set_crop(
-            enlarge(
-                self.session.crop,
-                step,
-                self.at or (self._shape[0] // 2, self._shape[1] // 2),
-                self._shape,
-                self._width,
-            )
-        )
+        at = self.at or (self._shape[0] // 2, self._shape[1] // 2)
+        self._set_crop(enlarge(self.session.crop, step, at, self._shape, self._width))
 
     def _set_crop(self, crop):
         if crop != self.session.crop:

@@ -1,6 +1,7 @@
 """Controls of the preview's page: keys of a camera file, with their ranges and groups."""
 
 from dataclasses import dataclass
+from math import inf, log
 from typing import Any
 
 from gpusim.domain.errors import BadData, OutOfRange, format_value
@@ -9,18 +10,7 @@ from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_
 PLACES = 1000  # of a slider
 BEYOND, BEYOND_LOG = 2, 10  # a number that is typed may be as many times as large as a slider's end
 OWN = "the scene's"  # light
-LIGHTS = (
-    "D65",
-    "D50",
-    "A",
-    "FL2",
-    "FL11",
-    "LED-B1",
-    "LED-B5",
-    "LED-RGB1",
-    "daylight-10000K",
-    "blackbody-2000K",
-)
+LIGHTS = tuple("D65 D50 A FL2 FL11 LED-B1 LED-B5 LED-RGB1 daylight-10000K blackbody-2000K".split())
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
 FILES = "the camera's"  # tone curve
 # of sRGB values: a little contrast, dark parts lifted, bright parts held back
@@ -58,7 +48,7 @@ class Control:
     high: float = 1.0
     unit: str = ""
     is_log: bool = False
-    is_whole: bool = False
+
     choices: tuple[Any, ...] = ()
     item: int | None = None
     off: Any = None
@@ -70,6 +60,18 @@ class Control:
         """Name of the control, for links and tests."""
         return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
 
+    def to_place(self, value: float) -> int:
+        """Return the place of the slider for a value, 0 .. PLACES."""
+        low, high, value = self.low, self.high, min(max(value, self.low), self.high)
+        part = log(value / low) / log(high / low) if self.is_log else (value - low) / (high - low)
+        return round(PLACES * part)
+
+    def to_value(self, place: int) -> float:
+        """Return the value at a place of the slider, to four digits."""
+        low, high, part = self.low, self.high, place / PLACES
+        value = low * (high / low) ** part if self.is_log else low + (high - low) * part
+        return float(f"{value:.4g}")
+
     def check(self, value):
         """Raise BadData or OutOfRange for a value that the control cannot set.
 
@@ -78,83 +80,62 @@ class Control:
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
-                raise BadData(
-                    f"{self.label} = {format_value(value)}: wanted one of {', '.join(map(str, self.choices))}"
-                )
+                what = f"{self.label} = {format_value(value)}"
+                raise BadData(f"{what}: wanted one of {', '.join(map(str, self.choices))}")
             return
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
         if type(value) not in (int, float):
-            raise BadData(
-                f"{self.label} = {format_value(value)}: wanted a number"
-                + (f", or {self.off}" if self.off is not None else "")
-            )
-        low, high = (
-            (self.low / BEYOND_LOG, self.high * BEYOND_LOG)
-            if self.is_log
-            else (min(self.low, 0) * BEYOND, self.high * BEYOND)
-        )
+            or_off = f", or {self.off}" if self.off is not None else ""
+            raise BadData(f"{self.label} = {format_value(value)}: wanted a number{or_off}")
+        low, high = min(self.low, 0) * BEYOND, self.high * BEYOND
+        if self.is_log:
+            low, high = self.low / BEYOND_LOG, self.high * BEYOND_LOG
         if not low <= value <= high:
-            raise OutOfRange(
-                self.label, f"{format_value(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}"
-            )
+            allowed = f"{low:g} .. {high:g}"
+            raise OutOfRange(self.label, f"{format_value(value)} {self.unit}".rstrip(), allowed)
+
+
+def _log(section, key, label, low, high, unit="", off=None, default=None):
+    return Control(section, key, label, low, high, unit, is_log=True, off=off, default=default)
+
+
+def _choice(section, key, label, choices, default, named=None):
+    return Control(section, key, label, choices=choices, named=named, default=default)
 
 
 def _noise(key, label, high, unit, low):
-    return Control("noise", key, label, low, high, unit, is_log=True, off=0.0, default=0.0)
+    return _log("noise", key, label, low, high, unit, off=0.0, default=0.0)
+
+
+def _zernike(label, item):
+    none = (0.0,) * 11
+    return Control("optics", "zernike_waves", label, -0.5, 0.5, "waves", item=item, default=none)
 
 
 # Places in Noll's order of aberrations that are the same all over the field; those that vary take
 # seconds to plan
 ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
+WHITES = tuple(name for name in WHITE_BALANCES if name != "preset")
 GROUPS: dict[str, tuple[Control, ...]] = {
     "Exposure": (
-        Control(
-            "sensor",
-            "exposure_time_ms",
-            "exposure",
-            0.01,
-            1000.0,
-            "ms",
-            is_log=True,
-            off="auto",
-            default="auto",
-        ),
-        Control("sensor", "analog_gain", "gain", 1.0, 32.0, is_log=True, default=1.0),
+        _log("sensor", "exposure_time_ms", "exposure", 0.01, 1000.0, "ms", "auto", "auto"),
+        _log("sensor", "analog_gain", "gain", 1.0, 32.0, default=1.0),
     ),
     "Lens": (
-        Control("optics", "f_number", "f-number", 0.7, 32.0, is_log=True),
-        Control(
-            "optics",
-            "object_distance_m",
-            "focus",
-            0.1,
-            1000.0,
-            "m",
-            is_log=True,
-            off=float("inf"),
-            default=float("inf"),
-        ),
+        _log("optics", "f_number", "f-number", 0.7, 32.0),
+        _log("optics", "object_distance_m", "focus", 0.1, 1000.0, "m", inf, inf),
         Control("optics", "defocus_um", "defocus", -50.0, 50.0, "um", default=0.0),
-        *(
-            Control(
-                "optics", "zernike_waves", label, -0.5, 0.5, "waves", item=item, default=(0.0,) * 11
-            )
-            for label, item in ZERNIKE.items()
-        ),
+        *(_zernike(label, item) for label, item in ZERNIKE.items()),
     ),
     "Sensor": (
-        Control("sensor", "pixel_pitch_um", "pixel pitch", 0.5, 12.0, "um", is_log=True),
+        _log("sensor", "pixel_pitch_um", "pixel pitch", 0.5, 12.0, "um"),
         Control("sensor", "fill_factor", "fill factor", 0.05, 1.0, default=1.0),
-        Control(
-            "sensor", "full_well_e", "full well", 100.0, 1e5, "e-", is_log=True, default=10000.0
-        ),
-        Control("sensor", "bits", "bits", choices=(8, 10, 12, 14, 16), default=10),
+        _log("sensor", "full_well_e", "full well", 100.0, 1e5, "e-", default=10000.0),
+        _choice("sensor", "bits", "bits", (8, 10, 12, 14, 16), 10),
     ),
     "Noise": (
-        Control(
-            "noise", "photon", "photon noise", choices=("fast", "exact", "none"), default="fast"
-        ),
+        _choice("noise", "photon", "photon noise", ("fast", "exact", "none"), "fast"),
         _noise("read_e", "read", 50.0, "e-", 0.1),
         _noise("dark_current_e_per_s", "dark current", 1e4, "e-/s", 0.01),
         _noise("dsnu_e", "DSNU", 50.0, "e-", 0.01),
@@ -169,20 +150,15 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         Control("noise", "temperature_c", "temperature", -20.0, 100.0, "deg C", default=25.0),
     ),
     "Processor": (
-        Control("processor", "defects", "defects", choices=DEFECTS, default="none"),
+        _choice("processor", "defects", "defects", DEFECTS, "none"),
         Control("processor", "denoise", "denoising", 0.0, 4.0, default=0.0),
-        Control("processor", "demosaic", "demosaicking", choices=DEMOSAICS, default="bilinear"),
-        Control(
-            "processor",
-            "white_balance",
-            "white balance",
-            choices=tuple(name for name in WHITE_BALANCES if name != "preset"),
-            default="illuminant",
-        ),
-        Control("processor", "color", "colour", choices=COLORS, default="white-preserving"),
-        Control("processor", "tone", "tone curve", choices=tuple(TONES), named=TONES, default=()),
-        Control("processor", "shading", "shading correction", choices=(False, True), default=False),
-        Control("processor", "scaling", "scaling", choices=SCALINGS, default="exposure"),
+        _choice("processor", "demosaic", "demosaicking", DEMOSAICS, "bilinear"),
+        _choice("processor", "white_balance", "white balance", WHITES, "illuminant"),
+        _choice("processor", "color", "colour", COLORS, "white-preserving"),
+        _choice("processor", "tone", "tone curve", tuple(TONES), (), named=TONES),
+        _choice("processor", "shading", "shading correction", (False, True), False),
+        _choice("processor", "scaling", "scaling", SCALINGS, "exposure"),
     ),
 }
+LUMINANCE = _log("scene", "luminance", "white", 0.1, 1e5, "cd/m2")  # of the scene, not the camera
 CONTROLS = {control.name: control for group in GROUPS.values() for control in group}

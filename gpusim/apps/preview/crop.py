@@ -25,12 +25,8 @@ class Crop:
 
     def move(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
         """Return the crop moved by some pixels, inside a frame of this shape."""
-        top, left = (
-            min(max(place, 0), n - own)
-            for place, n, own in zip(
-                (self.top + down, self.left + right), shape, (self.rows, self.cols), strict=True
-            )
-        )
+        top = min(max(self.top + down, 0), shape[0] - self.rows)
+        left = min(max(self.left + right, 0), shape[1] - self.cols)
         return replace(self, top=top, left=left)
 
 

@@ -35,16 +35,10 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
         electrons = float(mean[y, x])
         noise = RawNoise.of(sensor, program.simulator.readout.averaged)
         sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
-        numbers = min(
-            electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
-        )
-        found["pixel"] = {
-            "row": y,
-            "col": x,
-            "electrons": electrons,
-            "dn": float(numbers),
-            "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9)),
-        }
+        numbers = electrons * sensor.gain_dn_per_electron + sensor.dark_level
+        found["pixel"] = {"row": y, "col": x, "electrons": electrons}
+        found["pixel"]["dn"] = float(min(numbers, sensor.white_level))
+        found["pixel"]["snr"] = 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9))
     return found
 
 
@@ -62,12 +56,8 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
     except GpusimError as error:
         return {"why": str(error)}
     seen = found.frequencies <= 1
-    return {
-        "frequencies": found.frequencies[seen].tolist(),
-        "response": found.response[seen].tolist(),
-        "mtf50": half,
-        "angle": float(np.degrees(found.angle)),
-    }
+    curve = {name: getattr(found, name)[seen].tolist() for name in ("frequencies", "response")}
+    return curve | {"mtf50": half, "angle": float(np.degrees(found.angle))}
 
 
 def error_map(mean, truth) -> np.ndarray:
@@ -76,9 +66,8 @@ def error_map(mean, truth) -> np.ndarray:
     wrong = wrong if wrong.ndim == 2 else wrong.mean(axis=0)
     part = np.clip(wrong / max(SPAN * np.sqrt(np.mean(wrong**2)), 1e-300), -1, 1)
     grey = 128 * (1 - np.abs(part))
-    codes = np.stack(
-        [grey + 255 * np.maximum(part, 0), grey, grey + 255 * np.maximum(-part, 0)], axis=-1
-    )
+    red, blue = (grey + 255 * np.maximum(one, 0) for one in (part, -part))
+    codes = np.stack([red, grey, blue], axis=-1)
     return (np.clip(codes, 0, 255) + 0.5).astype(np.uint8)
 
 
@@ -90,18 +79,12 @@ def _some(sensor: Sensor, values):
     cfa = sensor.cfa_indices
     high, wide = cfa.shape
     step = max(1, round((values.size / SOME) ** 0.5))
-    return [
-        (
-            letter,
-            np.concatenate(
-                [
-                    values[y :: high * step, x :: wide * step].ravel()
-                    for y, x in np.argwhere(cfa == index)
-                ]
-            ),
-        )
-        for index, letter in enumerate(sensor.channels)
-    ]
+    found = []
+    for index, letter in enumerate(sensor.channels):
+        places = np.argwhere(cfa == index)
+        parts = [values[y :: high * step, x :: wide * step].ravel() for y, x in places]
+        found.append((letter, np.concatenate(parts)))
+    return found
 
 
 def on_host(device: Device, array) -> np.ndarray:

@@ -11,23 +11,13 @@ from os import PathLike
 from threading import Thread
 
 import ipywidgets
-from ipywidgets import (
-    HTML,
-    Accordion,
-    BoundedIntText,
-    Button,
-    Checkbox,
-    Dropdown,
-    HBox,
-    Label,
-    Layout,
-    VBox,
-)
+from ipywidgets import HTML, Dropdown, HBox, Layout, VBox
 
 from gpusim.apps.preview.controls import (
     CONTROLS,
     GROUPS,
     LIGHTS,
+    LUMINANCE,
     OWN,
     PLACES,
     TOLERANCES,
@@ -50,7 +40,7 @@ from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.frame import Frame
 
 COUNTED_EACH = 0.5  # [s] between histograms, while a slider is moved
-LUMINANCE = Control("scene", "luminance", "white", 0.1, 1e5, "cd/m2", is_log=True)
+STYLE = {"description_width": "9em"}
 
 
 def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
@@ -130,13 +120,12 @@ class Preview(HBox):
         view.observe(lambda change: self._turn("view", change.new), "value")
         steps = []
         for name, step in (("undo", self._history.undo), ("redo", self._history.redo)):
-            steps.append(Button(icon=name, tooltip=name, layout=Layout(width="3em")))
+            steps.append(ipywidgets.Button(icon=name, tooltip=name, layout=Layout(width="3em")))
             steps[-1].on_click(partial(self._step, step))
         self._undo, self._redo = steps
-        return VBox(
-            [self.image, HBox([view, *steps]), self._error, self._known, self._histogram],
-            layout=Layout(flex="1 1 480px"),
-        )
+        top = [self.image, HBox([view, *steps])]
+        shown = [*top, self._error, self._known, self._histogram]
+        return VBox(shown, layout=Layout(flex="1 1 480px"))
 
     def _right(self):
         groups = [
@@ -146,14 +135,12 @@ class Preview(HBox):
         luminance = self.controls["luminance"] = Number(
             LUMINANCE, True, partial(self._turn, "luminance")
         )
-        accordion = Accordion(
+        accordion = ipywidgets.Accordion(
             [*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0
         )
         numbers = [self._whole("seed", "noise seed"), self._whole("frame", "noise frame")]
-        return VBox(
-            [self._choice("tolerance", "tolerance", TOLERANCES), *numbers, accordion],
-            layout=Layout(flex="0 1 420px"),
-        )
+        tolerance = self._choice("tolerance", "tolerance", TOLERANCES)
+        return VBox([tolerance, *numbers, accordion], layout=Layout(flex="0 1 420px"))
 
     def _make(self, control):
         if control.choices:
@@ -163,15 +150,11 @@ class Preview(HBox):
         return number
 
     def _choice(self, name, label, choices):
-        return self._field(
-            name, Dropdown(options=choices, description=label, style={"description_width": "9em"})
-        )
+        return self._field(name, Dropdown(options=choices, description=label, style=STYLE))
 
     def _whole(self, name, label):
-        return self._field(
-            name,
-            BoundedIntText(max=2**32 - 1, description=label, style={"description_width": "9em"}),
-        )
+        number = ipywidgets.BoundedIntText(max=2**32 - 1, description=label, style=STYLE)
+        return self._field(name, number)
 
     def _field(self, name, field):
         self.controls[name] = field
@@ -185,9 +168,9 @@ class Preview(HBox):
             return
         if name == "light" and value == OWN:
             value = None
-        changes = (
-            {"changes": {**self.state.changes, name: value}} if name in CONTROLS else {name: value}
-        )
+        changes = {name: value}
+        if name in CONTROLS:
+            changes = {"changes": self.state.changes | changes}
         self._history.set(replace(self.state, **changes), name if is_slid else "")
         self._go()
 
@@ -206,11 +189,8 @@ class Preview(HBox):
         self._setting = True
         try:
             for name, field in self.controls.items():
-                value = (
-                    state.value(CONTROLS[name], self._table)
-                    if name in CONTROLS
-                    else getattr(state, name)
-                )
+                control = CONTROLS.get(name)
+                value = state.value(control, self._table) if control else getattr(state, name)
                 if isinstance(field, Number):
                     field.show(value)
                     continue
@@ -232,17 +212,13 @@ class Preview(HBox):
         )
         if data:
             with self.image.hold_sync():
-                self.image.format, self.image.value = (
-                    "png" if kind == PNG else "jpeg",
-                    data[HEAD.size :],
-                )
+                self.image.format = "png" if kind == PNG else "jpeg"
+                self.image.value = data[HEAD.size :]
             shown = session.shown
-            lines = [
-                f"frame {shown.number}  made in {shown.ms:.0f} ms",
-                of_exposure(shown.facts),
-                of_plan(shown.facts),
-            ]
-            self._known.value = f'<pre style="white-space:pre-wrap;line-height:1.4">{escape(chr(10).join(lines))}</pre>'
+            first = f"frame {shown.number}  made in {shown.ms:.0f} ms"
+            text = escape("\n".join([first, of_exposure(shown.facts), of_plan(shown.facts)]))
+            style = "white-space:pre-wrap;line-height:1.4"
+            self._known.value = f'<pre style="{style}">{text}</pre>'
             if kind == PNG or time.monotonic() - self._counted > COUNTED_EACH:
                 await self._count()
         if kind == PNG or not data:
@@ -273,16 +249,13 @@ class Number(HBox):
         kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
         # until there is a value
         middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
-        self.slider = kind(
-            middle,
-            min=low,
-            max=high,
-            step=(high - low) / PLACES,
-            readout=False,
-            layout=Layout(flex="1 1 6em", min_width="6em"),
-        )
+        range_ = {"min": low, "max": high, "step": (high - low) / PLACES}
+        layout = Layout(flex="1 1 6em", min_width="6em")
+        self.slider = kind(middle, **range_, readout=False, layout=layout)
         self.number = ipywidgets.FloatText(middle, layout=Layout(width="6.5em"))
-        self.switch = Checkbox(indent=False, layout=Layout(width="1.5em")) if is_switched else None
+        self.switch = None
+        if is_switched:
+            self.switch = ipywidgets.Checkbox(indent=False, layout=Layout(width="1.5em"))
         unit = f" [{control.unit}]" if control.unit else ""
         self.slider.observe(lambda change: turned(float(f"{change.new:.4g}"), True), "value")
         self.number.observe(
@@ -292,14 +265,9 @@ class Number(HBox):
             self.switch.observe(
                 lambda change: turned(self.number.value if change.new else control.off), "value"
             )
-        super().__init__(
-            [
-                *([self.switch] if self.switch else []),
-                Label(control.label + unit, layout=Layout(width="10.5em")),
-                self.slider,
-                self.number,
-            ]
-        )
+        label = ipywidgets.Label(control.label + unit, layout=Layout(width="10.5em"))
+        parts = [label, self.slider, self.number]
+        super().__init__([self.switch, *parts] if self.switch else parts)
 
     def show(self, value):
         """Show a value. A control that is off, or has no number, is greyed out."""

@@ -17,45 +17,35 @@ class Given(State):
 
     def table(self) -> dict:
         """Raise BadData: there is no file."""
-        raise BadData(
-            f"camera {self.camera!r} is an object without a file; wanted a camera's name or a camera file"
-        )
+        what = f"camera {self.camera!r} is an object without a file"
+        raise BadData(f"{what}; wanted a camera's name or a camera file")
 
     def build(self) -> Camera:
         """Return the camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
-        table = self.apply_changes(
-            {"optics": {"zernike_waves": _lists(camera.optics.wavefront.zernike)}}
-        )
+        own = {"zernike_waves": _lists(camera.optics.wavefront.zernike)}
+        table = self.apply_changes({"optics": own})
         optics, sensor, noise, processor = (
             section_fields(camera.name, table, section)
             for section in ("optics", "sensor", "noise", "processor")
         )
         optics["wavefront"] = replace(camera.optics.wavefront, zernike=optics.pop("zernike"))
         sensor["noise"] = replace(camera.sensor.noise, **noise)
-        return replace(
-            camera,
-            optics=replace(camera.optics, **optics),
-            sensor=replace(camera.sensor, **sensor),
-            processor=replace(camera.processor, **processor),
-        )
+        parts = {"optics": optics, "sensor": sensor, "processor": processor}
+        changed = {name: replace(getattr(camera, name), **part) for name, part in parts.items()}
+        return replace(camera, **changed)
 
 
 def table_of(camera: Camera) -> dict:
     """Return the values of the controls as in a camera file, to 12 digits, for display only."""
-    parts = {
-        "optics": camera.optics,
-        "sensor": camera.sensor,
-        "noise": camera.sensor.noise,
-        "processor": camera.processor,
-    }
+    parts = {name: getattr(camera, name) for name in ("optics", "sensor", "processor")}
+    parts["noise"] = camera.sensor.noise
     table: dict = {section: {} for section in parts}
     for control in CONTROLS.values():
         field, read = SECTIONS[control.section][control.key]
-        value = getattr(
-            camera.optics.wavefront if field == "zernike" else parts[control.section], field
-        )
+        of = camera.optics.wavefront if field == "zernike" else parts[control.section]
+        value = getattr(of, field)
         if value is None:
             value = control.off
         elif isinstance(value, float):

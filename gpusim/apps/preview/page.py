@@ -2,11 +2,13 @@
 
 import tempfile
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from math import isfinite, log
+from math import isfinite
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import app, run, ui
 
@@ -15,6 +17,7 @@ from gpusim.apps.preview.controls import (
     CONTROLS,
     GROUPS,
     LIGHTS,
+    LUMINANCE,
     OWN,
     PLACES,
     TOLERANCES,
@@ -33,6 +36,7 @@ from gpusim.io.camera.cameras import camera_names, camera_table
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
 QUIET = "text-sm text-neutral-300 font-mono"
+ROW = "w-full items-center gap-2"
 FORMATS = (".png", ".dng", ".exr", ".npz")
 # A control that glides to its new place has the page laid out and painted at every refresh of the
 # screen
@@ -72,11 +76,7 @@ class Page:
             with ui.column().classes("w-full max-w-[420px] gap-1"):
                 self._build_top()
                 for name, controls in GROUPS.items():
-                    with (
-                        ui.expansion(name, value=name in OPEN)
-                        .classes("w-full")
-                        .props(mark(f"group {name}"))
-                    ):
+                    with _group(name):
                         for control in controls:
                             self._build_control(control)
                 self._build_scene()
@@ -87,72 +87,56 @@ class Page:
 
     def _build_picture(self):
         self._canvas.build()
-        with ui.row().classes("w-full items-center gap-2"):
-            self._fields["view"] = (
-                ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
-                .props("dense no-caps")
-                .props(mark("view"))
-            )
-            self._fields["live"] = ui.switch(
-                "play" if self._is_moving else "live noise",
-                on_change=lambda event: self._live(event.value),
-            ).props(mark("live"))
-            self._button("undo", "undo (Ctrl+Z)", self._undo)
-            self._button("redo", "redo (Ctrl+Y)", self._redo)
-            self._button("zoom_out", "smaller (-)", lambda: self._canvas.zoom(-1))
-            self._button(
-                "zoom_in", "larger, without loss (+); drag to move", lambda: self._canvas.zoom(1)
-            )
-            self._fields["measure"] = (
-                ui.switch("edge", on_change=lambda event: self._measure(event.value))
-                .props(mark("measure"))
-                .tooltip("drag over a slanted edge: its frequency response (ISO 12233)")
-            )
-            ui.button("error map", on_click=self._error_map).props("flat dense no-caps").props(
-                mark("error map")
-            )
-        with ui.row().classes("w-full items-center gap-2"):
+        with ui.row().classes(ROW):
+            view = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
+            self._keep("view", view.props("dense no-caps"))
+            self._switch("live", "play" if self._is_moving else "live noise", self._live)
+            self._icon("undo", "undo (Ctrl+Z)", self._undo)
+            self._icon("redo", "redo (Ctrl+Y)", self._redo)
+            self._icon("zoom_out", "smaller (-)", lambda: self._canvas.zoom(-1))
+            larger = "larger, without loss (+); drag to move"
+            self._icon("zoom_in", larger, lambda: self._canvas.zoom(1))
+            words = "drag over a slanted edge: its frequency response (ISO 12233)"
+            self._switch("measure", "edge", self._measure).tooltip(words)
+            self._button("error map", "error map", self._error_map)
+        with ui.row().classes(ROW):
             if self._is_moving:
-                self._button("skip_previous", "frame before (,)", lambda: self._step(-1))
-                self._button("skip_next", "next frame (.)", lambda: self._step(1))
-                self._fields["frame"] = (
-                    ui.slider(
-                        min=0,
-                        max=self.session.producer.frames - 1,
-                        on_change=lambda event: self._scrub(event.value),
-                    )
-                    .classes("grow max-w-[300px]")
-                    .props('aria-label="frame"')
-                    .props(mark("frame"))
-                )
-            ui.button("set B", on_click=self._set_other).props("flat dense no-caps").props(
-                mark("set B")
-            ).tooltip("keep this camera as B, and compare others with it")
-            self._fields["swap"] = (
-                ui.button("swap A and B", on_click=self._swap)
-                .props("flat dense no-caps")
-                .props(mark("swap"))
-            )
-            self._fields["drop"] = (
-                ui.button("no B", on_click=lambda: self._set(against=None))
-                .props("flat dense no-caps")
-                .props(mark("no B"))
-            )
-            self._fields["split"] = (
-                ui.slider(
-                    min=0,
-                    max=PLACES,
-                    on_change=lambda event: self._set("split", split=event.value / PLACES),
-                )
-                .classes("w-40")
-                .props('aria-label="A | B"')
-                .props(mark("split"))
-            )
+                self._icon("skip_previous", "frame before (,)", lambda: self._step(-1))
+                self._icon("skip_next", "next frame (.)", lambda: self._step(1))
+                last = self.session.producer.frames - 1
+                self._bar("frame", "frame", last, self._scrub, "grow max-w-[300px]")
+            words = "keep this camera as B, and compare others with it"
+            self._button("set B", "set B", self._set_other).tooltip(words)
+            self._button("swap", "swap A and B", self._swap)
+            self._button("no B", "no B", lambda: self._set(against=None))
+            self._bar("split", "A | B", PLACES, self._split, "w-40")
 
-    def _button(self, icon, words, does):
-        ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"').tooltip(
-            words
-        ).props(mark(icon))
+    # elements
+
+    def _keep(self, name, element, classes=""):
+        """Register an element: the page finds it by its name, and so do tests."""
+        self._fields[name] = element.classes(classes).props(mark(name))
+        return element
+
+    def _button(self, name, words, does):
+        button = ui.button(words, on_click=does).props("flat dense no-caps")
+        return self._keep(name, button)
+
+    def _icon(self, icon, words, does):
+        button = ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"')
+        self._keep(icon, button.tooltip(words))
+
+    def _switch(self, name, words, turned):
+        switch = ui.switch(words, on_change=lambda event: turned(event.value))
+        return self._keep(name, switch)
+
+    def _bar(self, name, words, most, turned, classes):
+        slider = ui.slider(min=0, max=most, on_change=lambda event: turned(event.value))
+        return self._keep(name, slider.props(f'aria-label="{words}"'), classes)
+
+    def _choice(self, name, label, choices, turned, classes="w-full"):
+        select = ui.select(list(choices), label=label, on_change=lambda event: turned(event.value))
+        self._keep(name, select, classes)
 
     @property
     def _is_moving(self):
@@ -165,139 +149,61 @@ class Page:
             ("known", QUIET),
             ("left out", "text-xs text-neutral-400"),
         ):
-            self._fields[name] = (
-                ui.label().classes(f"{classes} whitespace-pre-wrap").props(mark(name))
-            )
+            self._keep(name, ui.label(), f"{classes} whitespace-pre-wrap")
 
     def _build_measures(self):
         for name in ("pixel", "histogram", "difference", "edge", "response"):
             if name in ("histogram", "response"):
                 self._fields[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
             else:
-                self._fields[name] = ui.label().classes(QUIET).props(mark(name))
+                self._keep(name, ui.label(), QUIET)
 
     def _build_top(self):
-        with ui.row().classes("w-full items-center gap-2"):
+        with ui.row().classes(ROW):
             names = camera_names()
             own = self.session.state.camera
-            self._fields["camera"] = (
-                ui.select(
-                    [*names, *([] if own in names else [own])],
-                    label="camera",
-                    on_change=(lambda event: self._camera(event.value)),
-                )
-                .classes("grow")
-                .props(mark("camera"))
-            )
-            self._fields["tolerance"] = (
-                ui.select(
-                    list(TOLERANCES),
-                    label="tolerance",
-                    on_change=lambda event: self._set(tolerance=event.value),
-                )
-                .classes("grow")
-                .props(mark("tolerance"))
-            )
+            cameras = [*names, *([] if own in names else [own])]
+            self._choice("camera", "camera", cameras, self._camera, "grow")
+            self._choice("tolerance", "tolerance", TOLERANCES, self._tolerance, "grow")
             with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
                 ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
                 for suffix in FORMATS:
-                    ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix)).props(
-                        mark(f"save {suffix}")
-                    )
+                    item = ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix))
+                    item.props(mark(f"save {suffix}"))
                 ui.menu_item("link and command line", self._show_link).props(mark("show link"))
 
     def _build_scene(self):
-        with ui.expansion("Light").classes("w-full").props(mark("group Light")):
-            self._fields["light"] = (
-                ui.select(
-                    [OWN, *LIGHTS],
-                    label="light",
-                    on_change=lambda event: self._set(
-                        light=None if event.value == OWN else event.value
-                    ),
-                )
-                .classes("w-full")
-                .props(mark("light"))
-            )
-            self._slider(
-                "luminance",
-                "white",
-                "cd/m2",
-                0.1,
-                1e5,
-                True,
-                lambda value: self._set("luminance", luminance=value),
-            )
+        with _group("Light"):
+            self._choice("light", "light", (OWN, *LIGHTS), self._light)
+            self._slider("luminance", LUMINANCE, self._luminance)
 
     def _build_control(self, control: Control):
-        name = control.name
+        def turned(value):
+            self._turn(control, value)
+
         if control.choices:
-            self._fields[name] = (
-                ui.select(
-                    list(control.choices),
-                    label=control.label,
-                    on_change=lambda event: self._turn(control, event.value),
-                )
-                .classes("w-full")
-                .props(mark(name))
-            )
-            return
-        self._slider(
-            name,
-            control.label,
-            control.unit,
-            control.low,
-            control.high,
-            control.is_log,
-            lambda value: self._turn(control, value),
-            control,
-        )
+            self._choice(control.name, control.label, control.choices, turned)
+        else:
+            self._slider(control.name, control, turned)
 
-    def _slider(self, name, label, unit, low, high, is_log, turned, control=None):
-        def to_place(value):
-            value = min(max(value, low), high)
-            return round(
-                PLACES
-                * (log(value / low) / log(high / low) if is_log else (value - low) / (high - low))
-            )
-
-        def to_value(place):
-            part = place / PLACES
-            return float(
-                f"{low * (high / low) ** part if is_log else low + (high - low) * part:.4g}"
-            )
-
-        with ui.row(wrap=False).classes("w-full items-center gap-2 -my-1"):
+    def _slider(self, name, control, turned):
+        with ui.row(wrap=False).classes(f"{ROW} -my-1"):
             is_on = None
-            if control is not None and control.off is not None:
-                is_on = (
-                    ui.checkbox(
-                        on_change=lambda event: self._switch(
-                            control, event.value, to_value(slider.value)
-                        )
-                    )
-                    .props("dense")
-                    .props(mark(f"{name} on"))
+            if control.off is not None:
+                is_on = ui.checkbox(
+                    on_change=lambda event: self._turn_on(control, event.value, slider.value)
                 )
-            ui.label(label).classes("w-24 text-sm shrink-0")
-            slider = (
-                ui.slider(
-                    min=0,
-                    max=PLACES,
-                    on_change=lambda event: self._slide(turned, to_value(event.value)),
-                )
-                .classes("grow")
-                .props(f'aria-label="{label}"')
-                .props(mark(name))
-            )
-            number = (
-                ui.number(suffix=unit or None)
-                .props("dense borderless")
-                .classes("w-28 shrink-0")
-                .props(mark(f"{name} number"))
-                .on("change", lambda: self._take_number(turned, number.value))
-            )
-        self._fields[name] = (slider, number, is_on, to_place, control)
+                is_on.props("dense").props(mark(f"{name} on"))
+            ui.label(control.label).classes("w-24 text-sm shrink-0")
+
+            def slid(place):
+                self._slide(turned, control.to_value(place))
+
+            slider = self._bar(name, control.label, PLACES, slid, "grow")
+            number = ui.number(suffix=control.unit or None).classes("w-28 shrink-0")
+            number.props("dense borderless").props(mark(f"{name} number"))
+            number.on("change", lambda: self._take_number(turned, number.value))
+        self._fields[name] = (slider, number, is_on, control)
 
     # actions of the controls
 
@@ -313,9 +219,9 @@ class Page:
         else:
             self._follow()
 
-    def _switch(self, control, is_on, value):
+    def _turn_on(self, control, is_on, place):
         if not self._setting:
-            self._turn(control, value if is_on else control.off)
+            self._turn(control, control.to_value(place) if is_on else control.off)
 
     def _turn(self, control, value):
         self._set(control.name, changes={**self.session.state.changes, control.name: value})
@@ -331,6 +237,18 @@ class Page:
 
     def _camera(self, name):
         self._set(camera=name, changes={})
+
+    def _tolerance(self, name):
+        self._set(tolerance=name)
+
+    def _light(self, name):
+        self._set(light=None if name == OWN else name)
+
+    def _luminance(self, value):
+        self._set("luminance", luminance=value)
+
+    def _split(self, place):
+        self._set("split", split=place / PLACES)
 
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
@@ -355,12 +273,13 @@ class Page:
             self._set(**state.against, against={"camera": state.camera, "changes": state.changes})
 
     def _undo(self):
-        if self.session.history.undo():
-            self.session.touch()
-            self._follow()
+        self._go(self.session.history.undo)
 
     def _redo(self):
-        if self.session.history.redo():
+        self._go(self.session.history.redo)
+
+    def _go(self, step):
+        if step():
             self.session.touch()
             self._follow()
 
@@ -381,12 +300,11 @@ class Page:
     async def _error_map(self):
         session = self.session
         ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
-        try:
+        with _notify_errors():
             compare = await session.compute(session.producer.error, session.state, session.number)
-            codes, error = await run.io_bound(compare)
-        except GpusimError as error:
-            ui.notify(str(error), type="negative")
-            return
+            self._show_error_map(*await run.io_bound(compare))
+
+    def _show_error_map(self, codes, error):
         from PIL import Image
 
         with ui.dialog(value=True), ui.card().classes("max-w-none").props(mark("error dialog")):
@@ -418,15 +336,13 @@ class Page:
             if only in CONTROLS:
                 return
             self._show("luminance", state.luminance)
-            for name, value in (
-                ("view", state.view),
-                ("live", state.is_live),
-                ("camera", state.camera),
-                ("tolerance", state.tolerance),
-                ("light", state.light or OWN),
-            ):
-                self._fields[name].value = value
-            for name in ("swap", "drop", "split"):
+            self._fields["live"].value, self._fields["light"].value = (
+                state.is_live,
+                state.light or OWN,
+            )
+            for name in ("view", "camera", "tolerance"):
+                self._fields[name].value = getattr(state, name)
+            for name in ("swap", "no B", "split"):
                 self._fields[name].visible = state.against is not None
             self._fields["split"].value = PLACES * state.split
             if self._is_moving:
@@ -439,10 +355,10 @@ class Page:
         if not isinstance(field, tuple):
             field.value = value
             return
-        slider, number, is_on, to_place, control = field
-        there = isinstance(value, int | float) and (control is None or value != control.off)
+        slider, number, is_on, control = field
+        there = isinstance(value, int | float) and value != control.off
         if there:
-            place = to_place(value)
+            place = control.to_place(value)
             if slider.value != place:
                 slider.value = place
         number.value = value if there else None
@@ -480,13 +396,10 @@ class Page:
         if session.shown is None or session.error:
             return
         part = self._canvas.edge if self._canvas.measures else None
+        number, at = session.shown.number, self._canvas.at
         try:
             found = await session.compute(
-                session.producer.statistics,
-                session.state,
-                session.shown.number,
-                self._canvas.at,
-                part,
+                session.producer.statistics, session.state, number, at, part
             )
         except Exception:
             return  # the picture says it, also of a device that fails
@@ -496,48 +409,53 @@ class Page:
                 f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
                 f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
             )
-        self._fields["difference"].text = (
-            f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
-            if "difference" in found
-            else ""
-        )
+        words = "ColorChecker: mean Delta E 2000 {difference:.2f}" if "difference" in found else ""
+        self._fields["difference"].text = words.format(**found)
         edge = found.get("edge", {})
-        self._fields["edge"].text = (
-            edge.get("why", "")
-            if "mtf50" not in edge
-            else (f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees")
-        )
-        self._fields["response"].content = response(edge) if "mtf50" in edge else ""
+        words = "MTF50 {mtf50:.3f} cycle/pixel, edge at {angle:.1f} degrees"
+        has_edge = "mtf50" in edge
+        self._fields["edge"].text = words.format(**edge) if has_edge else edge.get("why", "")
+        self._fields["response"].content = response(edge) if has_edge else ""
 
     # saved files
 
     def _save_camera(self):
-        try:
+        with _notify_errors():
             self.session.state.build()
             ui.download.content(self.session.state.toml(), "camera.toml")
-        except GpusimError as error:
-            ui.notify(str(error), type="negative")
 
     async def _save_frame(self, suffix):
         session = self.session
         number = session.shown.number if session.shown else session.state.frame
-        try:
+        with _notify_errors():
             data = await session.compute(
                 _read_saved, session.producer, session.state, number, suffix
             )
-        except GpusimError as error:
-            ui.notify(str(error), type="negative")
-            return
-        ui.download.content(data, f"frame{suffix}")
+            ui.download.content(data, f"frame{suffix}")
 
     def _show_link(self):
         state = self.session.state
         with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
             ui.label("The page with these settings:")
-            ui.code(f"/?state={_quote(state.link())}").props(mark("link"))
+            ui.code(f"/?state={quote(state.link(), safe='')}").props(mark("link"))
             ui.label("The same on the command line, with the camera saved next to it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
+
+
+def _group(name):
+    """Return a group of controls that can be folded."""
+    group = ui.expansion(name, value=name in OPEN)
+    return group.classes("w-full").props(mark(f"group {name}"))
+
+
+@contextmanager
+def _notify_errors():
+    """Show an error of the block on the page."""
+    try:
+        yield
+    except GpusimError as error:
+        ui.notify(str(error), type="negative")
 
 
 def _read_saved(producer, state, number, suffix):
@@ -545,12 +463,6 @@ def _read_saved(producer, state, number, suffix):
         path = Path(folder) / f"frame{suffix}"
         producer.frame(state, number).save(path)
         return path.read_bytes()
-
-
-def _quote(text):
-    from urllib.parse import quote
-
-    return quote(text, safe="")
 
 
 def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:

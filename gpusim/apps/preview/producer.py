@@ -66,26 +66,17 @@ class Producer:
         """
         begun = time.perf_counter()
         program = self._update(state, number, drafts)
-        show = {
-            "rendered": self._render,
-            "raw": self._raw,
-            "electrons": self._electrons,
-            "noise": self._noise,
-        }
+        show = {"rendered": self._render, "raw": self._raw}
+        show |= {"electrons": self._electrons, "noise": self._noise}
         codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
         account, exposure = program.account, program.exposure
         plan = program.plan
         tolerance = None if plan.is_draft else program.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
-        facts = {
-            "error": account.total.rms,
-            "left out": plan.left_out,
-            "draft": plan.is_draft,
-            "verdict": verdict and verdict.state,
-            "unknown": verdict.unknown if verdict else account.unknown,
-            "exposure": exposure.exposure_time,
-            "gain": exposure.gain,
-        }
+        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft}
+        facts["verdict"] = verdict and verdict.state
+        facts["unknown"] = verdict.unknown if verdict else account.unknown
+        facts |= {"exposure": exposure.exposure_time, "gain": exposure.gain}
         if state.other is None:
             self._other = None  # frees its memory on the device
         else:
@@ -101,9 +92,8 @@ class Producer:
         Raises as `picture`.
         """
         simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
-        return next(
-            simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)
-        ).complete()
+        scene = self._scene_in(state, number)
+        return next(simulator.frames(scene, 1, seed=state.seed, first=number)).complete()
 
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
         """Return a function that returns a map of the error of the mean electrons, and that error.
@@ -121,13 +111,10 @@ class Producer:
         def compare():
             mean, truth = mean_and_truth(simulator, scene, exposure)
             if mean.ndim == 1:
-                raise BadData(
-                    "error map: the frame is too large for the reference of a blur that varies over "
-                    "the field"
-                )
-            return error_map(mean, truth), Error.between(
-                mean, truth, simulator.camera.sensor.read_sigma
-            )
+                what = "the reference of a blur that varies over the field"
+                raise BadData(f"error map: the frame is too large for {what}")
+            error = Error.between(mean, truth, simulator.camera.sensor.read_sigma)
+            return error_map(mean, truth), error
 
         return compare
 
@@ -164,23 +151,17 @@ class Producer:
 
     def _update(self, state, number, drafts):
         last, camera = self._built
-        if (
-            last is None
-            or camera is None
-            or (last.camera, last.changes) != (state.camera, state.changes)
-        ):
+        wanted = state.camera, state.changes
+        if last is None or camera is None or (last.camera, last.changes) != wanted:
             camera = state.build()
             self._built = state, camera
         scene = self._scene_in(state, number)
         if self._program is None or self._tolerance != state.tolerance:
-            self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(
-                scene
-            )
-            self._tolerance = state.tolerance
+            simulator = Simulator(camera, device=self._device, tolerance=state.asked)
+            self._program, self._tolerance = simulator.program(scene), state.tolerance
         changes = {}
-        if camera is not self._program.simulator.camera or (
-            not drafts and self._program.plan.is_draft
-        ):
+        is_draft = not drafts and self._program.plan.is_draft
+        if camera is not self._program.simulator.camera or is_draft:
             changes["camera"] = camera
         if scene is not self._program.scene:
             changes["scene"] = scene
@@ -199,10 +180,7 @@ class Producer:
         number = 0 if self._scenes.is_still else number % self._scenes.count
         if self._shown[0] != number:
             if number != self._next:
-                self._arriving, self._next = (
-                    self._scenes.between(number, self._scenes.count),
-                    number,
-                )
+                self._arriving = self._scenes.between(number, self._scenes.count)
             self._shown, self._next = (number, next(self._arriving)), number + 1
         own = self._shown[1]
         if state.light is None and state.luminance is None:
@@ -222,19 +200,14 @@ class Producer:
     def _raw(self, program, seed, number):
         raw = self._on_host(program.raw(seed=seed, frame=number))
         sensor = program.exposure.camera.sensor
-        shown = np.clip(
-            (raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1
-        )
-        return color_mosaic(
-            sensor, program.exposure.split_layers(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
-        )
+        span = sensor.white_level - sensor.black_level
+        codes = _encode((raw - np.float32(sensor.black_level)) / span)
+        return color_mosaic(sensor, program.exposure.split_layers(codes))
 
     def _electrons(self, program, seed, number):
         mean = program.exposure.split_layers(self._on_host(program.exposure.mean))
         sensor = program.exposure.camera.sensor
-        return color_mosaic(
-            sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
-        )
+        return color_mosaic(sensor, _encode(mean / sensor.saturation))
 
     def _noise(self, program, seed, number):
         exposure, sensor = program.exposure, program.exposure.camera.sensor
@@ -248,13 +221,16 @@ class Producer:
         return _grey(np.uint8(255 * shown + 0.5))
 
 
+def _encode(light):
+    """Return codes of light, 1 for white."""
+    return np.uint8(255 * np.clip(light, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
+
+
 def _beside(codes, others, split):
     """Return one picture on the left of a line, and another on its right."""
     if codes.shape != others.shape:
-        raise BadData(
-            f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
-            f"{codes.shape[1]}x{codes.shape[0]}, as this one's has"
-        )
+        what = f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels"
+        raise BadData(f"{what}; wanted {codes.shape[1]}x{codes.shape[0]}, as this one's has")
     at = round(split * codes.shape[1])
     codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
     codes[:, max(at - 1, 0) : at + 1] = 255

@@ -68,11 +68,9 @@ class Session:
     def rate(self) -> float:
         """Painted frames per second, of the last ones."""
         span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
-        return (
-            (len(self._painted) - 1) / span
-            if span and time.monotonic() - self._painted[-1] < 2
-            else 0.0
-        )
+        if span and time.monotonic() - self._painted[-1] < 2:
+            return (len(self._painted) - 1) / span
+        return 0.0
 
     @property
     def latency(self) -> float:
@@ -153,10 +151,8 @@ class Session:
     async def _make(self, version, settles):
         """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
         state, crop = self.state, self.crop
-        if state.is_live:
-            self.number = (self.number + 1) % self.producer.frames
-        else:
-            self.number = state.frame
+        live = (self.number + 1) % self.producer.frames
+        self.number = live if state.is_live else state.frame
         self.begun = time.monotonic()
         try:
             shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)

@@ -97,16 +97,11 @@ class State:
     def command(self, scene: str, file: str = "camera.toml") -> str:
         """Return the command line of the picture, with the camera's file next to it."""
         words = ["gpusim", "simulate", scene, "--camera", file]
-        for option, value in (
-            ("--light", self.light),
-            ("--luminance", self.luminance),
-            ("--tolerance", self.asked),
-        ):
-            words += (
-                []
-                if value is None
-                else [option, f"{value:g}" if isinstance(value, float) else str(value)]
-            )
+        given = {"light": self.light, "luminance": self.luminance, "tolerance": self.asked}
+        for option, value in given.items():
+            if value is not None:
+                text = f"{value:g}" if isinstance(value, float) else str(value)
+                words += [f"--{option}", text]
         return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
 
     @property
@@ -129,9 +124,8 @@ class State:
             and self.view in VIEWS
             and isinstance(self.is_live, bool)
             and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
-            and (
-                other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"})
-            )
+            and isinstance(other, dict | None)
+            and (other or {}).keys() <= {"camera", "changes"}
             and type(self.split) in (int, float)
             and 0 <= self.split <= 1
         )

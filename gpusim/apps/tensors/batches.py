@@ -123,25 +123,19 @@ class Batch:
         shape = tuple(values.shape)
         channels = (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
         if len(shape) != 4 or 0 in shape or shape[1] not in channels:
-            raise BadData(
-                f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
-                f"{' or '.join(map(str, channels))} channels"
-            )
+            what = f"pictures: {shape}, wanted (pictures, channels"
+            raise BadData(f"{what}, rows, cols), {' or '.join(map(str, channels))} channels")
         if type_of(values) not in (np.float16, np.float32, np.float64):
-            raise BadData(
-                f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
-            )
+            why = f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
+            raise BadData(why)
         # Warp arrays are not read on the host
         lowest = values.min().item() if hasattr(values, "min") else 0
         if not lowest >= 0:
             found = "negative light" if lowest < 0 else "NaN"
             raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
-        settings = {
-            "camera": camera,
-            "exposure_time": _as_numbers(exposure_time),
-            "gain": _as_numbers(gain),
-        }
+        settings = {"exposure_time": _as_numbers(exposure_time), "gain": _as_numbers(gain)}
+        settings["camera"] = camera
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
             frames = batch(scenes, seed=seed, frame=first, **settings)
@@ -150,12 +144,8 @@ class Batch:
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
-            one = batch(
-                scene,
-                seed=seed,
-                frame=first + item,
-                **{name: given[item] for name, given in each.items()},
-            )
+            own = {name: given[item] for name, given in each.items()}
+            one = batch(scene, seed=seed, frame=first + item, **own)
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
         return self._return_frames(pictures, np.concatenate(frames))
@@ -171,12 +161,9 @@ class Batch:
         if self.wavelengths is not None:
             content = Cube(self.wavelengths, values)
         else:
-            basis = srgb_primaries()
-            content = Basis(
-                basis.wavelengths,
-                values,
-                basis.values if values.shape[0] == 3 else np.ones((1, len(basis.wavelengths))),
-            )
+            nodes, primaries = srgb_primaries().wavelengths, srgb_primaries().values
+            is_grey = values.shape[0] != 3
+            content = Basis(nodes, values, np.ones((1, len(nodes))) if is_grey else primaries)
         return Scene(content, self._light, name="picture", **self._options)
 
     def _batch(self, shape):

@@ -47,11 +47,8 @@ class Frames:
         gain: float | str = 1.0,
         **settings,
     ):
-        self._batch, self._seed, self._channels_last = (
-            Batch(camera, **settings),
-            seed,
-            channels_last,
-        )
+        self._batch, self._seed = Batch(camera, **settings), seed
+        self._channels_last = channels_last
         self._picture, self._number, self._frame = picture, number, frame
         self._settings = {"exposure_time": exposure_time, "gain": gain}
 

@@ -57,17 +57,14 @@ class Views:
             if key.startswith(COLOUR)
         }
         if not found:
-            raise BadData(
-                f"rendered data: {', '.join(map(str, data)) or 'nothing'}; wanted {COLOUR}: attach that "
-                "annotator"
-            )
+            what = f"rendered data: {', '.join(map(str, data)) or 'nothing'}"
+            raise BadData(f"{what}; wanted {COLOUR}: attach that annotator")
         frames = {}
         for name in sorted(found):
             batch = self._batches.get(name) or self._batches.get("")
             if batch is None:
-                raise BadData(
-                    f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}"
-                )
+                what = f"rendered data: no camera for the view {name!r}"
+                raise BadData(f"{what}; there are {', '.join(self._batches)}")
             picture = channels_first(found[name])
             # depends only on the name: other views may come and go
             own = (seed + crc32(name.encode())) % 2**64
@@ -90,8 +87,6 @@ def channels_first(frame):
     if hasattr(turned, "contiguous"):  # Warp's
         rows, cols = turned.shape[1:]
         return turned[:3].contiguous().reshape((1, 3, rows, cols))
-    return (
-        np.ascontiguousarray(turned[:3])[None]
-        if isinstance(turned, np.ndarray)
-        else turned[:3][None].copy()
-    )
+    if isinstance(turned, np.ndarray):
+        return np.ascontiguousarray(turned[:3])[None]
+    return turned[:3][None].copy()

@@ -65,30 +65,15 @@ class Codec:
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
+BOTH = (".mp4", ".mkv")
+X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
+X265 = ("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")
 CODECS = {
-    "h264": Codec(
-        "libx264",
-        "codes",
-        "yuv420p",
-        "rgb24",
-        (".mp4", ".mkv"),
-        (("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")),
-        "crf",
-    ),
-    "h265": Codec(
-        "libx265",
-        "linear",
-        "yuv420p10le",
-        "rgb48le",
-        (".mp4", ".mkv"),
-        (("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")),
-        "crf",
-    ),
+    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", BOTH, X264, "crf"),
+    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", BOTH, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }
-BY_SUFFIX = {".mp4": "h264", ".mkv": "h264"}
-CONTAINERS = tuple(BY_SUFFIX)
 
 
 def pyav():
@@ -97,9 +82,8 @@ def pyav():
         import av
         import av.filter
     except ImportError as error:
-        raise GpusimError(
-            f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
-        ) from error
+        why = f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'"
+        raise GpusimError(why) from error
     # No log. With one, threads of the decoders wait for Python's lock to report damage, while its
     # holder waits for them to close the file: a deadlock
     av.logging.set_level(None)
@@ -138,11 +122,13 @@ def converter(
 
 
 @contextmanager
-def _report_errors(path):
-    """Raise errors of FFmpeg as BadFile while it writes a file."""
+def _writing(path):
+    """Yield the container of a new file; errors of FFmpeg become BadFile."""
+    av = pyav()
     try:
-        yield
-    except pyav().error.FFmpegError as error:
+        with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+            yield container
+    except av.error.FFmpegError as error:
         raise BadFile(path, f"cannot be encoded: {error.strerror}") from error
 
 
@@ -151,26 +137,23 @@ def codec_of(path: Path, name: str | None) -> Codec:
 
     Args:
         path: Path of the file.
-        name: Name of CODECS. None: the default of the suffix.
+        name: Name of CODECS. None: h264.
 
     Raises:
         UnknownName, OutOfRange: If there is no such codec, or the file cannot hold it.
         GpusimError: If PyAV does not have its encoder.
     """
-    name = BY_SUFFIX[path.suffix.lower()] if name is None else name
+    name = "h264" if name is None else name
     if name not in CODECS:
         raise UnknownName("codec", name, CODECS)
     codec, known = CODECS[name], pyav().codecs_available
     if path.suffix.lower() not in codec.containers:
-        raise OutOfRange(
-            "--codec", f"{name} in {path.suffix}", f"{' or '.join(codec.containers)} files for it"
-        )
+        allowed = f"{' or '.join(codec.containers)} files for it"
+        raise OutOfRange("--codec", f"{name} in {path.suffix}", allowed)
     if codec.encoder not in known:
         there = [other for other, one in CODECS.items() if one.encoder in known]
-        raise GpusimError(
-            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has encoders for "
-            f"{', '.join(there) or 'none of the codecs'}"
-        )
+        what = f"codec {name}: this PyAV has no encoder {codec.encoder}"
+        raise GpusimError(f"{what}; it has encoders for {', '.join(there) or 'none of the codecs'}")
     return codec
 
 
@@ -200,29 +183,17 @@ class Encoder:
     ):
         rows, cols = shape
         if codec.stored.startswith("yuv420") and (rows % 2 or cols % 2):
-            raise OutOfRange(
-                "frame size of an encoded video",
-                f"{cols}x{rows}",
-                "even numbers of columns and rows, or --codec ffv1-linear",
-            )
+            allowed = "even numbers of columns and rows, or --codec ffv1-linear"
+            raise OutOfRange("frame size of an encoded video", f"{cols}x{rows}", allowed)
         if codec.encoder == "libx265" and min(rows, cols) < LEAST_H265:
-            raise OutOfRange(
-                "frame size of h265",
-                f"{cols}x{rows}",
-                f"{LEAST_H265} columns and rows or more, or --codec h264",
-            )
+            allowed = f"{LEAST_H265} columns and rows or more, or --codec h264"
+            raise OutOfRange("frame size of h265", f"{cols}x{rows}", allowed)
         if quality is not None and not codec.quality:
             raise Conflict("--quality", "ffv1 is lossless", "leave it out")
-        self.codec, self.rate, self._display, self._shape, self._tone = (
-            codec,
-            rate,
-            display,
-            shape,
-            tone,
-        )
-        self._options = dict(codec.options) | (
-            {codec.quality: f"{quality:g}"} if quality is not None else {}
-        )
+        self.codec, self.rate, self.shape = codec, rate, shape
+        self._display, self._tone, self._options = display, tone, dict(codec.options)
+        if quality is not None:
+            self._options[codec.quality] = f"{quality:g}"
 
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
         """Write a file of frames: codes and linear are (rows, cols, 3), raw is (rows, cols).
@@ -231,11 +202,7 @@ class Encoder:
         BadFile.
         """
         av = pyav()
-        with (
-            _report_errors(path),
-            atomic_path(path) as temporary,
-            av.open(str(temporary), "w") as container,
-        ):
+        with _writing(path) as container:
             stream, change = self._stream(container), self._converter(av)
             for number, values in enumerate(frames):
                 frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
@@ -252,20 +219,13 @@ class Encoder:
             (number - shown for _, part in parts for number, shown, _ in self._packets(part)),
             default=0,
         )
-        with (
-            _report_errors(path),
-            atomic_path(path) as temporary,
-            pyav().open(str(temporary), "w") as container,
-        ):
+        with _writing(path) as container:
             stream = self._stream(container)  # its encoder yields no frames, only the header
             for first, part in parts:
                 for number, shown, packet in self._packets(part):
                     packet.time_base, packet.stream = 1 / self.rate, stream
-                    packet.pts, packet.dts, packet.duration = (
-                        first + shown,
-                        first + number - delay,
-                        1,
-                    )
+                    packet.pts, packet.dts = first + shown, first + number - delay
+                    packet.duration = 1
                     container.mux(packet)
 
     def _packets(self, part):
@@ -280,7 +240,7 @@ class Encoder:
 
     def _stream(self, container):
         """Return a stream of this codec in an output file."""
-        rows, cols = self._shape
+        rows, cols = self.shape
         stream = container.add_stream(self.codec.encoder, rate=self.rate, options=self._options)
         stream.width, stream.height, stream.pix_fmt = cols, rows, self.codec.stored
         self._tag(stream.codec_context)
@@ -288,12 +248,9 @@ class Encoder:
 
     def _tag(self, context):
         """Set the tags of the colours."""
-        display = self._display
-        known = (
-            PRIMARIES.get(display.name, UNKNOWN)
-            if display.name in DISPLAYS and display.encodes_like(DISPLAYS[display.name])
-            else UNKNOWN
-        )
+        display, known = self._display, UNKNOWN
+        if display.name in DISPLAYS and display.encodes_like(DISPLAYS[display.name]):
+            known = PRIMARIES.get(display.name, UNKNOWN)
         curve = SRGB_CURVE if display.curve == "srgb" else UNKNOWN
         if self.codec.output == "raw":
             tags = UNKNOWN, UNKNOWN, UNKNOWN, FULL
@@ -307,7 +264,7 @@ class Encoder:
         """Return a function from a frame in the given format to one in the stored format."""
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
-        (rows, cols), given = self._shape, av.VideoFormat(self.codec.given)
+        (rows, cols), given = self.shape, av.VideoFormat(self.codec.given)
         return converter(TO_LUMA, self.codec.stored, cols, rows, given, 1 / self.rate)
 
     def _values(self, values):
@@ -316,11 +273,8 @@ class Encoder:
             return np.ascontiguousarray(values)
         if self.codec.stored == self.codec.given:
             return np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
-        return self._codes[
-            np.rint(np.sqrt(np.clip(values, 0, 1)) * np.float32(len(self._codes) - 1)).astype(
-                np.int32
-            )
-        ]
+        root = np.sqrt(np.clip(values, 0, 1))
+        return self._codes[np.rint(root * np.float32(len(self._codes) - 1)).astype(np.int32)]
 
     @cached_property
     def _codes(self):

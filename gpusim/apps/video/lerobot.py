@@ -8,15 +8,12 @@ adds to an existing data set.
 import json
 import os
 import re
-from collections.abc import Callable
-from fractions import Fraction
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gpusim.apps.video.codecs import Codec, Encoder
+from gpusim.apps.video.codecs import Encoder
 from gpusim.apps.video.video import EncodedFile
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.io.atomic import atomic_path
@@ -35,17 +32,9 @@ NEW = {
     "data_path": f"data/{FILE}.parquet",
     "video_path": f"videos/{{video_key}}/{FILE}.mp4",
 }
-KNOWN = {
-    "exposure_time_s": "float32",
-    "gain": "float32",
-    "predicted_rms": "float32",
-    "seed": "int64",
-}  # of a frame
-COLUMNS = (
-    KNOWN
-    | {"timestamp": "float32"}
-    | dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
-)
+COLUMNS = dict.fromkeys(("exposure_time_s", "gain", "predicted_rms"), "float32")  # of a frame
+COLUMNS |= {"seed": "int64", "timestamp": "float32"}
+COLUMNS |= dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
 QUANTILES = 0.01, 0.1, 0.5, 0.9, 0.99
 CODES = 256
 
@@ -56,9 +45,8 @@ def pyarrow():
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise GpusimError(
-            f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'"
-        ) from error
+        why = f"LeRobot data sets need pyarrow ({error}); pip install 'gpusim[lerobot]'"
+        raise GpusimError(why) from error
     return pyarrow
 
 
@@ -72,13 +60,9 @@ class Episode(EncodedFile):
         folder: Folder of the data set.
         task: Task that the episode shows, in words.
         camera: Name of the camera; the pictures are "observation.images.<camera>".
-        shape: Rows and columns.
-        rate: Frames per second.
         seed: Seed of the noise.
-        codec: Codec: h264.
-        encoder: Encoder of the segments.
+        encoder: Encoder of the segments, h264.
         segments: All segments.
-        made: `frames` or `blurred_frames`.
 
     Raises:
         OutOfRange: If the rate is not a whole number, the seed is not an int64, or rate, size or
@@ -92,25 +76,22 @@ class Episode(EncodedFile):
         folder: Path,
         task: str,
         camera: str,
-        shape,
-        rate: Fraction,
         seed: int,
-        codec: Codec,
         encoder: Encoder,
         segments: list[range],
-        made: Callable,
     ):
         pyarrow()
+        rate = encoder.rate
         if rate.denominator != 1:
             raise OutOfRange("--fps of a LeRobot data set", f"{float(rate):g}", "a whole number")
         if seed >= 2**63:
             raise OutOfRange("--seed of a LeRobot data set", seed, "0 .. 2^63 - 1, an int64")
         self._root, self._task, self._rate, self._seed = folder, task, int(rate), seed
         self._key = f"observation.images.{re.sub('[^A-Za-z0-9_-]+', '_', camera)}"
-        self._features = _features(self._key, shape, self._rate)
+        self._features = _features(self._key, encoder.shape, self._rate)
         self._info, self._before = self._read()
         self.number = len(self._before)
-        super().__init__(folder / f"episode-{self.number:06d}", codec, encoder, segments, made)
+        super().__init__(folder / f"episode-{self.number:06d}", encoder, segments)
 
     def _read(self):
         """Return the information on the data set, and a row for each of its episodes."""
@@ -119,38 +100,28 @@ class Episode(EncodedFile):
             return NEW, []
         with reading(path, "the information on a LeRobot data set"):
             info = json.loads(read_text(path, "JSON"))
-            if info["codebase_version"] != VERSION:
-                raise BadFile(
-                    path, f"is of LeRobot's version {info['codebase_version']}; wanted {VERSION}"
-                )
+            version, fps = info["codebase_version"], info["fps"]
+            if version != VERSION:
+                raise BadFile(path, f"is of LeRobot's version {version}; wanted {VERSION}")
             there = {name: _kind(feature) for name, feature in info["features"].items()}
-            if info["fps"] != self._rate:
-                raise OutOfRange(
-                    f"--fps of an episode in {self._root}",
-                    self._rate,
-                    f"{info['fps']}, as the others",
-                )
+            if fps != self._rate:
+                what = f"--fps of an episode in {self._root}"
+                raise OutOfRange(what, self._rate, f"{fps}, as the others")
         here = {name: _kind(feature) for name, feature in self._features.items()}
         others = sorted(
             name for name in here.keys() | there.keys() if here.get(name) != there.get(name)
         )
         if others:
-            raise OutOfRange(
-                f"features of an episode in {self._root}",
-                ", ".join(f"{name} {here.get(name, 'none')}" for name in others),
-                "the features of the others, "
-                + ", ".join(f"{name} {there.get(name, 'none')}" for name in others),
-            )
+            own = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
+            theirs = ", ".join(f"{name} {there.get(name, 'none')}" for name in others)
+            what = f"features of an episode in {self._root}"
+            raise OutOfRange(what, own, f"the features of the others, {theirs}")
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
         with reading(self._root / "meta/episodes", "tables of episodes"):
-            rows = chain.from_iterable(
-                pyarrow().parquet.read_table(table).to_pylist() for table in tables
-            )
+            rows = [row for table in tables for row in _read_rows(table, "episode_index")]
             # a run that ended between two files leaves a row that the information does not count
-            return info, sorted(
-                (row for row in rows if row["episode_index"] < info["total_episodes"]),
-                key=lambda row: row["episode_index"],
-            )
+            rows = [row for row in rows if row["episode_index"] < info["total_episodes"]]
+            return info, sorted(rows, key=lambda row: row["episode_index"])
 
     @property
     def result(self) -> str:
@@ -162,11 +133,6 @@ class Episode(EncodedFile):
         """See `EncodedFile`."""
         return self._root, self.folder
 
-    def _join(self, path):
-        self._encoder.join(
-            path, [(segment.start, self.part(segment)) for segment in self._segments]
-        )
-
     def _encode(self, segment, computed):
         """Encode a segment, store data on its frames next to it, and yield each frame."""
         known, counts = [], np.zeros((3, CODES), np.int64)
@@ -174,9 +140,8 @@ class Episode(EncodedFile):
         def note_data():
             for one in computed:
                 known.append((one.exposure_time, one.gain, one.account.total.rms))
-                counts[:] += [
-                    np.bincount(one.values[..., c].ravel(), minlength=CODES) for c in range(3)
-                ]
+                for count, plane in zip(counts, np.moveaxis(one.values, -1, 0), strict=True):
+                    count += np.bincount(plane.ravel(), minlength=CODES)
                 yield one
 
         for one in super()._encode(segment, note_data()):
@@ -194,60 +159,30 @@ class Episode(EncodedFile):
         All files are complete before the first one gets its name; the file that lists them comes
         last. Raises BadFile.
         """
-        if not all(self.part(segment).exists() for segment in self._segments):
+        if not self._is_complete():
             return False
         last: dict[str, Any] = self._before[-1] if self._before else {}
-        places = {
-            name: _following(last, name, self._info["chunks_size"])
-            for name in ("data", f"videos/{self._key}", "meta/episodes")
-        }
+        names, size = ("data", f"videos/{self._key}", "meta/episodes"), self._info["chunks_size"]
+        places = {name: _following(last, name, size) for name in names}
         (data, video, episodes), info = places.values(), self._info
         tasks = self._tasks()
         table, statistics, length = self._table(tasks.index(self._task))
         begin = last.get("dataset_to_index", 0)
-        row = (
-            {
-                "episode_index": self.number,
-                "tasks": [self._task],
-                "length": length,
-                "dataset_from_index": begin,
-                "dataset_to_index": begin + length,
-            }
-            | {
-                f"{name}/{part}_index": number
-                for name, place in places.items()
-                for part, number in zip(("chunk", "file"), place, strict=True)
-            }
-            | {
-                f"videos/{self._key}/from_timestamp": 0.0,
-                f"videos/{self._key}/to_timestamp": length / self._rate,
-            }
-            | {
-                f"stats/{name}/{which}": value
-                for name, one in statistics.items()
-                for which, value in one.items()
-            }
-        )
-        whole = {
-            name: _together(
-                [
-                    *(
-                        {which: before[f"stats/{name}/{which}"] for which in one}
-                        for before in self._before
-                    ),
-                    one,
-                ]
-            )
-            for name, one in statistics.items()
-        }
-        info = info | {
-            "fps": self._rate,
-            "features": info.get("features", self._features),
-            "total_episodes": self.number + 1,
-            "total_frames": begin + length,
-            "total_tasks": len(tasks),
-            "splits": {"train": f"0:{self.number + 1}"},
-        }
+        row: dict[str, Any] = {"episode_index": self.number, "tasks": [self._task]}
+        row |= {"length": length, "dataset_from_index": begin, "dataset_to_index": begin + length}
+        for name, (chunk, file) in places.items():
+            row |= {f"{name}/chunk_index": chunk, f"{name}/file_index": file}
+        times = f"videos/{self._key}"
+        row |= {f"{times}/from_timestamp": 0.0, f"{times}/to_timestamp": length / self._rate}
+        whole = {}
+        for name, one in statistics.items():
+            own = {f"stats/{name}/{which}": value for which, value in one.items()}
+            row |= own
+            earlier = [[before[key] for key in own] for before in self._before]
+            whole[name] = _together([*(dict(zip(one, old, strict=True)) for old in earlier), one])
+        info = info | {"fps": self._rate, "features": info.get("features", self._features)}
+        info |= {"total_episodes": self.number + 1, "total_frames": begin + length}
+        info |= {"total_tasks": len(tasks), "splits": {"train": f"0:{self.number + 1}"}}
         arrow = pyarrow()
         written = [
             (_path(info["video_path"], video, video_key=self._key), self._join),
@@ -283,9 +218,7 @@ class Episode(EncodedFile):
         if not self._before:
             return [self._task]
         with reading(path, "a table of tasks"):
-            rows = sorted(
-                pyarrow().parquet.read_table(path).to_pylist(), key=lambda row: row["task_index"]
-            )
+            rows = _read_rows(path, "task_index")
             found = [
                 next(value for name, value in row.items() if name != "task_index") for row in rows
             ]
@@ -295,35 +228,24 @@ class Episode(EncodedFile):
         """Return the table of the frames, statistics of each feature, and the number of frames."""
         notes = []
         for segment in self._segments:
-            with (
-                reading(self._notes(segment), "data on frames"),
-                np.load(self._notes(segment)) as file,
-            ):
+            path = self._notes(segment)
+            with reading(path, "data on frames"), np.load(path) as file:
                 notes.append((file["known"], file["counts"]))
         known = np.concatenate([one for one, _ in notes])
         frames = np.arange(len(known))
         begin = self._before[-1]["dataset_to_index"] if self._before else 0
-        values = [
-            *known.T,
-            np.full(len(known), self._seed),
-            frames / self._rate,
-            frames,
-            np.full(len(known), self.number),
-            begin + frames,
-            np.full(len(known), task),
-        ]
+        values = [*known.T, self._seed, frames / self._rate, frames]
+        values += [self.number, begin + frames, task]
         columns = {
-            name: one.astype(kind)
+            name: np.broadcast_to(one, frames.shape).astype(kind)
             for (name, kind), one in zip(COLUMNS.items(), values, strict=True)
         }
-        statistics: dict[str, dict[str, list]] = {
-            name: {which: [value] for which, value in _statistics(one, np.ones(len(one))).items()}
-            for name, one in columns.items()
-        }
-        channels = [
-            _statistics(np.arange(CODES) / (CODES - 1), counts)
-            for counts in sum(one for _, one in notes)
-        ]
+        statistics: dict[str, dict[str, list]] = {}
+        for name, one in columns.items():
+            found = _statistics(one, np.ones(len(one)))
+            statistics[name] = {which: [value] for which, value in found.items()}
+        codes, counts = np.arange(CODES) / (CODES - 1), sum(one for _, one in notes)
+        channels = [_statistics(codes, count) for count in counts]
         statistics[self._key] = {
             which: [[[one[which]]] for one in channels] for which in channels[0]
         }
@@ -334,24 +256,20 @@ class Episode(EncodedFile):
 
 def _features(key, shape, rate):
     rows, cols = shape
-    info = {
-        "video.height": rows,
-        "video.width": cols,
-        "video.codec": "h264",
-        "video.pix_fmt": "yuv420p",
-        "video.is_depth_map": False,
-        "video.fps": rate,
-        "video.channels": 3,
-        "has_audio": False,
+    info = {"height": rows, "width": cols, "codec": "h264", "pix_fmt": "yuv420p"}
+    info |= {"is_depth_map": False, "fps": rate, "channels": 3}
+    info = {f"video.{name}": value for name, value in info.items()} | {"has_audio": False}
+    names = ["height", "width", "channels"]
+    video = {"dtype": "video", "shape": [rows, cols, 3], "names": names, "info": info}
+    return {key: video} | {
+        name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COLUMNS.items()
     }
-    return {
-        key: {
-            "dtype": "video",
-            "shape": [rows, cols, 3],
-            "names": ["height", "width", "channels"],
-            "info": info,
-        }
-    } | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COLUMNS.items()}
+
+
+def _read_rows(path, index):
+    """Return the rows of a table in the order of a column."""
+    rows = pyarrow().parquet.read_table(path).to_pylist()
+    return sorted(rows, key=lambda row: row[index])
 
 
 def _kind(feature):
@@ -361,11 +279,9 @@ def _kind(feature):
 
 def _following(last, name, size):
     """Return the next numbers of chunk and file after an episode's row. size: files per chunk."""
-    return (
-        divmod(last[f"{name}/chunk_index"] * size + last[f"{name}/file_index"] + 1, size)
-        if last
-        else (0, 0)
-    )
+    if not last:
+        return 0, 0
+    return divmod(last[f"{name}/chunk_index"] * size + last[f"{name}/file_index"] + 1, size)
 
 
 def _path(template, place, **others):
@@ -376,15 +292,11 @@ def _statistics(values, weights):
     """Return weighted statistics of values (n,)."""
     there, mean = values[weights > 0], np.average(values, weights=weights)
     quantiles = np.quantile(values.astype(float), QUANTILES, weights=weights, method="inverted_cdf")
-    return {
-        "min": there.min().item(),
-        "max": there.max().item(),
-        "mean": float(mean),
-        "std": float(np.sqrt(np.average((values - mean) ** 2, weights=weights))),
-    } | {
-        f"q{round(100 * part):02d}": float(value)
-        for part, value in zip(QUANTILES, quantiles, strict=True)
-    }
+    found = {"min": there.min().item(), "max": there.max().item(), "mean": float(mean)}
+    found["std"] = float(np.sqrt(np.average((values - mean) ** 2, weights=weights)))
+    for part, value in zip(QUANTILES, quantiles, strict=True):
+        found[f"q{round(100 * part):02d}"] = float(value)
+    return found
 
 
 def _together(parts):
@@ -396,34 +308,19 @@ def _together(parts):
         return np.average(values, axis=0, weights=count[:, 0])
 
     mean = average(of["mean"])
-    found = {which: average(values) for which, values in of.items()} | {
-        "min": of["min"].min(0),
-        "max": of["max"].max(0),
-        "count": count.sum(0),
-        "std": np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2)),
-    }
+    found = {which: average(values) for which, values in of.items()}
+    found |= {"min": of["min"].min(0), "max": of["max"].max(0), "count": count.sum(0)}
+    found["std"] = np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2))
     return {which: value.tolist() for which, value in found.items()}
 
 
 def _task_table(tasks):
     """Return the table of tasks. Its metadata declare them as the index of a pandas table."""
-    metadata = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "pandas_version": "2.0.0",
-        "columns": [
-            {
-                "name": name,
-                "field_name": name,
-                "pandas_type": kind,
-                "numpy_type": numpy,
-                "metadata": None,
-            }
-            for name, kind, numpy in (
-                ("task_index", "int64", "int64"),
-                ("task", "unicode", "object"),
-            )
-        ],
-    }
+    metadata: dict[str, Any] = {"index_columns": ["task"], "column_indexes": []}
+    metadata |= {"pandas_version": "2.0.0", "columns": []}
+    kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    for name, kind, numpy in kinds:
+        column = {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy}
+        metadata["columns"].append(column | {"metadata": None})
     table = pyarrow().table({"task_index": range(len(tasks)), "task": tasks})
     return table.replace_schema_metadata({"pandas": json.dumps(metadata)})

@@ -65,31 +65,21 @@ class Lags:
     def check(self, camera: Camera, ramps: Ramps):
         """Raise Conflict if a loop has no effect, because its setting is given or fixed."""
         ramped = [name for name, _ in ramps.ranges]
-        if self.exposure is not None and (
-            camera.sensor.exposure_time is not None or "exposure" in ramped
-        ):
-            raise Conflict(
-                "--lag exposure",
-                "the exposure time is set",
-                "use --exposure auto and no ramp of it",
-            )
+        is_set = camera.sensor.exposure_time is not None or "exposure" in ramped
+        if self.exposure is not None and is_set:
+            remedy = "use --exposure auto and no ramp of it"
+            raise Conflict("--lag exposure", "the exposure time is set", remedy)
         if self.focus is not None and "focus" in ramped:
             raise Conflict("--lag focus", "--ramp focus sets the focus", "give only one of them")
         if self.focus is not None and not lens_of(camera).is_adjustable:
-            raise Conflict(
-                "--lag focus",
-                "measured point spread functions have one focus",
-                "use a camera without [optics] psf",
-            )
+            reason = "measured point spread functions have one focus"
+            raise Conflict("--lag focus", reason, "use a camera without [optics] psf")
         if self.white is not None and not camera.processor.estimates_white:
             estimates = [
                 name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
             ]
-            raise Conflict(
-                "--lag white",
-                "the processor does not estimate the white",
-                f"set white_balance in the camera file to one of {', '.join(estimates)}",
-            )
+            remedy = f"set white_balance in the camera file to one of {', '.join(estimates)}"
+            raise Conflict("--lag white", "the processor does not estimate the white", remedy)
 
 
 @dataclass(frozen=True)
@@ -113,25 +103,18 @@ class Loops:
         Other errors of the manifest are found when the run checks it.
         """
         try:
-            found = cls(
-                **json.loads(read_text(manifest, "a manifest of a video", LARGEST))["loops"]
-            )
+            text = read_text(manifest, "a manifest of a video", LARGEST)
+            found = cls(**json.loads(text)["loops"])
             for lag, values, axes in (
                 (lags.exposure, found.seconds, 1),
                 (lags.white, found.white, 2),
                 (lags.focus, found.focus, 1),
             ):
-                array = (
-                    np.ones((count, 1)[:axes])
-                    if lag is values is None
-                    else np.array(values, np.float64)
-                )
-                if (
-                    (lag is None) != (values is None)
-                    or array.ndim != axes
-                    or len(array) != count
-                    or not ((array > 0) & (array < np.inf)).all()
-                ):
+                if (lag is None) != (values is None):
+                    return None
+                array = np.ones((count, 1)[:axes]) if values is None else np.array(values, float)
+                is_sound = array.ndim == axes and len(array) == count
+                if not (is_sound and ((array > 0) & (array < np.inf)).all()):
                     return None
         except (GpusimError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
             return None
@@ -217,15 +200,13 @@ def meter_scenes(
             camera = ramps.camera(simulator.camera, number / last)
             if lags.focus is not None:
                 vergence.append(1 / _distance(scene))
-                camera = replace(
-                    camera, optics=replace(camera.optics, object_distance=1 / vergence[-1])
-                )
+                optics = replace(camera.optics, object_distance=1 / vergence[-1])
+                camera = replace(camera, optics=optics)
             if lags.exposure is not None or lags.white is not None:
-                program = (
-                    simulator.update(camera).program(scene)
-                    if program is None
-                    else program.update(scene=scene, camera=camera)
-                )
+                if program is None:
+                    program = simulator.update(camera).program(scene)
+                else:
+                    program.update(scene=scene, camera=camera)
                 exposure = program.exposure
                 seconds.append(log(exposure.exposure_time * exposure.gain))
                 if lags.white is not None:
@@ -242,8 +223,7 @@ def meter_scenes(
 def _distance(scene):
     """Return the median distance of the middle third of a scene [m]."""
     if scene.depth is None:
-        raise BadData(
-            f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
-        )
+        why = f"{scene.name}: a loop of focus needs scene.depth [m], which this scene does not have"
+        raise BadData(why)
     middle = tuple(slice(n // 3, n - n // 3) for n in scene.depth.shape)
     return float(np.median(scene.depth[middle]))

@@ -82,28 +82,26 @@ def _keep(path, made, outputs):
                 pass  # a file system without links: the last shard writes it
     try:
         found = json.loads(read_text(path, "a manifest of a video", LARGEST))
-        others = [name for name in made if found.get(name) != made[name]]
-        named = [
-            name
-            for one in others
-            for name in (
-                [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
-                if isinstance(made[one], dict) and isinstance(found.get(one), dict)
-                else [one]
-            )
-        ]
+        others = _find_differences(made, found)
         _plans_in(found)
-    except (
-        ValueError,
-        AttributeError,
-        RecursionError,
-    ) as error:  # RecursionError: of JSON, lists in lists
+    # RecursionError: of JSON, lists in lists
+    except (ValueError, AttributeError, RecursionError) as error:
         raise BadFile(path, f"not a manifest ({error}); remove it and {outputs}") from error
     if others:
-        raise BadFile(
-            path,
-            f"a run with other {', '.join(named)}; give -o another name, or remove it and {outputs}",
-        )
+        what = f"a run with other {', '.join(others)}"
+        raise BadFile(path, f"{what}; give -o another name, or remove it and {outputs}")
+
+
+def _find_differences(made, found):
+    """Return the names of what another manifest has differently, of tables their keys."""
+    names = []
+    for name, value in made.items():
+        other = found.get(name)
+        keys = []
+        if isinstance(value, dict) and isinstance(other, dict):
+            keys = [key for key in value if other.get(key) != value[key]]
+        names += keys or ([name] if other != value else [])
+    return names
 
 
 class Plans:

@@ -53,13 +53,8 @@ class Ramps:
             return camera
         from gpusim.color.speed import operate_camera
 
-        return operate_camera(
-            camera,
-            exposure=values.get("exposure"),
-            iso=values.get("iso"),
-            f_number=values.get("f-number"),
-            focus=values.get("focus"),
-        )
+        controls = {name.replace("-", "_"): values.get(name) for name in CAMERA}
+        return operate_camera(camera, **controls)
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
         """Return the scene in the light at a part of the video."""

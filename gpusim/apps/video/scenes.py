@@ -75,9 +75,8 @@ class First:
 
     def __init__(self, scenes: Scenes, count: int):
         if count > scenes.count:
-            raise OutOfRange(
-                "--frames", count, f"up to {scenes.count}, the frames of {scenes.names[0]}"
-            )
+            allowed = f"up to {scenes.count}, the frames of {scenes.names[0]}"
+            raise OutOfRange("--frames", count, allowed)
         self.count, self.names, self.between = count, scenes.names, scenes.between
 
 
@@ -105,13 +104,8 @@ class Moving:
         flicker: Flicker | None = None,
         actors: tuple[Actor, ...] = (),
     ):
-        self.still, self.motion, self.period, self.flicker = (
-            scenes,
-            motion,
-            float(1 / rate),
-            flicker,
-        )
-        self.actors = actors
+        self.still, self.motion, self.period = scenes, motion, float(1 / rate)
+        self.flicker, self.actors = flicker, actors
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # raises before the work
@@ -128,10 +122,8 @@ class Moving:
 def check_size(scene: Scene, shape, name, first) -> Scene:
     """Return a scene unchanged. Raises BadData if its frame has another size than the first one."""
     if scene.shape != shape:
-        raise BadData(
-            f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels, after {shape[1]}x{shape[0]} of "
-            f"{first}; a video has one size"
-        )
+        what = f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels"
+        raise BadData(f"{what}, after {shape[1]}x{shape[0]} of {first}; a video has one size")
     return scene
 
 
@@ -145,25 +137,18 @@ def numbered_files(folder: Path) -> list[Path]:
     except OSError as error:
         raise BadFile(folder, f"cannot be read: {error.strerror or error}") from error
     if not found:
-        raise BadFile(
-            folder, f"no scene files in it; wanted numbered ones ({', '.join(IN_FOLDERS)})"
-        )
+        why = f"no scene files in it; wanted numbered ones ({', '.join(IN_FOLDERS)})"
+        raise BadFile(folder, why)
     numbers: dict[Path, tuple] = {}
     for path in found:
         parts, (kind, _) = NUMBERED.fullmatch(path.stem), next(iter(numbers.values()), (None, 0))
         if parts is None:
-            raise BadFile(
-                path,
-                "its name does not end in a number, so its place in the video is unknown; move it away, or "
-                "give the files one by one",
-            )
+            what = "its name does not end in a number, so its place in the video is unknown"
+            raise BadFile(path, f"{what}; move it away, or give the files one by one")
         numbers[path] = (parts[1], path.suffix), int(parts[2])
         if kind not in (None, numbers[path][0]):
-            raise BadFile(
-                folder,
-                f"files of two videos: {found[0].name} and {path.name}; give one of them, for example "
-                f"{folder / '*'.join(kind)}",
-            )
+            what = f"files of two videos: {found[0].name} and {path.name}; give one of them"
+            raise BadFile(folder, f"{what}, for example {folder / '*'.join(kind)}")
     return sorted(found, key=lambda path: numbers[path][1])
 
 
@@ -176,11 +161,8 @@ def check_numbers(paths: Sequence[Path]):
     numbers = [int(part[2]) for part in parts]
     for path, before, number in zip(paths[1:], numbers, numbers[1:], strict=False):
         if number <= before:
-            raise BadFile(
-                path,
-                f"number {number} comes after {before}: the files are not in the order of their "
-                "numbers; --any-order keeps their order",
-            )
+            what = "the files are not in the order of their numbers; --any-order keeps their order"
+            raise BadFile(path, f"number {number} comes after {before}: {what}")
         if number > before + 1:
             missing = f"{before + 1}" + (f" .. {number - 1}" if number > before + 2 else "")
             raise BadFile(path, f"number {missing} is missing before it; --any-order allows gaps")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.apps.video.codecs import PART, Codec, Encoder
+from gpusim.apps.video.codecs import PART, Encoder
 from gpusim.apps.video.loops import NO_LOOPS, Loops
 from gpusim.apps.video.manifest import PARTS
 from gpusim.apps.video.pipeline import ahead
@@ -55,9 +55,8 @@ class Made:
     @classmethod
     def of(cls, number: int, values: Any, account: Account, exposure: Exposure) -> "Made":
         """Return the frame of an exposure."""
-        return cls(
-            number, values, account, exposure.exposure_time, exposure.gain, exposure.plan.name
-        )
+        settings = exposure.exposure_time, exposure.gain
+        return cls(number, values, account, *settings, exposure.plan.name)
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
@@ -76,11 +75,8 @@ def within_period(camera: Camera, rate: Fraction) -> Camera:
         if automatic.longest is None or automatic.longest > longest:
             sensor = replace(sensor, auto_exposure=replace(automatic, longest=longest))
     elif sensor.exposure_time > longest:
-        raise OutOfRange(
-            "exposure time of a video",
-            f"{sensor.exposure_time:.4g} s",
-            f"up to the frame's period, {longest:.4g} s at {float(rate):g} frames per second",
-        )
+        allowed = f"up to the frame's period, {longest:.4g} s at {float(rate):g} frames per second"
+        raise OutOfRange("exposure time of a video", f"{sensor.exposure_time:.4g} s", allowed)
     return replace(camera, sensor=sensor)
 
 
@@ -122,14 +118,12 @@ def frames(
                 camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
                 operation = loops.operation(camera, number)
                 if number == lead or program is None:
-                    program = simulator.update(camera).program(
-                        scene, meters_late=meters, **operation
-                    )
+                    own = simulator.update(camera)
+                    program = own.program(scene, meters_late=meters, **operation)
                 else:
-                    other: dict[str, Any] = (
-                        {} if camera is program.simulator.camera else {"camera": camera}
-                    )
-                    program.update(scene=scene, **other, **operation)
+                    if camera is not program.simulator.camera:
+                        operation["camera"] = camera
+                    program.update(scene=scene, **operation)
                 # even an unwanted one: the next frame meters it
                 made = _make_frame(program, number, seed, output)
                 if number in wanted:
@@ -160,14 +154,9 @@ def blurred_frames(
                 scene = Animation(scene, scenes.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
-            exposure = expose_motion(
-                simulator,
-                scene,
-                scenes.motion,
-                start=number * scenes.period,
-                flicker=scenes.flicker,
-                **loops.operation(camera, number),
-            )
+            when = {"start": number * scenes.period, "flicker": scenes.flicker}
+            when |= loops.operation(camera, number)
+            exposure = expose_motion(simulator, scene, scenes.motion, **when)
             values: Any
             if output is None:
                 values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
@@ -205,13 +194,12 @@ class NumberedFiles:
     Args:
         path: Path of the output; its suffix sets the format.
         count: Number of frames.
-        made: `frames` or `blurred_frames`.
     """
 
     folders = ()
 
-    def __init__(self, path: Path, count: int, made: Callable = frames):
-        self._path, self._count, self._made = path, count, made
+    def __init__(self, path: Path, count: int):
+        self._path, self._count = path, count
 
     @property
     def words(self) -> str:
@@ -220,46 +208,37 @@ class NumberedFiles:
 
     def is_empty(self) -> bool:
         """Return whether nothing was written yet."""
-        return not any(
-            self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}")
-        )
+        pattern = f"{glob.escape(self._path.stem)}_*{self._path.suffix}"
+        return not any(self._path.parent.glob(pattern))
 
     def name(self, number: int) -> Path:
         """Return the path of a frame."""
         return numbered_path(self._path, number, self._count)
 
-    def write(
-        self,
-        simulator: Simulator,
-        scenes: Scenes,
-        segments: list[range],
-        seed: int = 0,
-        loops: Loops = NO_LOOPS,
-    ) -> Iterator[Made]:
+    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
         """Write the missing frames of the segments; yield each written one.
 
-        Raises as `Frame.save` does.
+        Args:
+            make: `frames` or `blurred_frames` of a simulator and its scenes.
+            segments: Segments to write.
+
+        Raises:
+            GpusimError: As `Frame.save` does.
         """
         missing = [
             [segment.start, *(number for number in segment if not self.name(number).exists())]
             for segment in segments
         ]
-        made = self._made(
-            simulator,
-            scenes,
-            [segment for segment in missing if len(segment) > 1],
-            seed=seed,
-            loops=loops,
-        )
+        missing = [segment for segment in missing if len(segment) > 1]
         workers = os.cpu_count() or 1
-        with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
+        made = ahead(make(missing), COMPUTED)
+        with ThreadPoolExecutor(workers) as pool, closing(made) as computed:
             writing: dict = {}
             for one in computed:
                 writing[pool.submit(one.values.save, self.name(one.number))] = one
                 while len(writing) > workers:
-                    yield from _finish_tasks(
-                        writing, wait(writing, return_when=FIRST_COMPLETED).done
-                    )
+                    done = wait(writing, return_when=FIRST_COMPLETED).done
+                    yield from _finish_tasks(writing, done)
             yield from _finish_tasks(writing, wait(writing).done)
 
 
@@ -276,27 +255,12 @@ class EncodedFile:
 
     Args:
         path: Path of the video.
-        codec: Codec.
         encoder: Encoder of the segments.
         segments: All segments.
-        made: `frames` or `blurred_frames`.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        codec: Codec,
-        encoder: Encoder,
-        segments: list[range],
-        made: Callable = frames,
-    ):
-        self.path, self._codec, self._encoder, self._segments, self._made = (
-            path,
-            codec,
-            encoder,
-            segments,
-            made,
-        )
+    def __init__(self, path: Path, encoder: Encoder, segments: list[range]):
+        self.path, self._encoder, self._segments = path, encoder, segments
         self.folder = path.with_name(path.name + PARTS)
 
     @property
@@ -322,24 +286,14 @@ class EncodedFile:
         """Return the file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
-    def write(
-        self,
-        simulator: Simulator,
-        scenes: Scenes,
-        segments: list[range],
-        seed: int = 0,
-        loops: Loops = NO_LOOPS,
-    ) -> Iterator[Made]:
-        """Encode the missing segments; yield each encoded frame. Raises BadFile."""
+    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
+        """Encode the missing segments; yield each encoded frame. Raises BadFile.
+
+        make, segments: as for `NumberedFiles.write`.
+        """
         missing = [segment for segment in segments if not self.part(segment).exists()]
-        made = self._made(
-            simulator,
-            scenes,
-            [[segment.start, *segment] for segment in missing],
-            seed=seed,
-            output=self._codec.output,
-            loops=loops,
-        )
+        parts = [[part.start, *part] for part in missing]
+        made = make(parts, output=self._encoder.codec.output)
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
                 yield from self._encode(segment, computed)
@@ -358,12 +312,19 @@ class EncodedFile:
 
     def finish(self) -> bool:
         """Join the segments and remove them, if all exist. Return whether they did."""
-        parts = [(segment.start, self.part(segment)) for segment in self._segments]
-        if not all(part.exists() for _, part in parts):
+        if not self._is_complete():
             return False
-        self._encoder.join(self.path, parts)
+        self._join(self.path)
         self._remove_segments()
         return True
+
+    def _is_complete(self):
+        """Return whether all segments exist."""
+        return all(self.part(segment).exists() for segment in self._segments)
+
+    def _join(self, path):
+        """Join the segments to a file."""
+        self._encoder.join(path, [(part.start, self.part(part)) for part in self._segments])
 
     def _remove_segments(self):
         """Remove the files of the segments and their folder."""

@@ -16,6 +16,7 @@ from fractions import Fraction
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -29,18 +30,8 @@ from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-TRANSFERS = {
-    1: "bt709",
-    6: "bt709",
-    14: "bt709",
-    15: "bt709",
-    4: "gamma2.2",
-    5: "gamma2.8",
-    8: "linear",
-    13: "srgb",
-    16: "pq",
-    18: "hlg",
-}
+TRANSFERS = dict.fromkeys((1, 6, 14, 15), "bt709") | {4: "gamma2.2", 5: "gamma2.8", 8: "linear"}
+TRANSFERS |= {13: "srgb", 16: "pq", 18: "hlg"}
 PRIMARIES = {
     1: DISPLAYS["srgb"].primaries,
     9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
@@ -82,12 +73,8 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            tags = (
-                context.color_trc,
-                context.color_primaries,
-                context.colorspace,
-                context.color_range,
-            )
+            tags = context.color_trc, context.color_primaries, context.colorspace
+            tags += (context.color_range,)
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:
@@ -96,6 +83,10 @@ class Film:
         self._at: tuple | None = None  # the number of the next frame, and the frames from it on
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
+
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
 
     def _count_frames(self, container, stream):
         """Return the number of frames of a file without that entry.
@@ -110,26 +101,18 @@ class Film:
         # of this stream, in Matroska
         length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))
         if length:
-            duration = sum(
-                Fraction(part) * unit
-                for part, unit in zip(length.groups(), (3600, 60, 1), strict=True)
-            )
+            hours, minutes, seconds = map(Fraction, length.groups())
+            duration = 3600 * hours + 60 * minutes + seconds
         else:  # of the file: sound may be longer
-            duration = (
-                Fraction(container.duration or 0, 1_000_000)
-                if len(container.streams) == 1
-                else Fraction(0)
-            )
+            is_alone = len(container.streams) == 1
+            duration = Fraction((container.duration or 0) if is_alone else 0, 1_000_000)
         rate = stream.average_rate or Fraction(0)
         # these times are whole milliseconds, and the last frame may have no duration
         if (duration - end) * rate > Fraction(3, 4):
-            raise BadFile(
-                self.path,
-                f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated",
-            )
+            self.refuse(f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated")
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
-            raise BadFile(self.path, "one of its last frames is missing: it is truncated")
+            self.refuse("one of its last frames is missing: it is truncated")
         return len(shown)
 
     def _read_tags(self, tags, transfer, rows):
@@ -137,16 +120,11 @@ class Film:
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            raise BadFile(
-                self.path,
-                f"its transfer function is {tag}, so the meaning of its codes is "
-                f"unknown; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}",
-            )
+            what = f"its transfer function is {tag}, so the meaning of its codes is unknown"
+            self.refuse(f"{what}; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}")
         if primaries not in (*UNTAGGED, *PRIMARIES):
-            raise BadFile(
-                self.path,
-                f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3",
-            )
+            why = f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"
+            self.refuse(why)
         self._transfer = TRANSFERS[curve] if transfer is None else transfer
         self._primaries = PRIMARIES.get(primaries, PRIMARIES[1])
         if self._format.startswith(("yuv", "nv", "p0")):
@@ -154,9 +132,7 @@ class Film:
                 None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601"
             )
             if known is None:
-                raise BadFile(
-                    self.path, f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020"
-                )
+                self.refuse(f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
             extent = "full" if extent == FULL_RANGE or self._format.startswith("yuvj") else "tv"
             self._scale = f"in_color_matrix={known}:in_range={extent}:out_range=full"
         else:
@@ -180,9 +156,7 @@ class Film:
                     codes = self._codes(frame)
                     break
             else:
-                raise BadFile(
-                    self.path, f"ends before its frame {number} of {self.count}: it is truncated"
-                )
+                self.refuse(f"ends before its frame {number} of {self.count}: it is truncated")
         scene = self._lift(codes)
         return check_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
@@ -206,15 +180,9 @@ class Film:
     def _codes(self, frame):
         """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
-        convert = converter(
-            f"{EXACT}:{self._scale}",
-            "rgb48le" if deep else "rgb24",
-            frame.width,
-            frame.height,
-            frame.format,
-            frame.time_base,
-        )
-        return convert(frame).to_ndarray()
+        scale, stored = f"{EXACT}:{self._scale}", "rgb48le" if deep else "rgb24"
+        given = frame.width, frame.height, frame.format, frame.time_base
+        return converter(scale, stored, *given)(frame).to_ndarray()
 
     def _lift(self, codes):
         """Return the scene of RGB codes."""

@@ -16,14 +16,7 @@ MODELS |= {"radial-tangential": False, "pinhole": False}
 MODELS |= {"equidistant": True, "equi": True, "fisheye": True}
 KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections other than pinhole
 MATRIX = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "mtx")
-COEFFICIENTS = (
-    "distortion_coefficients",
-    "D",
-    "d",
-    "distCoeffs",
-    "Distortion_Coefficients",
-    "dist",
-)
+COEFFICIENTS = "distortion_coefficients D d distCoeffs Distortion_Coefficients dist".split()
 SIZES = (("image_width", "image_height"), ("width", "height"))
 
 
@@ -103,10 +96,8 @@ def _select_camera(chain, camera):
     if camera is None and len(chain) == 1:
         return next(iter(chain))
     if camera is None:
-        raise BadData(
-            f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"; known: '
-            f"{', '.join(map(str, chain))}"
-        )
+        what = f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"'
+        raise BadData(f"{what}; known: {', '.join(map(str, chain))}")
     if camera not in chain:
         raise UnknownName("camera", str(camera), [str(key) for key in chain])
     return camera
@@ -116,10 +107,8 @@ def _kalibr(table):
     """Return the calibration of one Kalibr camera with intrinsics fx, fy, cx, cy."""
     model = table.get("camera_model", "pinhole")
     if model in KALIBR_OTHERS:
-        raise BadData(
-            f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant; calibrate "
-            "again with --models pinhole-radtan or pinhole-equi"
-        )
+        what = f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant"
+        raise BadData(f"{what}; calibrate again with --models pinhole-radtan or pinhole-equi")
     if model != "pinhole":
         raise BadData(f"camera_model: {format_value(model)}: wanted pinhole")
     intrinsics = _numbers(table, "intrinsics", 4)
@@ -135,25 +124,19 @@ def _matrix_file(table):
         raise BadData("no camera_matrix (or K) of ROS or OpenCV, and no intrinsics of Kalibr")
     matrix = _numbers(table, key, 9)
     if matrix[1] or matrix[3] or matrix[6:] != [0, 0, 1]:
-        raise BadData(
-            f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {format_value(matrix)}"
-        )
+        why = f"{key}: wanted fx 0 cx, 0 fy cy, 0 0 1 without skew, got {format_value(matrix)}"
+        raise BadData(why)
     sizes = next((pair for pair in SIZES if set(pair) <= table.keys()), None)
     if sizes is None:
-        raise BadData(
-            "lacks image_width and image_height, the resolution at which the camera was calibrated"
-        )
+        what = "lacks image_width and image_height"
+        raise BadData(f"{what}, the resolution at which the camera was calibrated")
     _require_whole_frame(table)
     found = next((key for key in COEFFICIENTS if key in table), None)
-    model = table.get("distortion_model") or (
-        "fisheye" if table.get("fisheye_model") else "pinhole"
-    )
-    return _calibration_of(
-        [_number(table, key) for key in sizes],
-        [matrix[0], matrix[4], matrix[2], matrix[5]],
-        [] if found is None else _numbers(table, found),
-        model,
-    )
+    model = "fisheye" if table.get("fisheye_model") else "pinhole"
+    model = table.get("distortion_model") or model
+    size, intrinsics = [_number(table, key) for key in sizes], [matrix[at] for at in (0, 4, 2, 5)]
+    coefficients = [] if found is None else _numbers(table, found)
+    return _calibration_of(size, intrinsics, coefficients, model)
 
 
 def _require_whole_frame(table):
@@ -163,9 +146,8 @@ def _require_whole_frame(table):
         raise BadData("roi: wanted the whole frame, a region of 0 x 0")
     for key in ("binning_x", "binning_y"):
         if table.get(key) not in (None, 0, 1):
-            raise BadData(
-                f"{key}: {format_value(table[key])}: wanted pixels that are not binned, 0 or 1"
-            )
+            why = f"{key}: {format_value(table[key])}: wanted pixels that are not binned, 0 or 1"
+            raise BadData(why)
 
 
 def _calibration_of(size, intrinsics, coefficients, model):

@@ -1,5 +1,6 @@
 """Cameras: built-in ones, and camera files (TOML) with the keys of `camera_keys`."""
 
+import copy
 import dataclasses
 import os
 import re
@@ -88,19 +89,14 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
         return camera_of(path, table)
     except BadFile as error:
         key = _KEY.search(error.details)
-        where = key and next(
-            (
-                file
-                for file, own in _chain(name_or_path)
-                if isinstance(own.get(key[1]), dict) and key[2] in own[key[1]]
-            ),
-            path,
-        )
-        if where is None or where == path:
+        chain = _chain(name_or_path) if key else ()
+        tables = ((file, own.get(key[1])) for file, own in chain)
+        owners = (file for file, own in tables if isinstance(own, dict) and key[2] in own)
+        where = next(owners, path)
+        if where == path:
             raise
-        raise BadFile(
-            path, f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})"
-        ) from error
+        why = f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})"
+        raise BadFile(path, why) from error
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
@@ -121,24 +117,17 @@ def _chain(name_or_path):
     files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
     yield path, table
     while base is not None:
-        place = (
-            base
-            if base in camera_names()
-            else files[-1].parent / base
-            if type(base) is str
-            else None
-        )
-        if place is None:
-            raise BadFile(files[-1], f"base = {format_value(base)}: wanted a camera's name or file")
-        if type(place) is not str and not os.path.exists(place):
-            raise BadFile(
-                files[-1],
-                f"base = {format_value(base)}: no such camera or file; cameras are "
-                f"{', '.join(camera_names())}",
-            )
+        word, place = f"base = {format_value(base)}", base
+        if type(base) is not str:
+            raise BadFile(files[-1], f"{word}: wanted a camera's name or file")
+        if base not in camera_names():
+            place = files[-1].parent / base
+            if not os.path.exists(place):
+                known = f"no such camera or file; cameras are {', '.join(camera_names())}"
+                raise BadFile(files[-1], f"{word}: {known}")
         path, table = _file_table(place)
         if path.resolve() in files:
-            raise BadFile(files[-1], f"base = {format_value(base)}: the bases form a loop")
+            raise BadFile(files[-1], f"{word}: the bases form a loop")
         files.append(path.resolve())
         base = table.pop("base", None)
         yield path, table
@@ -146,26 +135,22 @@ def _chain(name_or_path):
 
 def anchor_paths(path: Path, table: dict) -> dict:
     """Return a table with absolute paths for files next to the camera's file `path`."""
-    return {
-        section: {
-            key: str((path.parent / value).resolve()) if _is_file(path, value) else value
-            for key, value in keys.items()
-        }
-        if isinstance(keys, dict)
-        else keys
-        for section, keys in table.items()
-    }
+    anchored = dict(table)
+    for section, keys in table.items():
+        if isinstance(keys, dict):
+            anchored[section] = {key: _anchor(path, value) for key, value in keys.items()}
+    return anchored
 
 
-def _is_file(path, value):
-    return isinstance(value, str) and Path(value).suffix and os.path.isfile(path.parent / value)
+def _anchor(path, value):
+    is_name = isinstance(value, str) and Path(value).suffix
+    is_file = is_name and os.path.isfile(path.parent / value)
+    return str((path.parent / value).resolve()) if is_file else value
 
 
 def _merge_keys(below, table):
     """Return a base's table with the keys of `table` replaced, section by section."""
-    merged = {
-        section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()
-    }
+    merged = copy.deepcopy(below)
     for section, keys in table.items():
         if isinstance(keys, dict) and isinstance(merged.get(section), dict):
             for one, other in (DEFOCUS, DEFOCUS[::-1]):
@@ -225,10 +210,9 @@ def _require_short_integers(path, value):
     """Raise BadFile for integers beyond 64 bits; Python cannot print more than 4300 digits."""
     if isinstance(value, int) and abs(value) >= LONGEST_INTEGER:
         raise BadFile(path, "has a whole number of more than 64 bits; wanted a smaller number")
-    for item in (
-        value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    ):
-        _require_short_integers(path, item)
+    if isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            _require_short_integers(path, item)
 
 
 def _camera(path, table):
@@ -237,10 +221,8 @@ def _camera(path, table):
         raise BadFile(path, f"name = {format_value(name)}: wanted a text")
     for section in table:
         if section not in SECTIONS:
-            raise BadFile(
-                path,
-                f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}",
-            )
+            why = f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}"
+            raise BadFile(path, why)
     optics = section_fields(path, table, "optics", Optics)
     sensor = section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
@@ -251,13 +233,9 @@ def _camera(path, table):
     if "profile" in sensor:
         _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
-    return Camera(
-        name,
-        optics,
-        Sensor(**sensor),
-        _processor(path, section_fields(path, table, "processor")),
-        _display(path, section_fields(path, table, "display")),
-    )
+    made = optics, Sensor(**sensor)
+    processor = _processor(path, section_fields(path, table, "processor"))
+    return Camera(name, *made, processor, _display(path, section_fields(path, table, "display")))
 
 
 def _processor(path, fields):
@@ -280,11 +258,8 @@ def _display(path, fields):
         with _name_key_in_errors(path, "[display] name"):
             return open_display(name or "srgb")
     if name in display_names():
-        raise BadFile(
-            path,
-            f"[display] name = {format_value(name)} is a known display; leave out {', '.join(fields)}, or "
-            "use another name",
-        )
+        what = f"[display] name = {format_value(name)} is a known display"
+        raise BadFile(path, f"{what}; leave out {', '.join(fields)}, or use another name")
     return Display(name or path.stem, **fields)
 
 
@@ -298,9 +273,8 @@ def _apply_profile(path, sensor, noise):
         *{"read", "reset", "adc", "row", "column"} & noise.keys(),
     ]
     if own:
-        raise BadFile(
-            path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other"
-        )
+        why = f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other"
+        raise BadFile(path, why)
     sensor.update(profile.fields)
     noise["read"] = profile.read
 
@@ -311,10 +285,8 @@ def _noise(path, fields, sensor):
         # run its checks first
         noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})
         if "conversion_gain" not in sensor:
-            raise BadFile(
-                path,
-                '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v',
-            )
+            why = '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v'
+            raise BadFile(path, why)
         fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
     return Noise(**fields)
 
@@ -328,15 +300,13 @@ def _apply_calibration(path, fields, sensor):
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
         with _name_key_in_errors(path, "[optics] calibration"):
-            calibration = read_calibration(
-                path.parent / calibration["file"], calibration.get("camera")
-            )
+            file, camera = path.parent / calibration["file"], calibration.get("camera")
+            calibration = read_calibration(file, camera)
     # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
     if "focal_length" not in fields:
         image_distance = calibration.fx * sensor["pixel_pitch"]
-        fields["focal_length"] = image_distance / (
-            1 + image_distance / fields.get("object_distance", np.inf)
-        )
+        ratio = image_distance / fields.get("object_distance", np.inf)
+        fields["focal_length"] = image_distance / (1 + ratio)
     return {**fields, "distortion": calibration}
 
 
@@ -349,11 +319,8 @@ def _lens(path, fields):
     if not isinstance(defocus, float):
         table = _single(path, "[optics] defocus_um", defocus)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
-    aberrations = {
-        key: fields.pop(key)
-        for key in ("zernike", "heights", "seidel", "reference")
-        if key in fields
-    }
+    waves = fields.keys() & {"zernike", "heights", "seidel", "reference"}
+    aberrations = {key: fields.pop(key) for key in waves}
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:
@@ -361,11 +328,9 @@ def _lens(path, fields):
             fields["psf"] = read_psf(path.parent / fields["psf"])
         fields.setdefault("model", "measured")
     optics = Optics(**fields, wavefront=Wavefront(**aberrations))
-    return (
-        optics
-        if diopters is None
-        else dataclasses.replace(optics, defocus=optics.displacement(diopters))
-    )
+    if diopters is None:
+        return optics
+    return dataclasses.replace(optics, defocus=optics.displacement(diopters))
 
 
 def _efficiency(path, sensor):
@@ -377,11 +342,8 @@ def _efficiency(path, sensor):
     spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
     used = set("".join(sensor.get("cfa", Sensor.cfa)))
     if not used <= set(letters):
-        raise BadFile(
-            path,
-            f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}; "
-            f"it has {', '.join(letters) or 'one without a letter'}",
-        )
+        what = f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}"
+        raise BadFile(path, f"{what}; it has {', '.join(letters) or 'one without a letter'}")
     channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
     rows = [letters.index(letter) for letter in channels]
     product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
@@ -394,10 +356,8 @@ def _efficiency(path, sensor):
         nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
         product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
     elif ends is not None:
-        raise BadFile(
-            path,
-            f'[sensor] qe_ends = {format_value(ends)}: wanted "zero" (no light outside the table) or leave it out',
-        )
+        wanted = '"zero" (no light outside the table) or leave it out'
+        raise BadFile(path, f"[sensor] qe_ends = {format_value(ends)}: wanted {wanted}")
     return product, channels
 
 
@@ -411,9 +371,8 @@ def _product(path, first, second):
     high = min(first.wavelengths[-1], second.wavelengths[-1])
     nodes = nodes[(nodes >= low) & (nodes <= high)]
     if len(nodes) < 2:
-        raise BadFile(
-            path, f"[sensor] {first.name} and {second.name} have no wavelengths in common"
-        )
+        why = f"[sensor] {first.name} and {second.name} have no wavelengths in common"
+        raise BadFile(path, why)
     return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
 
 
@@ -430,9 +389,8 @@ def _curves(path, label, value):
     if type(value) is dict:
         columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
         if "wavelengths_nm" not in value or not columns:
-            raise BadFile(
-                path, f"{label}: wanted wavelengths_nm = [...] and one list of values per curve"
-            )
+            why = f"{label}: wanted wavelengths_nm = [...] and one list of values per curve"
+            raise BadFile(path, why)
         try:
             wavelengths = np.array(value["wavelengths_nm"], np.float64)
             values = np.array(list(columns.values()), np.float64)
@@ -440,20 +398,14 @@ def _curves(path, label, value):
             raise BadFile(path, f"{label}: wanted lists of numbers with equal lengths") from None
         return Spectrum(wavelengths, values, label), tuple(columns)
     if type(value) is not str:
-        raise BadFile(
-            path,
-            f"{label} = {format_value(value)}: wanted a curve's name, a .csv file or a table of "
-            "wavelengths_nm and values",
-        )
-    if value.endswith(".csv"):
-        with _name_key_in_errors(path, label):
-            return _read_csv(path.parent / value)
+        what = f"{label} = {format_value(value)}: wanted a curve's name"
+        raise BadFile(path, f"{what}, a .csv file or a table of wavelengths_nm and values")
     with _name_key_in_errors(path, label):
+        if value.endswith(".csv"):
+            return _read_csv(path.parent / value)
         spectrum = curve(value)
-    return (
-        Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value),
-        tuple(CHANNELS[value]),
-    )
+    values = np.atleast_2d(spectrum.values)
+    return Spectrum(spectrum.wavelengths, values, value), tuple(CHANNELS[value])
 
 
 def _read_csv(path):
@@ -467,7 +419,6 @@ def _read_csv(path):
     try:
         table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
     except ValueError:
-        raise BadFile(
-            path, f"wanted {len(lines[0])} numbers on every line after the first"
-        ) from None
+        why = f"wanted {len(lines[0])} numbers on every line after the first"
+        raise BadFile(path, why) from None
     return Spectrum(table[0], table[1:], path.name), tuple(lines[0][1:])

@@ -15,24 +15,18 @@ from gpusim.domain.spectrum import Spectrum
 
 # arguments that are no plain figures
 _OTHERS = ("quantum_efficiency", "wavelength", "response", "channels", "cfa", "seed")
-_OPTIONAL = {
-    "dark_noise",
-    "dark_noise_dn",
-    "snr_max_db",
-    "dynamic_range_db",
-    "sensitivity_threshold",
-}
+_STATED = {"snr_max_db", "dynamic_range_db", "sensitivity_threshold"}
+_OPTIONAL = _STATED | {"dark_noise", "dark_noise_dn"}
 _LIMITS = {  # unit, least, most; `Sensor` and `Noise` check the others
     "gain": ("DN/e-", 1e-12, 1e12),
     "saturation_capacity": ("e-", 1, 1e9),
     "dark_noise": ("e-", 0, 1e12),
     "dark_noise_dn": ("DN", 0, 1e12),
     "sensitivity_threshold": ("photon", 1e-12, 1e12),
-    "snr_max_db": ("dB", -300, 300),
-    "dynamic_range_db": ("dB", -300, 300),
     "rounding": ("", 0, 0.5),
-    **{f"dsnu{part}": ("e-", 0, 1e12) for part in ("", "_row", "_column")},
-    **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")},
+    **dict.fromkeys(("snr_max_db", "dynamic_range_db"), ("dB", -300, 300)),
+    **dict.fromkeys(("dsnu", "dsnu_row", "dsnu_column"), ("e-", 0, 1e12)),
+    **dict.fromkeys(("prnu", "prnu_row", "prnu_column"), ("%", 0, 30)),
 }
 LARGEST = 1e300  # limit of floats, for figures that `Sensor` and `Noise` check
 HALF_BAND = 25.0  # [nm]; the standard's light has a full width at half maximum below 50 nm
@@ -118,30 +112,17 @@ def sensor_from_emva1288(
     _check_figures(figures)
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
-    sensor = Sensor(
-        pixel_pitch=pixel_pitch,
-        qe=spectrum,
-        channels=channels,
-        cfa=cfa,
-        bits=bits,
-        black_level=black_level,
-        gain=gain,
-        full_well=full_well(saturation_capacity, prnu / 100),
-        noise=Noise(
-            read=math.sqrt(noise_squared),
-            dark_current=dark_current,
-            temperature=dark_current_temperature,
-            reference_temperature=dark_current_temperature,
-            doubling=dark_current_doubling,
-            seed=seed,
-            dsnu=_pixel_part("dsnu", figures, rounding, "e-"),
-            row_dsnu=dsnu_row,
-            column_dsnu=dsnu_column,
-            prnu=_pixel_part("prnu", figures, rounding, "%") / 100,
-            row_prnu=prnu_row / 100,
-            column_prnu=prnu_column / 100,
-        ),
-    )
+    well = full_well(saturation_capacity, prnu / 100)
+    fixed = {"dsnu": _pixel_part("dsnu", figures, rounding, "e-")}
+    fixed |= {"row_dsnu": dsnu_row, "column_dsnu": dsnu_column}
+    fixed["prnu"] = _pixel_part("prnu", figures, rounding, "%") / 100
+    fixed |= {"row_prnu": prnu_row / 100, "column_prnu": prnu_column / 100}
+    current = {"dark_current": dark_current, "doubling": dark_current_doubling}
+    current |= dict.fromkeys(("temperature", "reference_temperature"), dark_current_temperature)
+    noise = Noise(read=math.sqrt(noise_squared), seed=seed, **fixed, **current)
+    converter = {"bits": bits, "black_level": black_level, "gain": gain, "full_well": well}
+    mosaic = {"channels": channels, "cfa": cfa}
+    sensor = Sensor(pixel_pitch=pixel_pitch, qe=spectrum, noise=noise, **converter, **mosaic)
     highest = sensor.white_level - black_level
     if gain * saturation_capacity > highest * (1 + rounding):
         raise BadData(
@@ -149,33 +130,17 @@ def sensor_from_emva1288(
             f"level of {black_level} hold {highest} DN; check bits, black_level and the unit of gain, DN/e-"
         )
     threshold = math.sqrt(noise_squared + ROUNDING / gain**2) + 0.5  # [e-]
-    _compare(
-        "snr_max_db",
-        snr_max_db,
-        math.sqrt(saturation_capacity),
-        rounding,
-        "sqrt(saturation_capacity)",
-        decibels=True,
-    )
-    _compare(
-        "dynamic_range_db",
-        dynamic_range_db,
-        saturation_capacity / threshold,
-        rounding,
-        "saturation_capacity / (dark noise with quantisation + 0.5 e-)",
-        decibels=True,
-    )
+    root, ratio = math.sqrt(saturation_capacity), saturation_capacity / threshold
+    formula = "sqrt(saturation_capacity)"
+    _compare("snr_max_db", snr_max_db, root, rounding, formula, decibels=True)
+    formula = "saturation_capacity / (dark noise with quantisation + 0.5 e-)"
+    _compare("dynamic_range_db", dynamic_range_db, ratio, rounding, formula, decibels=True)
     if sensitivity_threshold is not None and efficiency is None:
-        raise BadData(
-            "sensitivity_threshold: wanted the wavelength at which it was measured, wavelength = ... [nm]"
-        )
-    _compare(
-        "sensitivity_threshold",
-        sensitivity_threshold,
-        threshold / efficiency if efficiency else None,
-        rounding,
-        "(dark noise with quantisation + 0.5 e-) / quantum_efficiency",
-    )
+        what = "sensitivity_threshold: wanted the wavelength at which it was measured"
+        raise BadData(f"{what}, wavelength = ... [nm]")
+    derived = threshold / efficiency if efficiency else None
+    formula = "(dark noise with quantisation + 0.5 e-) / quantum_efficiency"
+    _compare("sensitivity_threshold", sensitivity_threshold, derived, rounding, formula)
     return sensor
 
 
@@ -203,11 +168,8 @@ def full_well(saturation_capacity: float, prnu: float = 0.0) -> float:
         return share @ (factor * (variance - 2 * beyond * (a - first) * (root + a / 2)))
 
     # beyond 8 deviations of either kind no pixel is clipped
-    return brentq(
-        slope,
-        saturation_capacity,
-        saturation_capacity * (1 + 8 * prnu) + 12 * math.sqrt(saturation_capacity) + 12,
-    )
+    most = saturation_capacity * (1 + 8 * prnu) + 12 * math.sqrt(saturation_capacity) + 12
+    return brentq(slope, saturation_capacity, most)
 
 
 def _check_figures(figures):
@@ -218,9 +180,8 @@ def _check_figures(figures):
             raise BadData(f"{name} = {format_value(value)}: wanted a number")
         unit, low, high = _LIMITS.get(name, ("", -LARGEST, LARGEST))
         if not low <= value <= high:
-            raise OutOfRange(
-                name, f"{_number_text(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}"
-            )
+            allowed = f"{low:.3g} <= {name} <= {high:.3g}"
+            raise OutOfRange(name, f"{_number_text(value)} {unit}".rstrip(), allowed)
 
 
 def _number_text(value):
@@ -233,28 +194,20 @@ def _efficiency(quantum_efficiency, wavelength, response):
     if wavelength is not None and not (
         isinstance(wavelength, Real) and 10 + HALF_BAND < wavelength < 1e5 - HALF_BAND
     ):
-        raise OutOfRange(
-            "wavelength",
-            f"{format_value(wavelength)} nm",
-            f"a number, {10 + HALF_BAND:g} < wavelength < 99975",
-        )
+        allowed = f"a number, {10 + HALF_BAND:g} < wavelength < 99975"
+        raise OutOfRange("wavelength", f"{format_value(wavelength)} nm", allowed)
     if response is not None and not isinstance(response, Spectrum):
         raise BadData(f"response = {format_value(response)}: wanted a gpusim.Spectrum")
     if not isinstance(quantum_efficiency, Spectrum):
         if not isinstance(quantum_efficiency, Real) or isinstance(quantum_efficiency, bool):
-            raise BadData(
-                f"quantum_efficiency = {format_value(quantum_efficiency)}: wanted a number or a Spectrum"
-            )
+            what = f"quantum_efficiency = {format_value(quantum_efficiency)}"
+            raise BadData(f"{what}: wanted a number or a Spectrum")
         if not 0 < quantum_efficiency <= 1:
-            raise OutOfRange(
-                "quantum_efficiency",
-                _number_text(quantum_efficiency),
-                "0 < quantum_efficiency <= 1; write 60 % of a data sheet as 0.6",
-            )
+            allowed = "0 < quantum_efficiency <= 1; write 60 % of a data sheet as 0.6"
+            raise OutOfRange("quantum_efficiency", _number_text(quantum_efficiency), allowed)
         if wavelength is None:
-            raise BadData(
-                "quantum_efficiency is one number: wanted its wavelength, wavelength = ... [nm], or a curve"
-            )
+            what = "quantum_efficiency is one number"
+            raise BadData(f"{what}: wanted its wavelength, wavelength = ... [nm], or a curve")
         if response is None:
             band = np.array([wavelength - HALF_BAND, wavelength + HALF_BAND])
             response = Spectrum(band, np.ones(2), "quantum efficiency at one wavelength")
@@ -263,11 +216,8 @@ def _efficiency(quantum_efficiency, wavelength, response):
         quantum_efficiency = response.scale(quantum_efficiency / response.at([wavelength])[0])
     elif response is not None:
         raise BadData("response and quantum_efficiency as a curve: wanted one of them")
-    curves = Spectrum(
-        quantum_efficiency.wavelengths,
-        np.atleast_2d(quantum_efficiency.values),
-        quantum_efficiency.name,
-    )
+    values = np.atleast_2d(quantum_efficiency.values)
+    curves = Spectrum(quantum_efficiency.wavelengths, values, quantum_efficiency.name)
     efficiency = None if wavelength is None else float(curves.at([wavelength]).max())
     if efficiency == 0:
         raise BadData(f"quantum_efficiency is 0 at {wavelength:g} nm, or its curve ends before")
@@ -282,21 +232,13 @@ def _dark_noise_squared(electrons, numbers, gain, rounding):
         return electrons**2
     squared = (numbers**2 - ROUNDING) / gain**2
     if squared < 0:
-        raise OutOfRange(
-            "dark_noise_dn",
-            f"{numbers:.6g} DN",
-            f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding; "
-            "give dark noise without quantisation as dark_noise [e-]",
-        )
+        allowed = f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding"
+        remedy = "give dark noise without quantisation as dark_noise [e-]"
+        raise OutOfRange("dark_noise_dn", f"{numbers:.6g} DN", f"{allowed}; {remedy}")
     if electrons is None:
         return squared
-    _compare(
-        "dark_noise_dn",
-        numbers,
-        math.sqrt(gain**2 * electrons**2 + ROUNDING),
-        rounding,
-        "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)",
-    )
+    derived, formula = gain**2 * electrons**2 + ROUNDING, "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)"
+    _compare("dark_noise_dn", numbers, math.sqrt(derived), rounding, formula)
     return electrons**2
 
 

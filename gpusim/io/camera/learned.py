@@ -36,9 +36,8 @@ def write_table(path, table: FilterTable):
     }
     arrays |= {"filters": table.filters, "provenance": np.array(table.provenance)}
     for name in ("contrast", "detail"):
-        arrays |= {
-            f"{name}_{axis}": weights for axis, weights in enumerate(getattr(layout, name) or ())
-        }
+        for axis, weights in enumerate(getattr(layout, name) or ()):
+            arrays[f"{name}_{axis}"] = weights
     if table.offsets is not None:
         arrays["offsets"] = table.offsets
     write_archive(path, arrays)
@@ -59,18 +58,11 @@ def read_table(path) -> FilterTable:
             stored.shape(name)
         stored.shape("box", WHOLE, wanted=())
         stored.require_memory(COPIES)
-        layout = Layout(
-            mosaic=tuple(map(str, stored["mosaic"])),
-            outputs=tuple(map(str, stored["outputs"])),
-            domain=str(stored["domain"]),
-            contrast=tuple(stored[name] for name in CONTRAST),
-            detail=tuple(stored[name] for name in detail) or None,
-            box=int(stored["box"]),
-            **{name: stored[name] for name in ARRAYS},
-        )
-        return FilterTable(
-            layout,
-            stored["filters"],
-            stored["offsets"] if "offsets" in stored else None,
-            str(stored["provenance"]),
-        )
+        fields: dict = {name: stored[name] for name in ARRAYS}
+        fields |= {name: tuple(map(str, stored[name])) for name in ("mosaic", "outputs")}
+        fields |= {"domain": str(stored["domain"]), "box": int(stored["box"])}
+        fields["contrast"] = tuple(stored[name] for name in CONTRAST)
+        fields["detail"] = tuple(stored[name] for name in detail) or None
+        offsets = stored["offsets"] if "offsets" in stored else None
+        provenance = str(stored["provenance"])
+        return FilterTable(Layout(**fields), stored["filters"], offsets, provenance)

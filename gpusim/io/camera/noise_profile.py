@@ -14,6 +14,7 @@ from gpusim.io.files import name_in_errors, open_file, reading, silence
 CFA, LINEAR_RAW = 32803, 34892  # TIFF's codes of raw pictures
 PHOTOMETRIC, BITS, SUBFILE = 262, 258, 254
 BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE = 50714, 50717, 51041
+READ = SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE
 RATIONAL = (5, 10)  # TIFF's types of fractions
 SPREAD = 1.25  # allowed ratio of the planes' factors: a sensor has one gain
 WHAT = "a DNG"
@@ -46,17 +47,12 @@ class NoiseProfile:
 
     def __post_init__(self):
         if not 0 <= self.black_level < self.white_level <= 65535:
-            raise OutOfRange(
-                "black level, white level",
-                f"{self.black_level:.6g}, {self.white_level:.6g}",
-                "0 <= black < white <= 65535 DN",
-            )
+            levels = f"{self.black_level:.6g}, {self.white_level:.6g}"
+            allowed = "0 <= black < white <= 65535 DN"
+            raise OutOfRange("black level, white level", levels, allowed)
         if not 1e-9 <= self.scale <= 1:
-            raise OutOfRange(
-                "noise profile's scale S",
-                f"{self.scale:.6g}",
-                "1e-9 <= S <= 1, white at 1 .. 1e9 e-",
-            )
+            allowed = "1e-9 <= S <= 1, white at 1 .. 1e9 e-"
+            raise OutOfRange("noise profile's scale S", f"{self.scale:.6g}", allowed)
         if not abs(self.offset) <= 1:
             raise OutOfRange("noise profile's offset O", f"{self.offset:.6g}", "-1 <= O <= 1")
 
@@ -78,25 +74,16 @@ class NoiseProfile:
         because a profile does not have them.
         """
         noise = replace(sensor.noise, read=self.read, reset=0.0, adc=0.0, row=0.0, column=0.0)
-        return replace(
-            sensor,
-            **self.fields,
-            conversion_gain=None,
-            adc_range=None,
-            analog_gain=1.0,
-            analog_offset=0.0,
-            noise=noise,
-        )
+        gain = dict.fromkeys(("conversion_gain", "adc_range"))
+        gain |= {"analog_gain": 1.0, "analog_offset": 0.0}
+        return replace(sensor, **self.fields, **gain, noise=noise)
 
     @property
     def fields(self) -> dict:
         """Fields of `Sensor` that the profile determines."""
-        return {
-            "gain": self.gain,
-            "full_well": 1 / self.scale,
-            "black_level": round(self.black_level),
-            "bits": max(1, math.ceil(math.log2(self.white_level + 1))),
-        }
+        bits = max(1, math.ceil(math.log2(self.white_level + 1)))
+        levels = {"black_level": round(self.black_level), "bits": bits}
+        return {"gain": self.gain, "full_well": 1 / self.scale} | levels
 
 
 def read_noise_profile(path: str | PathLike) -> NoiseProfile:
@@ -116,28 +103,20 @@ def read_noise_profile(path: str | PathLike) -> NoiseProfile:
     tags = _tags(path)
     with name_in_errors(path):
         if NOISE_PROFILE not in tags:
-            raise BadData(
-                "has no NoiseProfile (tag 51041); Android's camera and Adobe's DNG Converter write one"
-            )
+            what = "has no NoiseProfile (tag 51041)"
+            raise BadData(f"{what}; Android's camera and Adobe's DNG Converter write one")
         profile = np.array(tags[NOISE_PROFILE], np.float64).ravel()
         if len(profile) < 2 or len(profile) % 2 or not np.isfinite(profile).all():
-            raise BadData(
-                f"NoiseProfile has {len(profile)} numbers: wanted 2 for each plane, or 2, finite"
-            )
+            why = f"NoiseProfile has {len(profile)} numbers: wanted 2 for each plane, or 2, finite"
+            raise BadData(why)
         scale, offset = profile.reshape(-1, 2).T
         if scale.max() > SPREAD * scale.min():
-            raise BadData(
-                f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane: wanted one "
-                f"gain, factors within {SPREAD:g}"
-            )
+            what = f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane"
+            raise BadData(f"{what}: wanted one gain, factors within {SPREAD:g}")
         bits = int(np.max(tags.get(BITS, 16)))
         white = tags.get(WHITE_LEVEL, (2 ** min(bits, 16) - 1,))
-        return NoiseProfile(
-            float(scale.mean()),
-            float(offset.mean()),
-            float(np.mean(tags.get(BLACK_LEVEL, 0))),
-            float(np.mean(white)),
-        )
+        figures = scale, offset, tags.get(BLACK_LEVEL, 0), white
+        return NoiseProfile(*(float(np.mean(figure)) for figure in figures))
 
 
 def _tags(path):
@@ -151,29 +130,16 @@ def _tags(path):
         tifffile.TiffFile(file) as tiff,
     ):
         first = tiff.pages[0]
-        pages = [first, *(first.pages or ())]
-        found = [
-            {
-                code: values
-                for code in (SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE)
-                if code in page.tags and len(values := _values(page, code))
-            }
-            for page in pages
-        ]
-    raw = next(
-        (
-            tags
-            for tags in found
-            if tags.get(PHOTOMETRIC, [0])[0] in (CFA, LINEAR_RAW)
-            and not tags.get(SUBFILE, [0])[0] & 1
-        ),
-        None,
-    )
-    return (
-        {NOISE_PROFILE: found[0][NOISE_PROFILE], **(raw or {})}
-        if NOISE_PROFILE in found[0]
-        else raw or {}
-    )
+        found = []
+        for page in [first, *(first.pages or ())]:
+            tags = {code: _values(page, code) for code in READ if code in page.tags}
+            found.append({code: values for code, values in tags.items() if len(values)})
+    own = {code: values for code, values in found[0].items() if code == NOISE_PROFILE}
+    for tags in found:
+        is_preview = tags.get(SUBFILE, [0])[0] & 1
+        if tags.get(PHOTOMETRIC, [0])[0] in (CFA, LINEAR_RAW) and not is_preview:
+            return own | tags
+    return own
 
 
 def _values(page, code):

@@ -64,27 +64,21 @@ def optiland_psf(
     checked_count("rays", rays, 16)
     if not (len(wavelengths) and np.isfinite(wavelengths).all() and wavelengths[0] > 0):
         raise BadData("optiland_psf: wanted wavelengths [nm] above 0")
-    if (
-        not (len(heights) and np.isfinite(heights).all() and heights[0] == 0)
-        or not 0 < corner < math.inf
-    ):
-        raise BadData(
-            "optiland_psf: wanted heights rising from 0, 1 at the frame's corner, and corner > 0 [m]"
-        )
+    are_heights = len(heights) and np.isfinite(heights).all() and heights[0] == 0
+    if not (are_heights and 0 < corner < math.inf):
+        what = "optiland_psf: wanted heights rising from 0"
+        raise BadData(f"{what}, 1 at the frame's corner, and corner > 0 [m]")
     if reference is None:
         reference = float(wavelengths[len(wavelengths) // 2])
     if spacing is None:
         spacing = MARGIN * wavelengths[0] * 1e-9 * abs(float(np.squeeze(optic.paraxial.FNO()))) / 2
     fields = [_find_field(optic, height * corner, reference) for height in heights]
-    return spread_of(
-        [
-            _trace_psf(optic, field, wavelength, spacing, samples | 1, rays)
-            for field in fields
-            for wavelength in wavelengths
-        ],
-        corner if len(fields) > 1 else None,
-        reference,
-    )
+    traced = [
+        _trace_psf(optic, field, wavelength, spacing, samples | 1, rays)
+        for field in fields
+        for wavelength in wavelengths
+    ]
+    return spread_of(traced, corner if len(fields) > 1 else None, reference)
 
 
 def _chief(optic, field, wavelength):
@@ -92,9 +86,8 @@ def _chief(optic, field, wavelength):
     rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
     found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
     if not np.isfinite(found).all():
-        raise BadData(
-            f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at {wavelength:g} nm"
-        )
+        ray = f"the chief ray of field {field:.4g}"
+        raise BadData(f"optiland_psf: {ray} does not reach the image at {wavelength:g} nm")
     return found
 
 
@@ -105,17 +98,13 @@ def _find_field(optic, height, wavelength):
     fields = np.linspace(0, 1, FIELDS)
     found = np.abs([_chief(optic, field, wavelength)[1] for field in fields])
     if not (np.diff(found) > 0).all() or found[-1] < height * (1 - 1e-9):
-        raise OutOfRange(
-            "optiland_psf: image height",
-            f"{height * 1e3:.4g} mm",
-            f"up to {found.max() * 1e3:.4g} mm, the image height of the lens's largest field",
-        )
+        allowed = f"up to {found.max() * 1e3:.4g} mm, the image height of the lens's largest field"
+        raise OutOfRange("optiland_psf: image height", f"{height * 1e3:.4g} mm", allowed)
     field = float(np.interp(height, found, fields))
     for _ in range(FIELD_STEPS):
         slope = np.interp(field, (fields[1:] + fields[:-1]) / 2, np.diff(found) * (FIELDS - 1))
-        field = float(
-            np.clip(field + (height - abs(_chief(optic, field, wavelength)[1])) / slope, 0, 1)
-        )
+        missing = height - abs(_chief(optic, field, wavelength)[1])
+        field = float(np.clip(field + missing / slope, 0, 1))
     return field
 
 
@@ -127,20 +116,10 @@ def _trace_psf(optic, field, wavelength, spacing, samples, rays):
     from optiland.psf import HuygensPSF
 
     # HuygensPSF spreads n samples over n pitches, so they are n / (n - 1) pitches apart
-    found = HuygensPSF(
-        optic,
-        (0, field),
-        wavelength / 1e3,
-        num_rays=rays,
-        image_size=samples,
-        pixel_pitch=spacing * 1e3 * (samples - 1) / samples,
-    )
+    grid = {"image_size": samples, "pixel_pitch": spacing * 1e3 * (samples - 1) / samples}
+    found = HuygensPSF(optic, (0, field), wavelength / 1e3, num_rays=rays, **grid)
     x, y = (float(np.squeeze(place)) / 1e3 for place in (found.cx, found.cy))
-    centre = _chief(optic, field, wavelength)
-    middle = (
-        (samples - 1) / 2 + (centre[1] - y) / spacing,
-        (samples - 1) / 2 + (centre[0] - x) / spacing,
-    )
-    return Traced(
-        float(wavelength), np.asarray(found.psf, np.float64), spacing, middle, centre, field
-    )
+    centre, half = _chief(optic, field, wavelength), (samples - 1) / 2
+    middle = half + (centre[1] - y) / spacing, half + (centre[0] - x) / spacing
+    values = np.asarray(found.psf, np.float64)
+    return Traced(float(wavelength), values, spacing, middle, centre, field)

@@ -12,15 +12,8 @@ from gpusim.domain.psf import PointSpread
 from gpusim.io.archive import NUMBERS, open_archive, write_archive
 from gpusim.io.files import name_in_errors
 
-SHAPES = {
-    "wavelengths_nm": (None,),
-    "psf": None,
-    "spacing_um": (),
-    "integrated": (),
-    "heights": (None,),
-    "grid_y": (None,),
-    "grid_x": (None,),
-}  # None: any
+SHAPES = dict.fromkeys(("wavelengths_nm", "heights", "grid_y", "grid_x"), (None,))
+SHAPES |= {"psf": None, "spacing_um": (), "integrated": ()}  # None: any
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 
@@ -47,14 +40,10 @@ def read_psf(path: str | PathLike) -> PointSpread:
         archive.require_memory(COPIES)
         integrated = bool(archive["integrated"]) if "integrated" in archive else False
         heights = archive["heights"] if "heights" in archive else None
-        return PointSpread(
-            archive["wavelengths_nm"],
-            archive["psf"],
-            float(archive["spacing_um"]) / 1e6,
-            integrated,
-            heights,
-            tuple(archive[key] for key in axes) or None,
-        )
+        grid = tuple(archive[key] for key in axes) or None
+        wavelengths, psf = archive["wavelengths_nm"], archive["psf"]
+        spacing = float(archive["spacing_um"]) / 1e6
+        return PointSpread(wavelengths, psf, spacing, integrated, heights, grid)
 
 
 def write_psf(path: str | PathLike, spread: PointSpread) -> None:
@@ -67,12 +56,8 @@ def write_psf(path: str | PathLike, spread: PointSpread) -> None:
     Raises:
         BadFile: if the file cannot be written.
     """
-    arrays: dict = {
-        "wavelengths_nm": spread.wavelengths,
-        "psf": spread.values,
-        "spacing_um": spread.spacing * 1e6,
-        "integrated": spread.integrated,
-    }
+    arrays: dict = {"wavelengths_nm": spread.wavelengths, "psf": spread.values}
+    arrays |= {"spacing_um": spread.spacing * 1e6, "integrated": spread.integrated}
     if spread.heights is not None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:

@@ -46,30 +46,25 @@ def spread_of(
     fields = list(dict.fromkeys(one.field for one in traced))
     table = {(one.field, one.wavelength): one for one in traced}
     if not traced or len(table) != len(traced) or len(traced) != len(wavelengths) * len(fields):
-        raise BadData(
-            f"{len(traced)} point spreads of {len(fields)} field points and {len(wavelengths)} wavelengths: "
-            "wanted each wavelength once at every field point"
-        )
+        places = f"{len(fields)} field points and {len(wavelengths)} wavelengths"
+        wanted = "wanted each wavelength once at every field point"
+        raise BadData(f"{len(traced)} point spreads of {places}: {wanted}")
     middle = wavelengths[len(wavelengths) // 2] if reference is None else reference
     if middle not in wavelengths:
-        raise OutOfRange(
-            "reference wavelength", f"{middle:g} nm", ", ".join(f"{one:g}" for one in wavelengths)
-        )
+        allowed = ", ".join(f"{one:g}" for one in wavelengths)
+        raise OutOfRange("reference wavelength", f"{middle:g} nm", allowed)
     ideal = {field: table[field, middle].centre for field in fields}
     if len(fields) > 1:
         if corner is None or not 0 < corner < np.inf:
-            raise BadData(
-                f"{len(fields)} field points: wanted corner, the distance of the frame's corner from the "
-                "axis [m]"
-            )
+            what = f"{len(fields)} field points: wanted corner"
+            raise BadData(f"{what}, the distance of the frame's corner from the axis [m]")
         fields.sort(key=lambda field: np.hypot(*ideal[field]))
-    values, spacing = _resample_all(
-        [
-            _turn_outward(table[field, wavelength], ideal[field], corner)
-            for field in fields
-            for wavelength in wavelengths
-        ]
-    )
+    turned = [
+        _turn_outward(table[field, wavelength], ideal[field], corner)
+        for field in fields
+        for wavelength in wavelengths
+    ]
+    values, spacing = _resample_all(turned)
     values = values.reshape(len(fields), len(wavelengths), *values.shape[1:])
     if len(fields) == 1 or corner is None:
         return PointSpread(np.array(wavelengths), values[0], spacing)
@@ -77,11 +72,9 @@ def spread_of(
     for end in (0.0, 1.0):
         heights[np.abs(heights - end) <= ON_AXIS] = end
     if heights[-1] < 1:
-        raise OutOfRange(
-            "field points",
-            f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis",
-            f"up to the frame's corner, {corner * 1e3:.4g} mm",
-        )
+        found = f"up to {heights[-1] * corner * 1e3:.4g} mm from the axis"
+        allowed = f"up to the frame's corner, {corner * 1e3:.4g} mm"
+        raise OutOfRange("field points", found, allowed)
     return PointSpread(np.array(wavelengths), values, spacing, heights=heights)
 
 
@@ -95,9 +88,8 @@ def _turn_outward(traced, ideal, corner):
     if corner is None or max(abs(x), abs(y)) <= least:
         return values, traced.spacing, (row, col)
     if min(abs(x), abs(y)) > least:
-        raise BadData(
-            f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all along y"
-        )
+        what = f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm"
+        raise BadData(f"{what}: wanted all along x or all along y")
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
         # values from below come to the right
         values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)

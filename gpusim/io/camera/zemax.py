@@ -14,14 +14,9 @@ from gpusim.io.files import name_in_errors, read_text, reading
 WHAT = "a text listing of Zemax's Huygens PSF or FFT PSF"
 LONGEST = 2**26  # [byte]: a grid of 2048 x 2048
 COST = 12  # [byte] memory per byte of text: letters, words, numbers
-UNITS = {
-    **dict.fromkeys(("µm", "μm", "um", "micrometers"), 1e-6),
-    "nm": 1e-9,
-    **dict.fromkeys(("mm", "millimeters"), 1e-3),
-    **dict.fromkeys(("cm", "centimeters"), 1e-2),
-    **dict.fromkeys(("in", "inches"), 0.0254),
-    **dict.fromkeys(("m", "meters"), 1.0),
-}
+UNITS = dict.fromkeys(("µm", "μm", "um", "micrometers"), 1e-6) | {"nm": 1e-9}
+UNITS |= {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2}
+UNITS |= {"in": 0.0254, "inches": 0.0254, "m": 1.0, "meters": 1.0}
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 UNIT = r"([^\s\d.,()]+)"
 SPACING = re.compile(rf"Data spacing is {NUMBER} {UNIT}\.", re.M)
@@ -80,9 +75,8 @@ def _read_listing(path) -> Traced:
         values = _parse_values(path, text[start.end() :], rows, cols)
         first, last, unit, field = _match(LIGHT, head, "wavelength and field").groups()
         if last is not None and abs(float(last) / max(float(first), 1e-30) - 1) > FINEST:
-            raise BadData(
-                f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
-            )
+            why = f"of {first} to {last} {unit}: wanted a listing of a single wavelength each"
+            raise BadData(why)
         wavelength = _parse_length("wavelength", first, unit, WAVELENGTHS)
         size, spacing_unit = _match(SPACING, head, "Data spacing").groups()
         spacing = _parse_length("Data spacing", size, spacing_unit, SPACINGS)
@@ -94,15 +88,9 @@ def _read_listing(path) -> Traced:
         x, y = (
             _parse_length("Center coordinates", item, length or "mm", PLACES) for item in (x, y)
         )
+        nm, place = round(wavelength * 1e9, 6), (rows - 1 - row, col)
         # the first line is the top one
-        return Traced(
-            round(wavelength * 1e9, 6),
-            values[::-1],
-            spacing,
-            (rows - 1 - row, col),
-            (x, y),
-            field.strip(),
-        )
+        return Traced(nm, values[::-1], spacing, place, (x, y), field.strip())
 
 
 def _match(pattern, head, what):
@@ -130,13 +118,11 @@ def _parse_values(path, text, rows, cols):
         raise BadData(f"{len(words)} values instead of {rows} x {cols}; is it truncated?")
     # all numbers of OpticStudio have the same length
     if not text[-1].isspace() and len(set(map(len, words))) > 1:
-        raise BadData(
-            f"no line ends after the last value, {format_value(words[-1])}; is it truncated?"
-        )
+        why = f"no line ends after the last value, {format_value(words[-1])}; is it truncated?"
+        raise BadData(why)
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():
-        raise BadData(
-            "has values that are negative or not finite: wanted a linear listing, not a logarithmic one"
-        )
+        what = "has values that are negative or not finite"
+        raise BadData(f"{what}: wanted a linear listing, not a logarithmic one")
     return values

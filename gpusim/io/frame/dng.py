@@ -23,18 +23,12 @@ def check_dng(cfa, channels):
     cfa: one period of the mosaic, () without. channels: letters of the channels.
     """
     if len(channels) not in PLANES:
-        raise OutOfRange(
-            "channels of a DNG",
-            f"{len(channels)} ({', '.join(channels)})",
-            "1, 3 or 4, because of the colour matrices; .npz holds any",
-        )
+        allowed = "1, 3 or 4, because of the colour matrices; .npz holds any"
+        raise OutOfRange("channels of a DNG", f"{len(channels)} ({', '.join(channels)})", allowed)
     strange = [letter for letter in channels if letter not in FILTERS] if cfa else []
     if strange:
-        raise OutOfRange(
-            "filters of a DNG",
-            ", ".join(strange),
-            f"{', '.join(FILTERS)}; .npz holds any",
-        )
+        allowed = f"{', '.join(FILTERS)}; .npz holds any"
+        raise OutOfRange("filters of a DNG", ", ".join(strange), allowed)
 
 
 def write_dng(
@@ -69,14 +63,10 @@ def write_dng(
     import tifffile
 
     raw = np.asarray(raw)
-    if (
-        raw.dtype not in (np.uint16, np.float32)
-        or raw.ndim not in ((2,) if cfa else (2, 3))
-        or raw.size == 0
-    ):
-        raise BadData(
-            f"{path}: a DNG needs uint16 or float32 of shape (rows, cols), got {raw.dtype} {raw.shape}"
-        )
+    is_shaped = raw.ndim in ((2,) if cfa else (2, 3)) and raw.size > 0
+    if not (is_shaped and raw.dtype in (np.uint16, np.float32)):
+        what = f"{path}: a DNG needs uint16 or float32 of shape (rows"
+        raise BadData(f"{what}, cols), got {raw.dtype} {raw.shape}")
     planes = len(channels) if cfa or raw.ndim == 3 else 1
     check_dng(cfa, channels if planes > 1 else "Y")
     if raw.ndim == 3:
@@ -102,16 +92,9 @@ def write_dng(
         # NoiseProfile, one for all planes
         tags.append((51041, "d", 2, tuple(map(float, noise)), False))
     with atomic_path(path) as temporary:
-        tifffile.imwrite(
-            temporary,
-            raw,
-            photometric="cfa" if cfa else "minisblack",
-            rowsperstrip=len(raw),
-            metadata=None,
-            software="gpusim",
-            planarconfig="contig" if samples > 1 else None,
-            extratags=tags,
-        )
+        layout = {"photometric": "cfa" if cfa else "minisblack", "rowsperstrip": len(raw)}
+        layout |= {"planarconfig": "contig" if samples > 1 else None, "metadata": None}
+        tifffile.imwrite(temporary, raw, **layout, software="gpusim", extratags=tags)
         if not cfa:
             # tifffile writes it for three samples only
             with tifffile.TiffFile(temporary, mode="r+b") as file:
@@ -123,23 +106,20 @@ def _levels(cfa, samples, black_level, white_level):
     black = np.asarray(black_level, np.float64)
     period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
     if black.shape not in ((), period):
-        raise BadData(
-            f"black_level of a DNG: shape {black.shape}, wanted one number or {period}, the mosaic's period"
-        )
+        what = f"black_level of a DNG: shape {black.shape}"
+        raise BadData(f"{what}, wanted one number or {period}, the mosaic's period")
     if not (0 <= black.min() and black.max() < white_level <= 2**32 - 1):
-        raise OutOfRange(
-            "black_level, white_level",
-            f"{black.min():g} .. {black.max():g}, {white_level}",
-            "0 <= black < white <= 4294967295 DN",
-        )
+        levels = f"{black.min():g} .. {black.max():g}, {white_level}"
+        allowed = "0 <= black < white <= 4294967295 DN"
+        raise OutOfRange("black_level, white_level", levels, allowed)
     rows, cols = black.shape or (1, 1)
     values = np.repeat(black.ravel(), samples)
-    whole = (values == np.rint(values)).all()
+    kind, numbers = "2I", _fractions(values)
+    if (values == np.rint(values)).all():
+        kind, numbers = "I", tuple(map(int, values))
     return [
         (50713, "H", 2, (rows, cols), False),  # BlackLevelRepeatDim
-        (50714, "I", len(values), tuple(map(int, values)), False)
-        if whole
-        else (50714, "2I", len(values), _fractions(values), False),  # BlackLevel
+        (50714, kind, len(values), numbers, False),  # BlackLevel
         (50717, "I", samples, (int(white_level),) * samples, False),  # WhiteLevel
     ]
 
@@ -147,9 +127,8 @@ def _levels(cfa, samples, black_level, white_level):
 def _mosaic(path, cfa, channels):
     """Return tags of the colour filter array."""
     if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
-        raise BadData(
-            f"{path}: cfa {cfa}: wanted rows of equal length with the letters {', '.join(channels)}"
-        )
+        what = f"{path}: cfa {cfa}"
+        raise BadData(f"{what}: wanted rows of equal length with the letters {', '.join(channels)}")
     pattern, planes = (bytes(map(FILTERS.index, letters)) for letters in ("".join(cfa), channels))
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
@@ -162,9 +141,8 @@ def _mosaic(path, cfa, channels):
 def _colors(path, planes, matrices, as_shot_neutral):
     """Return tags of white balance and colours for raw converters."""
     if not 1 <= len(matrices) <= 2 or not set(matrices) <= set(LIGHTS):
-        raise OutOfRange(
-            "matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}"
-        )
+        allowed = f"one or two of {', '.join(LIGHTS)}"
+        raise OutOfRange("matrices of a DNG", ", ".join(matrices) or "none", allowed)
     neutral = _finite(path, "as_shot_neutral", as_shot_neutral, (planes,))
     if not (neutral > 0).all():
         raise OutOfRange("as_shot_neutral", neutral.tolist(), "> 0")
@@ -196,6 +174,4 @@ def _fractions(values):
         Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1))
         for value in values
     ]
-    return tuple(
-        number for fraction in fractions for number in (fraction.numerator, fraction.denominator)
-    )
+    return tuple(part for one in fractions for part in (one.numerator, one.denominator))

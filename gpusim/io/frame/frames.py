@@ -32,19 +32,16 @@ def check_format(path, camera, bits=None):
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
-        raise OutOfRange(
-            f"bits of a {suffix} output", bits, " or ".join(map(str, sorted(BITS[suffix])))
-        )
+        allowed = " or ".join(map(str, sorted(BITS[suffix])))
+        raise OutOfRange(f"bits of a {suffix} output", bits, allowed)
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
     check_dng(() if sensor.stacked or sensor.is_monochrome else sensor.cfa, sensor.channels)
     if not sensor.is_monochrome and table is not None and table.layout.outputs != sensor.channels:
-        raise OutOfRange(
-            "processor.table with a .dng output",
-            f"filters with the outputs {', '.join(table.layout.outputs)}",
-            "filters with the camera's channels as outputs: a raw converter needs their white",
-        )
+        found = f"filters with the outputs {', '.join(table.layout.outputs)}"
+        allowed = "filters with the camera's channels as outputs: a raw converter needs their white"
+        raise OutOfRange("processor.table with a .dng output", found, allowed)
 
 
 def write_frame(path, frame, bits=None):
@@ -73,17 +70,10 @@ def write_frame(path, frame, bits=None):
     elif suffix == ".dng":
         _write_raw(path, frame)
     else:
-        arrays = {
-            "electrons": frame.mean,
-            "dn": frame.raw,
-            "cfa": np.array(sensor.cfa),
-            "channels": np.array(sensor.channels),
-            "exposure_time_s": frame.exposure_time,
-            "black_level": sensor.dark_level,
-            "white_level": sensor.white_level,
-            "gain_dn_per_e": sensor.gain_dn_per_electron,
-        }
-        write_archive(path, arrays)
+        arrays = {"electrons": frame.mean, "dn": frame.raw, "cfa": np.array(sensor.cfa)}
+        arrays |= {"channels": np.array(sensor.channels), "exposure_time_s": frame.exposure_time}
+        arrays |= {"black_level": sensor.dark_level, "white_level": sensor.white_level}
+        write_archive(path, arrays | {"gain_dn_per_e": sensor.gain_dn_per_electron})
 
 
 def _write_raw(path, frame):
@@ -102,17 +92,9 @@ def _write_raw(path, frame):
     # else S is not above 0, as a DNG requires
     if frame.averaged is not None and sensor.noise.photon != "none":
         noise = RawNoise.of(sensor, frame.averaged).profile((white - black) / gain)
-    colors = (
-        (None, None) if sensor.is_monochrome else (frame.color_profile, frame.rendering.neutral)
-    )
-    write_dng(
-        path,
-        frame.raw,
-        () if sensor.stacked or sensor.is_monochrome else sensor.cfa,
-        black,
-        white,
-        *colors,
-        channels=sensor.channels,
-        noise=noise,
-        camera_name=f"gpusim {frame.camera.name}",
-    )
+    cfa = () if sensor.stacked or sensor.is_monochrome else sensor.cfa
+    colors = {"channels": sensor.channels}
+    if not sensor.is_monochrome:
+        colors |= {"matrices": frame.color_profile, "as_shot_neutral": frame.rendering.neutral}
+    name = f"gpusim {frame.camera.name}"
+    write_dng(path, frame.raw, cfa, black, white, noise=noise, camera_name=name, **colors)

@@ -28,16 +28,10 @@ def write_png(path, image, display=DISPLAYS["srgb"]):
 def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
     """Return the PNG as bytes, see `write_png`; name: for errors. Raises BadData."""
     image = np.ascontiguousarray(image)
-    if (
-        image.dtype not in (np.uint8, np.uint16)
-        or image.shape[2:] not in ((), (3,))
-        or image.ndim < 2
-        or image.size == 0
-    ):
-        raise BadData(
-            f"{name}: a PNG needs uint8 or uint16 of shape (rows, cols, 3) or (rows, cols), "
-            f"got {image.dtype} {image.shape}"
-        )
+    is_shaped = image.ndim > 1 and image.shape[2:] in ((), (3,)) and image.size > 0
+    if not (is_shaped and image.dtype in (np.uint8, np.uint16)):
+        what = f"{name}: a PNG needs uint8 or uint16 of shape (rows"
+        raise BadData(f"{what}, cols, 3) or (rows, cols), got {image.dtype} {image.shape}")
     return (_png8 if image.dtype == np.uint8 else _png16)(image, _chunks(display, image.ndim == 3))
 
 
@@ -78,11 +72,10 @@ def _chunks(display, has_color):
     Source: PNG, third edition (W3C 2025), 11.3.2.
     """
     exponent = 2.2 if display.curve == "srgb" else display.curve
+    places = [round(1e5 * x) for x in np.ravel((display.white, *display.primaries))]
     chunks = {
         b"gAMA": struct.pack(">I", round(1e5 / exponent)),
-        b"cHRM": struct.pack(
-            ">8I", *(round(1e5 * x) for x in np.ravel((display.white, *display.primaries)))
-        ),
+        b"cHRM": struct.pack(">8I", *places),
     }
     if display.encodes_like(DISPLAYS["srgb"]):
         return chunks | {b"sRGB": b"\1"}  # relative colorimetric
@@ -103,18 +96,11 @@ def write_tiff(path, image, display=DISPLAYS["srgb"]):
 
     image = np.asarray(image)
     if image.dtype not in TIFF_KINDS or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise BadData(
-            f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows, cols, 3), got {image.dtype} "
-            f"{image.shape}"
-        )
+        what = f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows"
+        raise BadData(f"{what}, cols, 3), got {image.dtype} {image.shape}")
     if not np.isfinite(image).all():
         raise BadData(f"{path}: NaN or infinite values")
     with atomic_path(path) as temporary:
-        tifffile.imwrite(
-            temporary,
-            image,
-            photometric="rgb",
-            metadata=None,
-            software="gpusim",
-            iccprofile=icc_profile(display, linear=image.dtype == np.float32),
-        )
+        made = {"photometric": "rgb", "metadata": None, "software": "gpusim"}
+        profile = icc_profile(display, linear=image.dtype == np.float32)
+        tifffile.imwrite(temporary, image, **made, iccprofile=profile)

@@ -13,9 +13,8 @@ def check_depth(along: str, fov: float | None):
     if along not in ALONG:
         raise UnknownName("depth", str(along), ALONG)
     if along == "ray" and not (fov is not None and 0 < fov < np.pi):
-        raise OutOfRange(
-            "fov", fov, 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
-        )
+        allowed = 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
+        raise OutOfRange("fov", fov, allowed)
 
 
 def axial_depth(
@@ -28,11 +27,8 @@ def axial_depth(
     [rad], for rays: square pixels, the axis in the middle. Raises BadFile.
     """
     if not distances.min() >= 0:  # also true for NaN
-        raise BadFile(
-            path,
-            f"channel {channel!r}: depth that is negative or NaN (lowest {distances.min():.3g}); "
-            'wanted metres; or ignore it with depth = "none"',
-        )
+        what = f"depth that is negative or NaN (lowest {distances.min():.3g}); wanted metres"
+        raise BadFile(path, f'channel {channel!r}: {what}; or ignore it with depth = "none"')
     depth = distances.astype(np.float32)
     if along == "ray":
         assert fov is not None  # checked before the file was read

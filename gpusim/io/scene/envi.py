@@ -7,6 +7,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -69,9 +70,8 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     cols = header.whole("samples")
     bands = header.whole("bands", 1 if library else None)
     if library and bands != 1:
-        raise BadFile(
-            path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line"
-        )
+        why = f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line"
+        raise BadFile(path, why)
     planes = cols if library else bands
     wavelengths, good, notes = _wavelengths(header, wavelengths, planes)
     dtype = header.dtype()
@@ -90,28 +90,21 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     with open_file(data) as file:
         there = file_size(file) - start
         if there < wanted:
-            raise BadFile(
-                data,
-                f"truncated: {path.name} needs {wanted} bytes from byte {start} on ({bands} bands, "
-                f"{rows} lines, {cols} samples of {dtype.itemsize} bytes), {max(there, 0)} are there",
-            )
+            size = f"{bands} bands, {rows} lines, {cols} samples of {dtype.itemsize} bytes"
+            need = f"{path.name} needs {wanted} bytes from byte {start} on ({size})"
+            raise BadFile(data, f"truncated: {need}, {max(there, 0)} are there")
         if there > wanted:
-            notes.append(
-                f"{data.name} has {there - wanted} bytes more than its header declares; check both"
-            )
+            more = f"{there - wanted} bytes more than its header declares"
+            notes.append(f"{data.name} has {more}; check both")
         with reading(data, "a file that can be mapped"):
             view = np.memmap(file, dtype, "r", start, tuple(shape)).transpose(axes)
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        values, changes = read_planes(
-            data,
-            _SelectedPlanes(view, order),
-            scale=factor,
-            ignored=header.ignored_value(dtype),
-            gains=None if gains is None else gains[order],
-            offsets=None if offsets is None else offsets[order],
-        )
+        gains, offsets = (None if one is None else one[order] for one in (gains, offsets))
+        light = {"scale": factor, "gains": gains, "offsets": offsets}
+        light["ignored"] = header.ignored_value(dtype)
+        values, changes = read_planes(data, _SelectedPlanes(view, order), **light)
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
     return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *changes))
@@ -121,12 +114,8 @@ class _SelectedPlanes:
     """Selected planes of a mapped file in another order, read on access."""
 
     def __init__(self, view, order):
-        self.view, self.order, self.dtype, self.shape = (
-            view,
-            order,
-            view.dtype,
-            (len(order), *view.shape[1:]),
-        )
+        self.view, self.order, self.dtype = view, order, view.dtype
+        self.shape = (len(order), *view.shape[1:])
         self.size = len(order) * view[0].size
 
     def __getitem__(self, index):
@@ -155,10 +144,8 @@ class _Header:
                 while "}" not in parts[-1]:
                     line_after = next(lines, None)
                     if line_after is None:
-                        raise BadFile(
-                            path,
-                            f"{format_value(key)} has no end: a brace is not closed; is it truncated?",
-                        )
+                        what = f"{format_value(key)} has no end: a brace is not closed"
+                        raise BadFile(path, f"{what}; is it truncated?")
                     if not line_after.startswith(";"):
                         parts.append(line_after)
                 value = " ".join(parts)
@@ -166,21 +153,23 @@ class _Header:
                 raise BadFile(path, f"has two different values for {format_value(key)}")
             self.fields[key] = value
 
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
+
     def text(self, key, default=None) -> str:
         """Return a field as text."""
         if key in self.fields:
             return self.fields[key]
         if default is None:
-            raise BadFile(self.path, f"lacks {key!r}")
+            self.refuse(f"lacks {key!r}")
         return default
 
     def whole(self, key, default=None, least=1) -> int:
         """Return a field as a whole number."""
         text = self.text(key, None if default is None else str(default))
         if not re.fullmatch(r"\d{1,15}", text) or int(text) < least:
-            raise BadFile(
-                self.path, f"{key} = {format_value(text)}: wanted a whole number, {least} or more"
-            )
+            self.refuse(f"{key} = {format_value(text)}: wanted a whole number, {least} or more")
         return int(text)
 
     def number(self, key) -> float:
@@ -188,9 +177,8 @@ class _Header:
         try:
             return float(self.text(key))
         except ValueError:
-            raise BadFile(
-                self.path, f"{key} = {format_value(self.text(key))}: wanted a number"
-            ) from None
+            why = f"{key} = {format_value(self.text(key))}: wanted a number"
+            raise BadFile(self.path, why) from None
 
     def numbers(self, key, count) -> np.ndarray:
         """Return a field as a list of finite numbers, float64 (count,)."""
@@ -198,85 +186,60 @@ class _Header:
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
-            raise BadFile(
-                self.path, f"{key}: wanted numbers in braces, for example {{1, 2, 3}}"
-            ) from None
+            why = f"{key}: wanted numbers in braces, for example {{1, 2, 3}}"
+            raise BadFile(self.path, why) from None
         if len(values) != count or not np.isfinite(values).all():
-            raise BadFile(
-                self.path,
-                f"{key}: {len(values)} numbers, wanted {count} finite ones, one for each band",
-            )
+            why = f"{key}: {len(values)} numbers, wanted {count} finite ones, one for each band"
+            self.refuse(why)
         return values
 
     def refuse_others(self):
         """Raise BadFile for files of an unsupported form."""
         if self.text("file compression", "0") != "0":
-            raise BadFile(
-                self.path,
-                "file compression: compressed data are not supported; write them uncompressed",
-            )
+            why = "file compression: compressed data are not supported; write them uncompressed"
+            self.refuse(why)
         for key in ("major frame offsets", "minor frame offsets"):
             if re.search("[1-9]", self.text(key, "")):
-                raise BadFile(
-                    self.path,
-                    f"{key}: bytes between lines are not supported; write the data without",
-                )
+                self.refuse(f"{key}: bytes between lines are not supported; write the data without")
         if self.text("file type", "").lower() == "envi classification":
-            raise BadFile(self.path, "file type = ENVI Classification: classes have no spectra")
+            self.refuse("file type = ENVI Classification: classes have no spectra")
 
     def dtype(self) -> np.dtype:
         """Return the type of the samples with their byte order."""
         code = self.whole("data type")
         if code in COMPLEX:
-            raise BadFile(self.path, f"data type = {code}: complex numbers; wanted real numbers")
+            self.refuse(f"data type = {code}: complex numbers; wanted real numbers")
         if code not in TYPES:
-            raise BadFile(
-                self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}"
-            )
+            self.refuse(f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}")
         order = self.whole("byte order", 0 if TYPES[code] == "u1" else None, least=0)
         if order > 1:
-            raise BadFile(
-                self.path, f"byte order = {order}: wanted 0 (the least significant byte first) or 1"
-            )
+            self.refuse(f"byte order = {order}: wanted 0 (the least significant byte first) or 1")
         return np.dtype("<>"[order] + TYPES[code])
 
     def kind(self) -> str:
         """Return the kind of the samples according to the header."""
-        reflectance = (
-            "reflectance scale factor" in self.fields
-            or "data reflectance gain values" in self.fields
-        )
-        return (
-            "radiance" if "data gain values" in self.fields and not reflectance else "reflectance"
-        )
+        of_reflectance = {"reflectance scale factor", "data reflectance gain values"}
+        is_radiance = "data gain values" in self.fields and not of_reflectance & self.fields.keys()
+        return "radiance" if is_radiance else "reflectance"
 
     def gains(self, kind, count):
         """Return gains and offsets of each band, or None."""
         of = "data" if kind == "radiance" else "data reflectance"
-        return tuple(
-            self.numbers(f"{of} {what} values", count)
-            if f"{of} {what} values" in self.fields
-            else None
-            for what in ("gain", "offset")
-        )
+        keys = [f"{of} {what} values" for what in ("gain", "offset")]
+        return [self.numbers(key, count) if key in self.fields else None for key in keys]
 
     def scale(self, kind, dtype, has_gains) -> float:
         """Return the number that stands for 1 after the gains; for radiance [W m-2 sr-1 nm-1]."""
         if kind == "reflectance" and "reflectance scale factor" in self.fields:
             scale = self.number("reflectance scale factor")
             if not 1e-30 <= scale <= 1e30:
-                raise BadFile(
-                    self.path,
-                    f"reflectance scale factor = {scale:g}: wanted the number that stands for 1",
-                )
+                why = f"reflectance scale factor = {scale:g}: wanted the number that stands for 1"
+                self.refuse(why)
             return scale
         if has_gains:
             return PER_NM if kind == "radiance" else 1.0
         if dtype.kind != "f":
-            raise BadFile(
-                self.path,
-                f"{kind} in whole numbers without a factor in the header; {SAY_SCALE}",
-            )
+            self.refuse(f"{kind} in whole numbers without a factor in the header; {SAY_SCALE}")
         return 1.0
 
     def ignored_value(self, dtype):
@@ -287,15 +250,12 @@ class _Header:
         if dtype.kind == "f":
             with np.errstate(over="ignore"):
                 return dtype.type(self.number("data ignore value"))
-        value = (
-            int(text) if re.fullmatch(r"[+-]?\d{1,20}", text) else self.number("data ignore value")
-        )
+        is_whole = re.fullmatch(r"[+-]?\d{1,20}", text)
+        value = int(text) if is_whole else self.number("data ignore value")
         limits = np.iinfo(dtype)
-        return (
-            dtype.type(int(value))
-            if value == value and limits.min <= value <= limits.max and (value == int(value))
-            else None
-        )
+        if value == value and limits.min <= value <= limits.max and (value == int(value)):
+            return dtype.type(int(value))
+        return None
 
 
 def _wavelengths(header, own, count):
@@ -304,20 +264,16 @@ def _wavelengths(header, own, count):
     if own is not None:
         nm = own
         if len(nm) != count:
-            raise OutOfRange(
-                "wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}"
-            )
+            allowed = f"{count}, one for each band of {path}"
+            raise OutOfRange("wavelengths", f"{len(nm)} numbers", allowed)
     elif "wavelength" in header.fields:
         nm = header.numbers("wavelength", count)
         unit = header.text("wavelength units", "").lower()
         if unit in NANOMETRES:
             nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is not exact in binary
         elif unit not in UNSAID:
-            raise BadFile(
-                path,
-                f"wavelength units = {format_value(unit)}: wanted Nanometers or Micrometers; or "
-                f"{SAY_WAVELENGTHS}",
-            )
+            what = f"wavelength units = {format_value(unit)}: wanted Nanometers or Micrometers"
+            raise BadFile(path, f"{what}; or {SAY_WAVELENGTHS}")
         elif nm.max() < LONGEST_UM:
             nm, notes = np.round(nm * 1e3, 6), ["wavelength units are missing: taken as um"]
         else:
@@ -331,16 +287,11 @@ def _wavelengths(header, own, count):
             notes.append(f"bands marked bad by bbl are left out: {count - good.sum()} of {count}")
     used = np.sort(nm[good])
     if not len(used) or not (np.diff(used) > 0).all():
-        raise BadFile(
-            path,
-            f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different; wanted 1 or "
-            "more, all different",
-        )
+        what = f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different"
+        raise BadFile(path, f"{what}; wanted 1 or more, all different")
     if not SHORTEST <= used[0] <= used[-1] <= LONGEST:
-        raise BadFile(
-            path,
-            f"wavelengths {used[0]:.6g} .. {used[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}",
-        )
+        why = f"wavelengths {used[0]:.6g} .. {used[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}"
+        raise BadFile(path, why)
     return nm, good, notes
 
 
@@ -355,18 +306,12 @@ def _data_file(path, wanted):
             continue
         if not other.is_dir() and other != path:
             found.setdefault((status.st_dev, status.st_ino), (other, status.st_size))
-    fitting = [file for file, size in found.values() if size == wanted] or [
-        file for file, _ in found.values()
-    ]
+    fitting = [file for file, size in found.values() if size == wanted]
+    fitting = fitting or [file for file, _ in found.values()]
     if not fitting:
-        raise BadFile(
-            path,
-            f"no data file next to it: wanted {base.name}, or this name with one of {', '.join(DATA[1:])}",
-        )
+        known = f"{base.name}, or this name with one of {', '.join(DATA[1:])}"
+        raise BadFile(path, f"no data file next to it: wanted {known}")
     if len(fitting) > 1:
-        raise BadFile(
-            path,
-            f"several data files next to it: {', '.join(file.name for file in fitting)}; keep one, or "
-            f"name the header {fitting[0].name}.hdr",
-        )
+        what = f"several data files next to it: {', '.join(file.name for file in fitting)}"
+        raise BadFile(path, f"{what}; keep one, or name the header {fitting[0].name}.hdr")
     return fitting[0]

@@ -19,6 +19,7 @@ files:
 
 import math
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -66,6 +67,10 @@ class _File:
     def __init__(self, path, root):
         self.path, self.root, self.notes = path, root, []
 
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
+
     def scene(self, ray, no_depth):
         names = self.root.names
         found = next((name for name in (*NAMES, "mcCOEF", "photons") if name in names), None)
@@ -82,70 +87,54 @@ class _File:
 
     def only_object(self) -> Value:
         """Return the only struct with photons, with any name."""
-        found = {
-            name: value
-            for name in self.root.names
-            if (value := self.root.get(name)) is not None
-            and value.get("data", "photons") is not None
-        }
+        found = {}
+        for name in self.root.names:
+            value = self.root.get(name)
+            if value is not None and value.get("data", "photons") is not None:
+                found[name] = value
         if len(found) == 1:
             return found.popitem()[1]
-        raise BadFile(
-            self.path,
-            (
-                f"several structs with data.photons ({', '.join(found)})"
-                if found
-                else f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}"
-            )
-            + f"; wanted one, {SAVE}, or a multispectral file",
-        )
+        what = f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}"
+        if found:
+            what = f"several structs with data.photons ({', '.join(found)})"
+        self.refuse(f"{what}; wanted one, {SAVE}, or a multispectral file")
 
     def scene_of_object(self, value, ray, no_depth):
         """Return the scene from ISETCam's scene or optical image."""
         if value is None or value.kind != "struct":
             what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
-            raise BadFile(
-                self.path, f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}"
-            )
+            self.refuse(f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}")
         kind = self.text(value, "type", SCENE).lower()
         if kind not in (SCENE, OPTICAL_IMAGE):
-            raise BadFile(
-                self.path,
-                f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}",
-            )
+            why = f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}"
+            self.refuse(why)
         data = value.get("data")
         if data is None or data.get("photons") is None:
-            raise BadFile(self.path, f"{value.label}: no data.photons; compute it before saving")
+            self.refuse(f"{value.label}: no data.photons; compute it before saving")
         content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
         distances = None
         if kind == OPTICAL_IMAGE:
-            content, light = (
-                content.scale(self.per_irradiance(value)),
-                unit_light(content.wavelengths),
-            )
+            light = unit_light(content.wavelengths)
+            content = content.scale(self.per_irradiance(value))
         else:
             content, light = self.split_light(content, value.get("illuminant"))
             distances = value.get("depthMap") if not no_depth else None
         if distances is not None:
-            distances = axial_depth(
-                self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray
-            )
+            along, numbers = "ray" if ray else "axis", distances.numbers()
+            distances = axial_depth(self.path, "depthMap", numbers, along, ray)
         return self.make_scene(content, light, value, value.get("wAngular"), distances)
 
     def per_irradiance(self, value):
         """Return radiance over irradiance of an optical image's lens at infinity focus [sr-1]."""
         number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
-            raise BadFile(
-                self.path,
-                f"{value.label}: an optical image without optics.fNumber, which converts its "
-                "irradiance to radiance; set it, or save the scene",
+            what = (
+                "an optical image without optics.fNumber, which converts its irradiance to radiance"
             )
+            self.refuse(f"{value.label}: {what}; set it, or save the scene")
         number = self.single(number)
         if not 0 < number < 1e6:
-            raise BadFile(
-                self.path, f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number"
-            )
+            self.refuse(f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number")
         self.notes.append(
             f"optical image: its irradiance as the radiance that gives it behind a lens of f/{number:.4g}; "
             f'to avoid further blur and shading: [optics] f_number = {number:.4g}, model = "none", '
@@ -158,29 +147,23 @@ class _File:
     def single(self, value) -> float:
         numbers = value.numbers()
         if numbers.size != 1 or not np.isfinite(numbers).all():
-            raise BadFile(
-                self.path, f"{value.label}: shape {value.shape}, wanted one finite number"
-            )
+            self.refuse(f"{value.label}: shape {value.shape}, wanted one finite number")
         return float(numbers.item())
 
     def vector(self, value) -> np.ndarray:
         numbers = value.numbers()
         if numbers.size != max(numbers.shape):
-            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted a vector")
+            self.refuse(f"{value.label}: shape {value.shape}, wanted a vector")
         return numbers.ravel().astype(np.float64)
 
     def waves(self, owner) -> np.ndarray:
         """Return the wavelengths of a struct [nm]."""
         value = owner.get("wave") or owner.get("wavelength")
         if value is None:
-            raise BadFile(
-                self.path, f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)"
-            )
+            self.refuse(f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)")
         wavelengths = self.vector(value)
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
-            raise BadFile(
-                self.path, f"{value.label}: wanted wavelengths [nm] that increase strictly"
-            )
+            self.refuse(f"{value.label}: wanted wavelengths [nm] that increase strictly")
         return wavelengths
 
     def text(self, owner, key, other: str) -> str:
@@ -190,14 +173,8 @@ class _File:
 
     def make_scene(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
-        return Scene(
-            content,
-            light,
-            fov=fov,
-            depth=depth,
-            name=self.text(owner, "name", self.path.stem),
-            notes=tuple(self.notes),
-        )
+        name, notes = self.text(owner, "name", self.path.stem), tuple(self.notes)
+        return Scene(content, light, fov=fov, depth=depth, name=name, notes=notes)
 
     def cube(self, owner, key, wavelengths):
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))
@@ -206,14 +183,11 @@ class _File:
         """Return numbers (rows, cols, count) of a struct as float32, band-major, codes decoded."""
         value = owner.get(key)
         if value is None:
-            raise BadFile(self.path, f"{owner.label}: no {key}")
+            self.refuse(f"{owner.label}: no {key}")
         shape = (*value.shape, 1)[:3] if len(value.shape) == 2 else value.shape
         if len(shape) != 3 or shape[2] != count:
-            raise BadFile(
-                self.path,
-                f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), one "
-                "plane per wavelength or basis function",
-            )
+            what = f"{value.label}: shape {value.shape}, wanted (rows"
+            self.refuse(f"{what}, cols, {count}), one plane per wavelength or basis function")
         array = value.numbers().reshape(shape)
         require_memory(f"{self.path}: {value.label}", 4 * array.size)
         low, step = 0.0, 1.0
@@ -222,48 +196,37 @@ class _File:
         planes = np.empty((count, *shape[:2]), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # infinite values are refused
             for number in range(count):
-                planes[number] = (
-                    array[..., number] if step == 1 else array[..., number] * step + low
-                )
+                plane = array[..., number]
+                planes[number] = plane if step == 1 else plane * step + low
         if not np.isfinite([planes.min(initial=0), planes.max(initial=0)]).all():
-            raise BadFile(
-                self.path, f"{value.label}: NaN or infinite numbers, or more than float32 holds"
-            )
+            self.refuse(f"{value.label}: NaN or infinite numbers, or more than float32 holds")
         return planes
 
     def codes(self, owner, value, dtype):
         """Return least value and step of integer codes from 0 to the largest of their type."""
         low, high = owner.get("dmin") or owner.get("min"), owner.get("dmax") or owner.get("max")
         if dtype.kind != "u" or low is None or high is None:
-            raise BadFile(
-                self.path, f"{value.label}: {dtype}, wanted floats, or uint16 with dmin and dmax"
-            )
+            self.refuse(f"{value.label}: {dtype}, wanted floats, or uint16 with dmin and dmax")
         low, high = self.single(low), self.single(high)
         if not high >= low:
-            raise BadFile(
-                self.path,
-                f"{owner.label}: dmin = {low:.4g}, dmax = {high:.4g}; wanted dmin <= dmax",
-            )
+            self.refuse(f"{owner.label}: dmin = {low:.4g}, dmax = {high:.4g}; wanted dmin <= dmax")
         return low, (high - low) / np.iinfo(dtype).max
 
     def linear_model(self):
         basis = self.root.get("basis")
         if basis is None:
-            raise BadFile(self.path, "mcCOEF without basis")
+            self.refuse("mcCOEF without basis")
         wavelengths = self.waves(basis if basis.kind == "struct" else self.root)
         table = basis.get("basis") if basis.kind == "struct" else basis
         spectra = np.zeros((0, 0)) if table is None else table.numbers().astype(np.float64)
         if spectra.ndim != 2 or len(spectra) != len(wavelengths):
-            raise BadFile(
-                self.path,
-                f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}, functions), one row "
-                "for each wavelength",
-            )
+            what = f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}"
+            self.refuse(f"{what}, functions), one row for each wavelength")
         planes, mean = self.planes(self.root, "mcCOEF", spectra.shape[1]), self.root.get("imgMean")
         if mean is not None:
             mean = self.vector(mean)
             if len(mean) != len(wavelengths):
-                raise BadFile(self.path, f"imgMean: {len(mean)} numbers, wanted {len(wavelengths)}")
+                self.refuse(f"imgMean: {len(mean)} numbers, wanted {len(wavelengths)}")
             require_memory(f"{self.path}: mcCOEF", planes.nbytes)
             planes = np.concatenate([planes, np.ones((1, *planes.shape[1:]), np.float32)])
             spectra = np.column_stack([spectra, mean])
@@ -277,24 +240,19 @@ class _File:
         photons = data and (data.get("photons") if data.kind == "struct" else data)
         if photons is None:
             return content, unit_light(content.wavelengths)
-        own = (
-            illuminant.get("spectrum", "wave")
-            or illuminant.get("wavelength")
-            or illuminant.get("wave")
-        )
+        own = illuminant.get("spectrum", "wave") or illuminant.get("wavelength")
+        own = own or illuminant.get("wave")
         own = content.wavelengths if own is None else self.vector(own)
-        found = (
-            self.split_light_map(content, data, own)
-            if math.prod(photons.shape) > max(photons.shape)
-            else self.split_one_light(content, illuminant, own)
-        )
+        if math.prod(photons.shape) > max(photons.shape):
+            found = self.split_light_map(content, data, own)
+        else:
+            found = self.split_one_light(content, illuminant, own)
         if found is None:
             self.notes.append("radiance is kept; its light is unknown")
             return content, unit_light(content.wavelengths)
         if (most := found[0].mean_spectrum().max()) > 1:
-            self.notes.append(
-                f"the illuminant has another scale: mean reflectance up to {most:.3g}"
-            )
+            note = f"the illuminant has another scale: mean reflectance up to {most:.3g}"
+            self.notes.append(note)
         return found
 
     def split_one_light(self, content, illuminant, own):
@@ -305,9 +263,7 @@ class _File:
         photons = data if in_energy else data.get("photons")
         values, kind = self.vector(photons), photons.numbers().dtype
         if len(values) != len(own):
-            raise BadFile(
-                self.path, f"{photons.label}: {len(values)} numbers for {len(own)} wavelengths"
-            )
+            self.refuse(f"{photons.label}: {len(values)} numbers for {len(own)} wavelengths")
         if kind.kind != "f" and not in_energy:
             low, step = self.codes(data, photons, kind)
             values = low + step * values
@@ -321,20 +277,14 @@ class _File:
 
     def split_light_map(self, content, data, own):
         """Return surfaces in light that varies over the scene; None if a few lights do not fit."""
-        if (
-            not isinstance(content, Cube)
-            or data.kind != "struct"
-            or not np.array_equal(own, content.wavelengths)
-        ):
-            raise BadFile(
-                self.path,
-                "an illuminant that varies over the scene: wanted photons at the scene's wavelengths",
-            )
+        is_cube = isinstance(content, Cube) and np.array_equal(own, content.wavelengths)
+        if not is_cube or data.kind != "struct":
+            what = "an illuminant that varies over the scene"
+            self.refuse(f"{what}: wanted photons at the scene's wavelengths")
         light = self.planes(data, "photons", len(own))
         if light.shape != content.values.shape:
-            raise BadFile(
-                self.path,
-                f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of the scene",
+            self.refuse(
+                f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of the scene"
             )
         require_memory(f"{self.path}: light that varies", 12 * light.nbytes)
         found = _separate_lights(light)
@@ -344,10 +294,8 @@ class _File:
             lit = (light > 0) & (mixed > 0)
             if not content.values[~lit].any():  # else unlit samples emit light
                 surfaces = np.divide(content.values, mixed, out=np.zeros_like(mixed), where=lit)
-                return (
-                    Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
-                    Spectrum(own, mean, "light that varies"),
-                )
+                seen = Illuminated(own, maps, surfaces, np.eye(len(own)), lights)
+                return seen, Spectrum(own, mean, "light that varies")
         self.notes.append(f"light varies over the scene and is no mix of {MOST_LIGHTS} lights")
         return None
 
@@ -377,13 +325,10 @@ def _separate_lights(light):
         low = places[:, lit].min(axis=1)
         size = (places[:, lit].sum(axis=0) - low.sum()).max() or 1.0
         weights = np.maximum((places - low[:, None]) / size, 0)
-        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights]) * np.where(
-            lit, total, 0
-        )
-        corners = (
-            sums / (sums @ sums)
-            + (plane @ np.column_stack([low, low[:, None] + size * np.eye(count - 1)])).T
-        )
+        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights])
+        maps *= np.where(lit, total, 0)
+        ends = np.column_stack([low, low[:, None] + size * np.eye(count - 1)])
+        corners = sums / (sums @ sums) + (plane @ ends).T
         lights = corners @ axis.T
         if (np.abs(lights.T @ maps - flat) <= LIGHT_ERROR * flat + LEAST_LIGHT).all():
             return mean, maps.reshape(count, *light.shape[1:]).astype(np.float32), lights

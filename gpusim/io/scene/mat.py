@@ -59,28 +59,22 @@ class _Root(Value):
     def __init__(self, path, file, head):
         self.order = {b"IM": "<", b"MI": ">"}.get(head[HEADER - 2 : HEADER])
         if self.order is None or 0 in head[:4]:
-            raise BadFile(
-                path,
-                "not a MATLAB file of version 5 .. 7.3, which can hold structs; write it with "
-                "save('scene.mat', 'scene', '-v7')",
-            )
+            what = "not a MATLAB file of version 5 .. 7.3, which can hold structs"
+            raise BadFile(path, f"{what}; write it with save('scene.mat', 'scene', '-v7')")
         self.file, self.size, self.places, start = file, file_size(file), {}, HEADER
         while start + 8 <= self.size:
             kind, length = struct.unpack(f"{self.order}II", self._read_stored(start, 8))
             if kind not in (MATRIX, COMPRESSED):
-                raise BadFile(
-                    path, f"truncated or damaged at byte {start}: a variable of type {kind}"
-                )
+                why = f"truncated or damaged at byte {start}: a variable of type {kind}"
+                raise BadFile(path, why)
             place = (start + 8, length, kind == COMPRESSED)
             self.places[_head(self._variable(path, place, HEAD), self.order)[2]] = place
             if len(self.places) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} variables")
             start += 8 + length
         if start != self.size:
-            raise BadFile(
-                path,
-                f"truncated or damaged at byte {start}: {self.size - start} bytes left, no variable",
-            )
+            what = f"truncated or damaged at byte {start}"
+            raise BadFile(path, f"{what}: {self.size - start} bytes left, no variable")
         super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
 
     def _field(self, name):
@@ -90,17 +84,13 @@ class _Root(Value):
         """Return the bytes of a variable, or the first `most` of them."""
         start, length, packed = place
         if start + length > self.size:
-            raise BadFile(
-                path, f"truncated: {length} bytes from byte {start} on in a file of {self.size}"
-            )
+            why = f"truncated: {length} bytes from byte {start} on in a file of {self.size}"
+            raise BadFile(path, why)
         if packed:
             kind, unpacked = struct.unpack(f"{self.order}II", self._inflate(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
-                raise BadFile(
-                    path,
-                    f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
-                    f"packed in {length}",
-                )
+                what = f"{unpacked} bytes of type {kind} cannot be packed in {length}"
+                raise BadFile(path, f"truncated or damaged at byte {start}: {what}")
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:
@@ -176,11 +166,8 @@ class _Matrix(Value):
 
     def _array(self):
         kind, data, _ = _element(self.view, self.order, self.start)
-        return (
-            np.frombuffer(data, self.order + TYPES[kind])
-            .astype(CLASSES[self.type], copy=False)
-            .reshape(self.shape, order="F")
-        )
+        numbers = np.frombuffer(data, self.order + TYPES[kind])
+        return numbers.astype(CLASSES[self.type], copy=False).reshape(self.shape, order="F")
 
     def _text(self):
         kind, data, _ = _element(self.view, self.order, self.start)

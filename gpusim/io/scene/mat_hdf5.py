@@ -29,11 +29,10 @@ def open_hdf5(path) -> Iterator[Value]:
     try:
         import h5py
     except ImportError:
-        raise BadFile(
-            path,
-            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or a file "
-            "written by save('scene.mat', 'scene', '-v7')",
-        ) from None
+        wanted = (
+            "pip install 'gpusim[isetcam]', or a file written by save('scene.mat', 'scene', '-v7')"
+        )
+        raise BadFile(path, f"a MATLAB file of version 7.3 (HDF5): wanted {wanted}") from None
     with (
         open_file(path) as whole,
         reading(path, WHAT),
@@ -65,28 +64,17 @@ class _Item(Value):
             names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]
             names = [name for name in names if not name.startswith(HIDDEN)]
             kind = "struct" if of in ("struct", "") else f"an array of class {of}"
-            if (
-                of == "struct"
-                and names
-                and self._holds_references(names[0])
-                and item[names[0]].size > 1
-            ):
+            is_array = of == "struct" and names and self._holds_references(names[0])
+            if is_array and item[names[0]].size > 1:
                 kind = "a struct array"
             super().__init__(path, label, kind, (1, 1), tuple(names) if kind == "struct" else ())
             return
         if not isinstance(item, h5py.Dataset):
             raise ValueError(f"{label} is neither a group nor a data set")
         shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1] or (1, 1)
-        if of == "char":
-            kind = "text"
-        elif of == "cell":
-            kind = "a cell array"
-        else:
-            kind = (
-                "numbers"
-                if item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
-                else f"an array of {item.dtype}"
-            )
+        is_number = item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
+        kind = "numbers" if is_number else f"an array of {item.dtype}"
+        kind = {"char": "text", "cell": "a cell array"}.get(of, kind)
         super().__init__(path, label, kind, shape)
 
     def _local_item(self, name):
@@ -102,31 +90,25 @@ class _Item(Value):
         import h5py
 
         item = self._local_item(name)
-        return (
-            isinstance(item, h5py.Dataset)
-            and h5py.check_ref_dtype(item.dtype) is h5py.Reference
-            and not _class(item)
-        )
+        if not isinstance(item, h5py.Dataset):
+            return False
+        return h5py.check_ref_dtype(item.dtype) is h5py.Reference and not _class(item)
 
     def _field(self, name):
         item = self._local_item(name)
         if self._holds_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
             item = self.item.file[np.asarray(item[()]).item()]
-        return _Item(
-            self.path, f"{self.label}.{name}" if self.label != "the file" else name, item, self.size
-        )
+        label = f"{self.label}.{name}" if self.label != "the file" else name
+        return _Item(self.path, label, item, self.size)
 
     def _check(self):
         _check(self.path, self.label, self.item, self.size)
 
     def _array(self):
         array = self.item[()]
-        return (
-            np.asarray(array)
-            .astype(array.dtype.newbyteorder("="), copy=False)
-            .T.reshape(self.shape)
-        )
+        array = np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False)
+        return array.T.reshape(self.shape)
 
     def _text(self):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")
@@ -157,11 +139,8 @@ def _check_ends(data):
         # keys are names in groups; sizes and places of pieces, of any number of axes, in data sets
         for wide in (8,) if kind == 0 else range(24, 24 + 8 * MOST_AXES, 8):
             first = base + at + 24 + wide
-            for child in (
-                range(first, min(first + entries * (wide + 8), len(data) - 7), wide + 8)
-                if level
-                else ()
-            ):
+            end = min(first + entries * (wide + 8), len(data) - 7) if level else first
+            for child in range(first, end, wide + 8):
                 if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
                     raise ValueError("a tree that contains itself")
 
@@ -184,24 +163,18 @@ def _check(path, label, item, size):
     layout = plist.get_layout()
     if len(item.shape) > MOST_AXES:
         raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
-    if (
-        layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
-        or plist.get_external_count()
-    ):
+    inside = (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
+    if layout not in inside or plist.get_external_count():
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
     filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
         raise BadFile(path, f"{label}: packed by another method than MATLAB's")
-    largest = max(
-        nbytes,
-        math.prod(plist.get_chunk()) * item.dtype.itemsize if layout == h5py.h5d.CHUNKED else 0,
-    )
+    largest = nbytes
+    if layout == h5py.h5d.CHUNKED:
+        largest = max(nbytes, math.prod(plist.get_chunk()) * item.dtype.itemsize)
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
-        raise BadFile(
-            path,
-            f"{label}, truncated or damaged: {largest} bytes cannot come from {stored} in a "
-            f"file of {size}",
-        )
+        what = f"{label}, truncated or damaged: {largest} bytes cannot come from {stored}"
+        raise BadFile(path, f"{what} in a file of {size}")
 
 
 def _class(item) -> str:

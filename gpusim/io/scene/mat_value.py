@@ -54,12 +54,8 @@ class Value:
 
     def text(self) -> str | None:
         """Return a text of one line; None for anything else. Raises BadFile."""
-        if (
-            self.kind != "text"
-            or len(self.shape) != 2
-            or self.shape[0] != 1
-            or self.shape[1] > LONGEST_TEXT
-        ):
+        is_line = len(self.shape) == 2 and self.shape[0] == 1 and self.shape[1] <= LONGEST_TEXT
+        if self.kind != "text" or not is_line:
             return None
         with reading(self.path, WHAT):
             self._check()

@@ -19,6 +19,7 @@ known; `fov_deg`. Only the key determines the order of the axes, never their len
 """
 
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -44,14 +45,10 @@ def write_npz(path, scene: Scene):
         "cube" if name == "values" else name: getattr(content, name)
         for name in (*content.samples, *content.shared)
     }
-    arrays |= {
-        "illuminant_wavelengths_nm": scene.illuminant.wavelengths,
-        "illuminant": scene.illuminant.values,
-        "border": scene.border,
-        "margin": scene.margin,
-        "name": scene.name,
-        "samples_per_pixel": scene.samples_per_pixel,
-    }
+    light = scene.illuminant
+    arrays |= {"illuminant_wavelengths_nm": light.wavelengths, "illuminant": light.values}
+    for name in ("border", "margin", "name", "samples_per_pixel"):
+        arrays[name] = getattr(scene, name)
     if scene.fov is not None:
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
@@ -62,15 +59,11 @@ def write_npz(path, scene: Scene):
 def check_whole(path, scene: Scene):
     """Raise BadFile if a scene has a view or layers: files hold one picture and its depth."""
     if not scene.view.is_plain:
-        raise BadFile(
-            path,
-            f"{scene.name} has a view, which files cannot hold: write it without view",
-        )
+        why = f"{scene.name} has a view, which files cannot hold: write it without view"
+        raise BadFile(path, why)
     if scene.layers:
-        raise BadFile(
-            path,
-            f"{scene.name} has {len(scene.layers)} layers; a file holds one picture and its depth",
-        )
+        why = f"{scene.name} has {len(scene.layers)} layers; a file holds one picture and its depth"
+        raise BadFile(path, why)
 
 
 def read_npz(path, white: Spectrum) -> Scene:
@@ -90,15 +83,19 @@ class _Archive:
     def __init__(self, path, stored):
         self.path, self.stored = path, stored
 
+    def refuse(self, why: str) -> NoReturn:
+        """Raise BadFile."""
+        raise BadFile(self.path, why)
+
     def array(self, key, *shape, negative=False):
         """Return finite numbers under `key`; None in `shape` is any length."""
         self.stored.shape(key, wanted=shape)
         array = self.stored[key]
         low, high = float(array.min()), float(array.max())
         if not np.isfinite([low, high]).all():
-            raise BadFile(self.path, f"{key}: NaN or infinite values")
+            self.refuse(f"{key}: NaN or infinite values")
         if low < 0 and not negative:
-            raise BadFile(self.path, f"{key}: negative values (lowest {low:.3g})")
+            self.refuse(f"{key}: negative values (lowest {low:.3g})")
         return array
 
     def planes(self, key, *shape, pixel_major=False, negative=False):
@@ -106,7 +103,7 @@ class _Archive:
         array = self.array(key, *shape, negative=negative)
         largest = max(float(array.max()), -float(array.min()))
         if largest > float(np.finfo(np.float32).max):
-            raise BadFile(self.path, f"{key}: values up to {largest:.3g}, more than float32 holds")
+            self.refuse(f"{key}: values up to {largest:.3g}, more than float32 holds")
         return np.ascontiguousarray(np.moveaxis(array, -1, 0) if pixel_major else array, np.float32)
 
     def single(self, key, default):
@@ -117,44 +114,28 @@ class _Archive:
         value = self.stored[key].item()
         try:
             return type(default)(value)
-        except (
-            ValueError,
-            OverflowError,
-        ):  # not a number, or infinite for a whole number
-            raise BadFile(
-                self.path, f"{key}: wanted one {type(default).__name__}, got {format_value(value)}"
-            ) from None
+        except (ValueError, OverflowError):  # not a number, or infinite for a whole number
+            why = f"{key}: wanted one {type(default).__name__}, got {format_value(value)}"
+            raise BadFile(self.path, why) from None
 
     def scene(self, white):
         """Return the scene in the archive."""
         forms = [key for key in FORMS if key in self.stored]
         if len(forms) != 1:
-            raise BadFile(
-                self.path,
-                f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}",
-            )
-        key = (
-            "wave"
-            if "wave" in self.stored and "wavelengths_nm" not in self.stored
-            else "wavelengths_nm"
-        )
+            why = f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}"
+            self.refuse(why)
+        known = [key for key in ("wavelengths_nm", "wave") if key in self.stored]
+        key = known[0] if known else "wavelengths_nm"
         wavelengths = self.array(key, None).astype(np.float64)
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
-            raise BadFile(self.path, f"{key}: needs wavelengths that increase strictly")
+            self.refuse(f"{key}: needs wavelengths that increase strictly")
         content = self.content(forms[0], wavelengths)
         content, illuminant = self.split_light(content, white)
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
         fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
-        return Scene(
-            content,
-            illuminant,
-            self.single("border", "edge"),
-            self.single("margin", 0),
-            fov,
-            depth,
-            self.single("name", self.path.stem),
-            self.single("samples_per_pixel", 1.0),
-        )
+        defaults = {"border": "edge", "margin": 0, "name": self.path.stem, "samples_per_pixel": 1.0}
+        fields = {key: self.single(key, default) for key, default in defaults.items()}
+        return Scene(content, illuminant, fov=fov, depth=depth, **fields)
 
     def content(self, form, wavelengths):
         """Return the pixels, still in the unit of the file."""
@@ -166,9 +147,7 @@ class _Archive:
         if form == "ids":
             ids, spectra = self.array("ids", None, None), self.array("spectra", None, bands)
             if ids.dtype.kind == "f" or ids.max() > 65535:
-                raise BadFile(
-                    self.path, f"ids: {ids.dtype} up to {ids.max()}, wanted integers up to 65535"
-                )
+                self.refuse(f"ids: {ids.dtype} up to {ids.max()}, wanted integers up to 65535")
             return Materials(
                 wavelengths,
                 ids.astype(np.uint8 if ids.max() < 256 else np.uint16),
@@ -197,5 +176,5 @@ class _Archive:
                 return content.divide_by(light), Spectrum(wavelengths, light, "illuminant")
         kind = self.single("kind", "radiance")
         if kind not in ("radiance", "reflectance"):
-            raise BadFile(self.path, f'kind: {kind!r}, wanted "radiance" or "reflectance"')
+            self.refuse(f'kind: {kind!r}, wanted "radiance" or "reflectance"')
         return content, white if kind == "reflectance" else unit_light(wavelengths)

@@ -14,7 +14,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.files import file_size, name_in_errors, open_file, reading
-from gpusim.io.png import CHANNELS, png, read_lines
+from gpusim.io.png import png, read_lines
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
 from gpusim.io.scene.tiff import read_picture
 
@@ -41,12 +41,8 @@ def read_photo(path) -> Basis | Materials:
         if linear.shape[-1] == 1:
             shading = linear[..., 0].astype(np.float32)
             wavelengths = srgb_primaries().wavelengths
-            return Materials(
-                wavelengths,
-                np.zeros(shading.shape, np.uint8),
-                shading,
-                np.ones((1, len(wavelengths))),
-            )
+            ids, neutral = np.zeros(shading.shape, np.uint8), np.ones((1, len(wavelengths)))
+            return Materials(wavelengths, ids, shading, neutral)
         return lift(np.moveaxis(linear, -1, 0))
 
 
@@ -59,9 +55,8 @@ def read_cutout(path) -> tuple[Basis, np.ndarray]:
     with name_in_errors(path):
         linear, alpha = _decode_light(read_samples(path))
         covers = np.ones(linear.shape[:2]) if alpha is None else alpha
-        return lift(
-            np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)
-        ), covers.astype(np.float32)
+        colours = np.broadcast_to(linear, (*linear.shape[:2], 3))
+        return lift(np.moveaxis(colours, -1, 0)), covers.astype(np.float32)
 
 
 def damage(path) -> tuple[str, ...]:
@@ -130,11 +125,8 @@ def read_samples(path) -> np.ndarray:
             raise BadFile(path, f"too large: {error}") from error
         cols, rows = image.size
         if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
-            raise BadFile(
-                path,
-                f"truncated or damaged: a JPEG of {cols} x {rows} pixels needs more than {len(data)} "
-                "bytes",
-            )
+            what = f"a JPEG of {cols} x {rows} pixels needs more than {len(data)} bytes"
+            raise BadFile(path, f"truncated or damaged: {what}")
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
         samples = _decode(path, data, image)
     return samples if samples.ndim == 3 else samples[..., None]
@@ -169,14 +161,11 @@ def _decode_png16(header, lines):
     """
     from PIL import Image
 
-    rows = np.frombuffer(lines, np.uint8).reshape(
-        header.rows, 1 + 2 * header.cols * CHANNELS[header.colour]
-    )
+    rows = np.frombuffer(lines, np.uint8).reshape(header.rows, -1)
     small = dataclasses.replace(header, bits=8)
-    high, low = (
-        np.asarray(
-            Image.open(io.BytesIO(png(small, zlib.compress(np.hstack([rows[:, :1], half]), 1))))
-        )
-        for half in (rows[:, 1::2], rows[:, 2::2])
-    )
-    return high.astype(np.uint16) * 256 + low
+
+    def decode(half):
+        packed = zlib.compress(np.hstack([rows[:, :1], half]), 1)
+        return np.asarray(Image.open(io.BytesIO(png(small, packed))))
+
+    return decode(rows[:, 1::2]).astype(np.uint16) * 256 + decode(rows[:, 2::2])

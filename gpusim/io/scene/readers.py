@@ -63,9 +63,8 @@ def select_options(name, options: tuple[str, ...], given: dict) -> dict:
                 suffix for suffix, reader in READERS.items() if option in reader.options
             ]
             key, value = ("depth", '"ray"') if option == "ray" else (option, format_value(value))
-            raise OutOfRange(
-                key, value, f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}"
-            )
+            allowed = f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}"
+            raise OutOfRange(key, value, allowed)
     return {option: value for option, value in given.items() if option in options}
 
 
@@ -101,10 +100,6 @@ def _npz(path, white, no_depth=False):
     return dataclasses.replace(scene, depth=None) if no_depth else scene
 
 
-def _iset(path, white, **options):
-    return read_iset(path, **options)
-
-
 def _photo(path, white):
     content = read_photo(path)
     with name_in_errors(path):
@@ -117,9 +112,8 @@ def _tiff(path, white, wavelengths=None, kind=None, scale=None):
         values = read_stack(path, len(wavelengths), checked_scale(scale))
         return scene_of_planes(path, white, wavelengths, values, checked_kind(kind))
     if kind is not None or scale is not None:
-        raise OutOfRange(
-            *(("scale", scale) if kind is None else ("kind", kind)), "with wavelengths only"
-        )
+        given = ("scale", scale) if kind is None else ("kind", kind)
+        raise OutOfRange(*given, "with wavelengths only")
     return _photo(path, white)
 
 
@@ -131,20 +125,15 @@ def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
             path, white, held.wavelengths, held.values.T, held.kind, size, held.notes
         )
     if size is not None:
-        raise OutOfRange(
-            "size",
-            format_value(size),
-            f"for charts and libraries of spectra; {path} has its own size",
-        )
+        allowed = f"for charts and libraries of spectra; {path} has its own size"
+        raise OutOfRange("size", format_value(size), allowed)
     return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 
 
 def _npy(path, white, wavelengths=None, kind=None, scale=None):
     if wavelengths is None:
-        raise BadFile(
-            path,
-            "an array has no wavelengths; give them [nm], for example --wavelengths 400:700:10",
-        )
+        why = "an array has no wavelengths; give them [nm], for example --wavelengths 400:700:10"
+        raise BadFile(path, why)
     wavelengths = checked_wavelengths(wavelengths)
     kind = checked_kind(kind)
     scale = checked_scale(scale)
@@ -171,15 +160,11 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
         wavelengths = np.asarray(wavelengths, np.float64)
     except (TypeError, ValueError):
         wavelengths = np.empty((0, 0))
-    if (
-        wavelengths.ndim != 1
-        or not len(wavelengths)
-        or not (np.diff(wavelengths, prepend=0) > 0).all()
-        or not (wavelengths[-1] < np.inf)
-    ):
-        raise OutOfRange(
-            "wavelengths", wavelengths.tolist(), "1 or more [nm], positive and strictly ascending"
-        )
+    is_list = wavelengths.ndim == 1 and len(wavelengths) > 0
+    rises = is_list and (np.diff(wavelengths, prepend=0) > 0).all()
+    if not (rises and wavelengths[-1] < np.inf):
+        allowed = "1 or more [nm], positive and strictly ascending"
+        raise OutOfRange("wavelengths", wavelengths.tolist(), allowed)
     return wavelengths
 
 
@@ -218,7 +203,7 @@ PLANES = ("wavelengths", "kind", "scale")
 READERS = {
     ".exr": Reader(_exr, ("bands", "ray", "no_depth")),
     ".npz": Reader(_npz, ("no_depth",)),
-    ".mat": Reader(_iset, ("ray", "no_depth")),
+    ".mat": Reader(lambda path, _, **options: read_iset(path, **options), ("ray", "no_depth")),
     **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
     **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
     ".hdr": Reader(_envi, (*PLANES, "size")),
@@ -231,8 +216,5 @@ IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_fol
 
 def scene_files(folder: Path) -> list[Path]:
     """Return a folder's scene files in the order of their names, without hidden files."""
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IN_FOLDERS and not path.name.startswith(".") and path.is_file()
-    )
+    found = (path for path in folder.iterdir() if path.suffix.lower() in IN_FOLDERS)
+    return sorted(path for path in found if not path.name.startswith(".") and path.is_file())

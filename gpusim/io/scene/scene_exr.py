@@ -30,40 +30,24 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
     check_whole(path, scene)
     content, reflectance = scene.content.on_host(), scene.light_is_known and not radiance
     if reflectance and isinstance(content, Illuminated):
-        raise BadFile(
-            path,
-            f"the light of {scene.name} varies over the scene, which reflectances cannot express: use "
-            "radiance=True, or an .npz",
-        )
-    light = (
-        np.ones(len(scene.wavelengths)) if reflectance else scene.illuminant.at(scene.wavelengths)
-    )
+        what = f"the light of {scene.name} varies over the scene, which reflectances cannot express"
+        raise BadFile(path, f"{what}: use radiance=True, or an .npz")
+    nodes = scene.wavelengths
+    light = np.ones(len(nodes)) if reflectance else scene.illuminant.at(nodes)
     values = np.empty((len(light), *content.shape), np.float32)
-    require_memory(
-        f"{path}: {len(light)} channels of {content.shape[1]} x {content.shape[0]} samples",
-        COPIES * values.nbytes,
-    )
+    what = f"{len(light)} channels of {content.shape[1]} x {content.shape[0]} samples"
+    require_memory(f"{path}: {what}", COPIES * values.nbytes)
     for start in range(0, content.shape[0], ROWS):
         rows = slice(start, start + ROWS)
         values[:, rows] = np.maximum(content.bands_at(rows) * light[:, None, None], 0)
     parts = {key: getattr(scene, key) for key in PARTS if getattr(scene, key) is not None}
     if reflectance:
         own = scene.illuminant
-        parts["illuminant"] = {
-            "name": own.name,
-            "wavelengths_nm": own.wavelengths.tolist(),
-            "values": own.values.tolist(),
-        }
+        nodes, shown = own.wavelengths.tolist(), own.values.tolist()
+        parts["illuminant"] = {"name": own.name, "wavelengths_nm": nodes, "values": shown}
     depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
-    write_spectral_exr(
-        path,
-        scene.wavelengths,
-        values,
-        reflectance=reflectance,
-        half=half,
-        more=depth,
-        **{ATTRIBUTE: json.dumps(parts)},
-    )
+    form = {"reflectance": reflectance, "half": half, "more": depth, ATTRIBUTE: json.dumps(parts)}
+    write_spectral_exr(path, scene.wavelengths, values, **form)
 
 
 def scene_parts(path) -> dict:
@@ -83,9 +67,7 @@ def scene_parts(path) -> dict:
         parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
         if "illuminant" in stored:
             light = stored["illuminant"]
-            parts["illuminant"] = Spectrum(
-                np.asarray(light["wavelengths_nm"], np.float64),
-                np.asarray(light["values"], np.float64),
-                str(light["name"]),
-            )
+            nodes = np.asarray(light["wavelengths_nm"], np.float64)
+            shown = np.asarray(light["values"], np.float64)
+            parts["illuminant"] = Spectrum(nodes, shown, str(light["name"]))
         return parts

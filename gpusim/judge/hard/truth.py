@@ -10,6 +10,8 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import j0, j1
 
+from gpusim.judge.truth_light import centre_pads
+
 
 def relative(result, truth) -> float:
     """Return the RMS error over the RMS of the truth."""
@@ -166,10 +168,7 @@ def blur_periodic(values, q, weights, period) -> np.ndarray:
     It is computed band by band, and judges stages that transform a period.
     """
     shape = values.shape[1:]
-    pad = [
-        ((length - n) // 2, length - n - (length - n) // 2)
-        for length, n in zip(period, shape, strict=True)
-    ]
+    pad = centre_pads(period, shape)
     total = np.zeros((len(weights), *period), complex)
     for plane, one, weight in zip(values, q, weights.T, strict=True):
         total += weight[:, None, None] * (
