@@ -173,8 +173,11 @@ def __getattr__(name):
     if name not in _PUBLIC:
         raise AttributeError(f"module 'gpusim' has no attribute {name!r}")
     if _PUBLIC[name] == __name__:
-        return import_module(f"{__name__}.{name}")
-    return getattr(import_module(_PUBLIC[name]), name)
+        found = import_module(f"{__name__}.{name}")
+    else:
+        found = getattr(import_module(_PUBLIC[name]), name)
+    globals()[name] = found  # Python does not ask again
+    return found
 
 
 def __dir__():
