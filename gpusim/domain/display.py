@@ -6,9 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from gpusim.domain.errors import BadData, OutOfRange, check_range
+from gpusim.domain.errors import (
+    BadData,
+    Interval,
+    Limits,
+    OutOfRange,
+    check_fields,
+    is_known,
+    within,
+)
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
+
+EXPONENT = {"curve": Limits('"srgb" or the exponent of a power law, 1 .. 4', Interval(1, 4))}
+LUMINANCE = {"luminance": within("0 < luminance <= 1e6", "cd m-2")}
 
 
 @dataclass(frozen=True)
@@ -61,21 +72,9 @@ class Display:
             raise BadData(
                 f"display.white = {self.white}: no mixture of the primaries {self.primaries}"
             )
-        check_range(
-            "display",
-            self,
-            "curve",
-            '"srgb" or the exponent of a power law, 1 .. 4',
-            lambda value: value == "srgb" or 1 <= value <= 4,
-        )
-        check_range(
-            "display",
-            self,
-            "luminance",
-            "0 < luminance <= 1e6",
-            lambda value: 0 < value <= 1e6,
-            "cd m-2",
-        )
+        if not is_known(self.curve, ("srgb",)):
+            check_fields("display", self, EXPONENT)
+        check_fields("display", self, LUMINANCE)
         if self.spectra is not None and not isinstance(self.spectra, Spectrum):
             raise BadData(f"display.spectra = {self.spectra!r}: wanted a Spectrum of three rows")
         if self.spectra is not None and self.spectra.values.shape[:-1] != (3,):

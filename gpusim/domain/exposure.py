@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
+from gpusim.domain.errors import BadData, OutOfRange, check_fields, check_known, within
 
 METHODS = ("highlights", "full", "percentile", "mean", "centre")
+LIMITS = {
+    "level": within("0 < level <= 1"),
+    "percentile": within("0 < percentile <= 100", "%"),
+    "longest": within("0 < longest <= 1e12", "s"),
+    "most_gain": within("1 <= most_gain <= 1e4"),
+}
 LONGEST = 1e12  # [s]
 MOST_GAIN = 1e4  # largest analog gain on top of the sensor's own
 MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
@@ -143,34 +149,10 @@ class AutoExposure:
     most_gain: float = 1.0
 
     def __post_init__(self):
-        if not is_known(self.method, METHODS):
-            raise UnknownName("exposure method", str(self.method), METHODS)
+        check_known("exposure method", self.method, METHODS)
         if self.level is None:
             object.__setattr__(self, "level", FILLED * MIDDLE_GREY if self.averages else FILLED)
-        check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
-        check_range(
-            "auto_exposure",
-            self,
-            "percentile",
-            "0 < percentile <= 100",
-            lambda value: 0 < value <= 100,
-            "%",
-        )
-        check_range(
-            "auto_exposure",
-            self,
-            "longest",
-            "0 < longest <= 1e12",
-            lambda value: 0 < value <= 1e12,
-            "s",
-        )
-        check_range(
-            "auto_exposure",
-            self,
-            "most_gain",
-            "1 <= most_gain <= 1e4",
-            lambda value: 1 <= value <= 1e4,
-        )
+        check_fields("auto_exposure", self, LIMITS)
         if self.most_gain > 1 and self.longest is None:
             raise BadData(
                 f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises if the "

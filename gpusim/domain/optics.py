@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from gpusim.domain.distortion import Distortion
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_fields, within
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
 from gpusim.domain.short_repr import short_repr
@@ -14,6 +14,7 @@ from gpusim.domain.spectrum import Spectrum
 
 MODELS = ("diffraction", "measured", "none")
 RELATIVE_ILLUMINATIONS = ("cos4", "none")
+FOCAL_LENGTH = {"focal_length": within("0 < focal_length < inf", "m")}
 AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1, divided by pi: the "1.22" of textbooks
 
 
@@ -70,10 +71,7 @@ class Optics:
     def __post_init__(self):
         if not 0.1 <= self.f_number <= 1000:
             raise OutOfRange("optics.f_number", self.f_number, "0.1 <= f_number <= 1000")
-        if not 0 < self.focal_length < np.inf:
-            raise OutOfRange(
-                "optics.focal_length", f"{self.focal_length:.6g} m", "0 < focal_length < inf"
-            )
+        check_fields("optics", self, FOCAL_LENGTH)
         if not self.object_distance > self.focal_length:
             # At the focal length and nearer a lens forms no real image.
             raise OutOfRange(

@@ -10,7 +10,7 @@ from math import comb, factorial
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import FINITE, BadData, Limits, OutOfRange, check_fields
 from gpusim.domain.short_repr import short_repr
 
 # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
@@ -46,8 +46,7 @@ class Pupil:
                 self.obscuration,
                 f"0 <= obscuration < {self.inner_radius:.4g}, the radius of the circle that fits in",
             )
-        if not np.isfinite(self.rotation):
-            raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
+        check_fields("optics.pupil", self, {"rotation": Limits("a finite angle", FINITE)})
 
     @property
     def area(self) -> float:
