@@ -136,6 +136,11 @@ class Noise:
         """Dark current relative to its value at the reference temperature [1]."""
         return 2.0 ** ((self.temperature - self.reference_temperature) / self.doubling)
 
+    @property
+    def operating_dark_current(self) -> float:
+        """Dark current at the temperature of the sensor [e- s-1]."""
+        return self.dark_current * self.warmth
+
 
 def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
     """Return the standard deviation of the charge that a reset leaves on a pixel, sqrt(k T C) / q.
