@@ -17,22 +17,7 @@ from gpusim.domain.errors import (
 )
 from gpusim.domain.short_repr import short_repr
 
-PINHOLE = (
-    "k1",
-    "k2",
-    "p1",
-    "p2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "s1",
-    "s2",
-    "s3",
-    "s4",
-    "tau_x",
-    "tau_y",
-)  # OpenCV's order
+PINHOLE = tuple("k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y".split())  # OpenCV's order
 FISHEYE = ("k1", "k2", "k3", "k4")
 COUNTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows for a pinhole
 FINITE_NUMBER = Limits("a finite number", FINITE)
@@ -174,8 +159,32 @@ class BrownConrady:
         return tuple(self.scale * term for term in terms)
 
 
+class Radial:
+    """Displacement along radii, by the `_radial` of a subclass: r^ / r and dr^/dr without scale."""
+
+    scale: float
+
+    def distort(self, x, y):
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        factor = self.scale * self._radial(np.hypot(x, y))[0]
+        return x * factor, y * factor
+
+    def derivative(self, x, y):
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        r = np.hypot(x, y)
+        factor, slope = self._radial(r)
+        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
+        return tuple(
+            self.scale * term
+            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
+        )
+
+    def _radial(self, r):
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Fisheye:
+class Fisheye(Radial):
     """Equidistant fisheye projection with polynomial corrections.
 
         r^ = scale theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r
@@ -214,21 +223,6 @@ class Fisheye:
         height = theta * (1 + q * (self.k1 + q * (self.k2 + q * (self.k3 + q * self.k4))))
         slope = 1 + q * (3 * self.k1 + q * (5 * self.k2 + q * (7 * self.k3 + q * 9 * self.k4)))
         return np.divide(height, r, out=np.ones_like(r), where=r > 0), slope / (1 + r * r)
-
-    def distort(self, x, y):
-        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        factor = self.scale * self._radial(np.hypot(x, y))[0]
-        return x * factor, y * factor
-
-    def derivative(self, x, y):
-        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        r = np.hypot(x, y)
-        factor, slope = self._radial(r)
-        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
-        return tuple(
-            self.scale * term
-            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
-        )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
+from gpusim.domain.calibration import (
+    BrownConrady,
+    Calibration,
+    Fisheye,
+    Framed,
+    Radial,
+    check_model,
+)
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
 
@@ -67,7 +74,7 @@ class RadialPolynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class RadialTable:
+class RadialTable(Radial):
     """Radial distortion as a table: r^ = scale f(r) with the cubic spline f through the entries.
 
     The spline is odd in r.
@@ -130,21 +137,6 @@ class RadialTable:
         slope = self._slope(inside)
         height = self._curve(inside) + (r - inside) * slope
         return np.divide(height, r, out=np.array(self._slope(np.zeros_like(r))), where=r > 0), slope
-
-    def distort(self, x, y):
-        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        factor = self.scale * self._radial(np.hypot(x, y))[0]
-        return x * factor, y * factor
-
-    def derivative(self, x, y):
-        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        r = np.hypot(x, y)
-        factor, slope = self._radial(r)
-        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
-        return tuple(
-            self.scale * term
-            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
-        )
 
 
 Model = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Framed

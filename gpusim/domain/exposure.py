@@ -113,7 +113,7 @@ class LightStatistics:
         The products of the weights must add up to 1.
         """
         values, more = self.values.copy(), np.float32(rate)
-        mean, root, added = (float(value) for value in (values[1], values[2], more))
+        mean, root, added = map(float, (values[1], values[2], more))
         values[2] = max(root**2 + 2 * mean * added + added**2, 0.0) ** 0.5
         values[[0, 1, 3, 5]] += more
         values[6:] += more  # order statistics stay sorted
@@ -198,7 +198,7 @@ class AutoExposure:
             return without_highlights(
                 float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max())
             )
-        down, right = self._gaussians(rate.shape)
+        down, right = map(_center_weights, rate.shape[-2:])
         return float(np.mean(down @ rate.astype(np.float64) @ right))
 
     @property
@@ -217,17 +217,9 @@ class AutoExposure:
         Returns:
             Weights of rows, shape (layers rows,), and of columns, shape (cols,).
         """
-        down, right = self._gaussians(shape)
+        down, right = map(_center_weights, shape[-2:])
         layers = prod(shape[:-2])
         return np.tile(down / layers, layers), right
-
-    @staticmethod
-    def _gaussians(shape):
-        """Return Gaussian weights of sum 1 along rows and columns."""
-        weights = [
-            np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]
-        ]
-        return [weight / weight.sum() for weight in weights]
 
     def signal_of(self, statistics: LightStatistics) -> float:
         """Return the same as `signal`, from the statistics of the pixels.
@@ -291,6 +283,12 @@ class AutoExposure:
         if self.longest is None or time <= self.longest:
             return time, 1.0
         return self.longest, min(time / self.longest, self.most_gain)
+
+
+def _center_weights(count):
+    """Return Gaussian weights of sum 1 of `count` rows or columns."""
+    weights = np.exp(-0.5 * (((np.arange(count) + 0.5) / count - 0.5) / CENTRE) ** 2)
+    return weights / weights.sum()
 
 
 def without_highlights(rest: float, brightest: float) -> float:

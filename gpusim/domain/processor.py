@@ -138,12 +138,12 @@ class Processor:
 
     def _check_white(self):
         try:
-            white = tuple(float(value) for value in self.white)
+            white = tuple(map(float, self.white))
         except (TypeError, ValueError):
             raise BadData(
                 f"processor.white = {self.white!r}: wanted a number for each channel"
             ) from None
-        if not all(0 < value < np.inf for value in white):
+        if not (np.isfinite(white).all() and (np.array(white) > 0).all()):
             raise OutOfRange("processor.white", list(white), "numbers above 0")
         if bool(white) != (self.white_balance == "preset"):
             raise OutOfRange(

@@ -225,8 +225,9 @@ class Scene(Pictured):
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the frame [pixel]."""
         # 1.1 is no binary fraction: 11 samples are 10 pixels of that size, not 9.999...
-        rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
-        return rows, cols
+        rows, cols = self.samples
+        down = int(rows / self.samples_per_pixel * (1 + 1e-12))
+        return down, int(cols / self.samples_per_pixel * (1 + 1e-12))
 
     @property
     def samples(self) -> tuple[int, int]:
