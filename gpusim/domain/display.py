@@ -66,9 +66,9 @@ class Display:
         ):
             if not (0 <= x <= 1 and 0 < y <= 1 and x + y <= 1):
                 raise OutOfRange(f"display.{key}", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
-        if abs(np.linalg.det(_xyz(self.primaries))) < 1e-6:
+        if abs(np.linalg.det(xyz_of(self.primaries))) < 1e-6:
             raise BadData(f"display.primaries = {self.primaries}: they lie on one line")
-        if (np.linalg.solve(_xyz(self.primaries), _xyz([self.white])[:, 0]) <= 0).any():
+        if (np.linalg.solve(xyz_of(self.primaries), xyz_of([self.white])[:, 0]) <= 0).any():
             raise BadData(
                 f"display.white = {self.white}: no mixture of the primaries {self.primaries}"
             )
@@ -103,8 +103,8 @@ class Display:
 
         Each column is the XYZ of a primary, scaled until the three add up to white (SMPTE RP 177).
         """
-        primaries = _xyz(self.primaries)
-        return primaries * np.linalg.solve(primaries, _xyz([self.white])[:, 0])
+        primaries = xyz_of(self.primaries)
+        return primaries * np.linalg.solve(primaries, xyz_of([self.white])[:, 0])
 
     def decode(self, values: ArrayLike) -> np.ndarray:
         """Return linear light, white = 1, from codes.
@@ -178,7 +178,7 @@ def _table(curve, most):
     return table
 
 
-def _xyz(chromaticities):
+def xyz_of(chromaticities) -> np.ndarray:
     """Return XYZ with Y = 1 of each (x, y), as columns."""
     x, y = np.array(chromaticities, np.float64).T
     return np.stack([x / y, np.ones_like(x), (1 - x - y) / y])
