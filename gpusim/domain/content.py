@@ -307,7 +307,7 @@ class Content:
             Spectra, shape (K, L); index of the spectrum of each sample, shape (N,); strength of the
             sample in units of its spectrum, shape (N,).
         """
-        spectra = self.planes[:, rows, cols].T.astype(np.float64) @ self.entry_spectra
+        spectra = self.take(rows, cols).planes.T.astype(np.float64) @ self.entry_spectra
         return spectra, np.arange(len(rows)), np.ones(len(rows))
 
     def check(self, name: str) -> None:

@@ -130,7 +130,7 @@ class Wavefront:
                 "optics.zernike: wanted a list of numbers, or one of them for each field height, equally "
                 "long"
             ) from None
-        seidel = tuple(float(value) for value in self.seidel)
+        seidel = tuple(map(float, self.seidel))
         if zernike.ndim != (2 if heights.size else 1) or (
             heights.size and zernike.shape[0] != heights.size
         ):
@@ -159,13 +159,10 @@ class Wavefront:
             )
         if not 100 <= self.reference <= 100000:
             raise OutOfRange("optics.reference_nm", self.reference, "100 <= reference_nm <= 100000")
-        rows = tuple(map(tuple, zernike.tolist())) if heights.size else tuple(zernike.tolist())
-        for name, value in (
-            ("zernike", rows),
-            ("heights", tuple(heights.tolist())),
-            ("seidel", seidel),
-        ):
-            object.__setattr__(self, name, value)
+        rows = map(tuple, zernike.tolist()) if heights.size else zernike.tolist()
+        object.__setattr__(self, "zernike", tuple(rows))
+        object.__setattr__(self, "heights", tuple(heights.tolist()))
+        object.__setattr__(self, "seidel", seidel)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
         """Return the coefficients [i, j] of x^i y^j at one field point.
@@ -184,7 +181,8 @@ class Wavefront:
             zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
         w040, w131, w222, w220, w311 = self.seidel
         h = height
-        total = _empty_table(len(zernike))
+        order = int((np.sqrt(8 * max(len(zernike), 1) - 7) - 1) / 2)
+        total = np.zeros((max(order, 4) + 1,) * 2)
         total[:5, :5] += w040 * disc_power(2) + w220 * h**2 * np.pad(disc_power(1), (0, 2))
         total[1, 0] += w311 * h**3
         total[2, 0] += w222 * h**2
@@ -243,12 +241,6 @@ def noll(j) -> np.ndarray:
                 for a, b in zip(*np.nonzero(radial), strict=True):
                     table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]
     return table
-
-
-def _empty_table(count):
-    """Room for Seidel terms and `count` Zernike polynomials."""
-    order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
-    return np.zeros((max(order, 4) + 1,) * 2)
 
 
 def _turn(table, angle):
