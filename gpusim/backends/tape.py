@@ -54,26 +54,27 @@ class Tape:
         self.commands, self.numbered, self.viewed = [], [], []
         self.reads, self.host_work = [], []
 
-    def again(self, request, make):
-        """Return the recorded result of the request in this place, or record `make()`."""
+    def again(self, request, make, *args):
+        """Return the recorded result of the request in this place, or record `make(*args)`."""
         if self._at < len(self._requests) and self._requests[self._at][0] == request:
             found = self._requests[self._at][1]
         else:
             del self._requests[self._at :]
-            found = make()
+            found = make(*args)
             self._requests.append((request, found))
         self._at += 1
         return found
 
     def constant(self, values, make):
-        """Return an array of these values: the recorded one if its values are equal, else `make()`.
+        """Return the recorded array if its values are equal, else record `make(values, dtype)`.
 
         The rest of the tape stays.
         """
         text = values.tobytes()
-        found = self.again(("array", values.shape, values.dtype.str), lambda: [text, make()])
-        if found[0] != text:
-            found[:] = text, make()
+        found = self.again(("array", values.shape, values.dtype.str), list)
+        if not found or found[0] != text:
+            # the array may share the copy's memory
+            found[:] = text, make(values.copy(), values.dtype)
         return found[1]
 
     def start(self, command):
@@ -219,8 +220,7 @@ class Taped(Device):
         values = np.ascontiguousarray(values, dtype)
         if values.nbytes > SMALL:
             return self._array(values, dtype)
-        # the array may share the copy's memory
-        return tape.constant(values, lambda: self._array(values.copy(), dtype))
+        return tape.constant(values, self._array)
 
     @refusable(of_values)
     def samples(self, values, dtype):
@@ -231,18 +231,15 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
-        return tape.again(
-            ("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype)
-        )
+        request = "empty", tuple(shape), np.dtype(dtype).str
+        return tape.again(request, self._empty, shape, dtype)
 
     def reshape(self, array, shape):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
         tape.viewed.append(array)
-        return tape.again(
-            ("reshape", _place(array), tuple(shape)), lambda: self._reshape(array, shape)
-        )
+        return tape.again(("reshape", _place(array), tuple(shape)), self._reshape, array, shape)
 
     @refusable(of_values)
     def numpy(self, array):
@@ -283,16 +280,12 @@ class Taped(Device):
     @refusable(of_values)
     def _start_copy(self, target, source, count, start, to):
         """Copy `count` values between arrays, in turn with launches."""
-        tape = _current.tape
-
-        def make():
-            return Copy(self, target, source, count, start, to)
-
+        tape, what = _current.tape, (self, target, source, count, start, to)
         if tape is None:
-            make().start()
+            Copy(*what).start()
         else:
             places = _place(target), _place(source), count, start, to
-            command = tape.again(("copy", *places), make)
+            command = tape.again(("copy", *places), Copy, *what)
             command.set((target, source))
             tape.start(command)
 
@@ -307,14 +300,12 @@ class Taped(Device):
     ):
         if numbers:
             args = (*args, *last_arguments(numbers, words))
-        tape = _current.tape
+        tape, what = _current.tape, (stage, kernel, grid, args, defines or {}, group)
         if tape is None:
-            self._launch(stage, kernel, grid, args, defines or {}, group)
+            self._launch(*what)
         elif 0 not in grid:
             request = stage, kernel, tuple(grid), group, defines
-            command = tape.again(
-                request, lambda: self._command(stage, kernel, grid, args, defines or {}, group)
-            )
+            command = tape.again(request, self._command, *what)
             command.set(args)
             if numbers:
                 tape.numbered.append((command, numbers, words))
