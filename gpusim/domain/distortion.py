@@ -14,6 +14,7 @@ from gpusim.domain.calibration import (
 )
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 # Field heights at which turning points are searched, and from which Newton's method starts.
 SAMPLES = 4097
@@ -103,11 +104,7 @@ class RadialTable(Radial):
                 f"{real.shape}"
             )
         for name, heights in (("ideal", ideal), ("real", real)):
-            if (
-                not np.isfinite(heights).all()
-                or heights[0] != 0
-                or not (np.diff(heights) > 0).all()
-            ):
+            if not is_increasing(heights) or heights[0] != 0:
                 worst = int(np.argmin(np.diff(heights))) + 1
                 raise BadData(
                     f"distortion table: {name} heights must rise from 0; entry {worst} is "

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gpusim.domain.content import Basis, Content, is_seen
+from gpusim.domain.content import Basis, Content, check_not_negative, is_seen
 from gpusim.domain.errors import BadData
 
 
@@ -104,11 +104,8 @@ class Illuminated(Content):
         # splines of spectral lines undershoot slightly: negative values are accepted
         if not np.isfinite(self.lights).all():
             raise BadData(f"{name}: NaN or infinite lights")
-        if is_seen(self.maps) and not (np.isfinite(self.maps).all() and self.maps.min() >= 0):
-            raise BadData(
-                f"{name}: maps from {self.maps.min():.3g} to {self.maps.max():.3g}, wanted finite light, not "
-                "negative"
-            )
+        if is_seen(self.maps):
+            check_not_negative(f"{name}: maps", self.maps, "light")
 
 
 def surfaces_of(content: Content) -> Basis:

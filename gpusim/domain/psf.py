@@ -8,6 +8,7 @@ import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +60,7 @@ class PointSpread:
             for axis in (self.grid or ([] if self.heights is None else [self.heights]))
         ]
         for axis in axes:
-            if (
-                axis.ndim != 1
-                or not np.isfinite(axis).all()
-                or not (np.diff(axis) > 0).all()
-                or len(axis) < 2
-            ):
+            if not is_increasing(axis) or len(axis) < 2:
                 raise BadData(
                     f"point spread: wanted two or more field points, increasing, got {axis}"
                 )
@@ -75,11 +71,7 @@ class PointSpread:
                 "point spread: energies of pixels do not turn with the field, as square pixels do not; give "
                 "samples of the irradiance, or a grid of field points"
             )
-        if (
-            wavelengths.ndim != 1
-            or not np.isfinite(wavelengths).all()
-            or not (np.diff(wavelengths) > 0).all()
-        ):
+        if not is_increasing(wavelengths):
             raise BadData(
                 f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ..."
             )

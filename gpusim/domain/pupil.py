@@ -12,6 +12,7 @@ import numpy as np
 
 from gpusim.domain.errors import FINITE, BadData, Limits, OutOfRange, check_fields
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
 LONGEST_WAVEFRONT = 40.0
@@ -138,7 +139,7 @@ class Wavefront:
                 f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
                 "or one per height"
             )
-        if heights.ndim != 1 or not (np.isfinite(heights).all() and (np.diff(heights) > 0).all()):
+        if not is_increasing(heights):
             raise BadData("optics.zernike: field heights must increase")
         if zernike.shape[-1] > 66:
             raise OutOfRange(

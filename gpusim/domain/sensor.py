@@ -18,7 +18,7 @@ from gpusim.domain.errors import (
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import short_repr
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, is_increasing
 
 FLOAT_BITS = 32  # value of `bits` for raw values without a converter
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
@@ -78,13 +78,8 @@ class Microlens:
     def __post_init__(self):
         angles = np.asarray(self.angles, np.float64)
         response = np.asarray(self.response, np.float64)
-        if (
-            angles.ndim != 1
-            or angles.shape != response.shape
-            or len(angles) < 2
-            or angles[0] != 0
-            or not (np.diff(angles) > 0).all()
-        ):
+        wanted = is_increasing(angles) and angles.shape == response.shape and len(angles) > 1
+        if not wanted or angles[0] != 0:
             raise BadData(
                 "sensor.microlens: wanted two or more angles rising from 0 and as many responses"
             )

@@ -101,6 +101,11 @@ def tabulate(value: Spectrum | float, wavelengths: ArrayLike) -> np.ndarray:
     return np.full(np.shape(wavelengths), float(value))
 
 
+def is_increasing(values: np.ndarray) -> bool:
+    """Return True if the values have one axis, are finite and increase strictly."""
+    return values.ndim == 1 and bool(np.isfinite(values).all() and (np.diff(values) > 0).all())
+
+
 def check_wavelengths(wavelengths, label: str, least: int = 1):
     """Raise BadData unless wavelengths (L,) are light, increase, and number at least `least`."""
     if wavelengths.ndim != 1 or len(wavelengths) < least:
