@@ -23,16 +23,13 @@ class OpenCLArray:
         host: The same memory as NumPy array on CPU devices, None on others.
         device: The array's device.
         owner: Object that must live as long as the buffer.
+        ptr: Address of the driver's buffer object.
         region: Buffer, and place in it at which this one begins [byte].
     """
 
     def __init__(self, device, buffer, shape, dtype, host=None, owner=None, region=None):
-        self.device, self.buffer, self.shape, self.dtype = (
-            device,
-            buffer,
-            tuple(shape),
-            np.dtype(dtype),
-        )
+        self.device, self.buffer, self.ptr = device, buffer, buffer.int_ptr
+        self.shape, self.dtype = tuple(shape), np.dtype(dtype)
         self.host, self.owner, self.region = host, owner, region or (buffer, 0)
         self.nbytes = prod(self.shape) * self.dtype.itemsize
 

@@ -1,4 +1,4 @@
-"""Commands of an OpenCL device: kernels with arguments, copies, transfers from the host."""
+"""Commands of an OpenCL device: kernels with arguments, transfers from the host."""
 
 import numpy as np
 
@@ -14,14 +14,8 @@ class Command:
     """
 
     def __init__(self, device, stage, name, kernel, pieces, args, spare):
-        self.device, self.stage, self.name, self.kernel, self.args = (
-            device,
-            stage,
-            name,
-            kernel,
-            args,
-        )
-        self.spare = spare
+        self.device, self.stage, self.name = device, stage, name
+        self.kernel, self.args, self.spare = kernel, args, spare
         self.pieces = [
             (size[::-1], block[::-1], offset[::-1] if any(offset) else None)
             for size, block, offset in pieces
@@ -75,30 +69,3 @@ class Arriving(Transfer):
     def wait(self):
         with self.device.waiting():
             self.event.wait()
-
-
-class Copy:
-    """A copy between two arrays, in turn with the kernels. args: target and source."""
-
-    def __init__(self, device, target, source, count, start, to):
-        self.device, self.args, size = device, (target, source), source.dtype.itemsize
-        self.stage, self.name = device._clock.charged or "copies", "copy"
-        self.range = {
-            "byte_count": count * size,
-            "src_offset": start * size,
-            "dst_offset": to * size,
-        }
-
-    def set(self, args):
-        """Set other arrays of the same kinds."""
-        self.args = args
-
-    def start(self):
-        device, clock, (target, source) = self.device, self.device._clock, self.args
-        with device._lock:
-            event = device._cl.enqueue_copy(
-                device.queue, target.buffer, source.buffer, **self.range
-            )
-            if clock.times is not None:
-                clock.events.append((self.stage, event))
-            device._keep(self.args)

@@ -69,7 +69,7 @@ class Device:
     name = "numpy"
     on_host = True
     opened_by: Callable[[str], "Device"]  # `open_device`; `gpusim.backends.select` sets it
-    array_type: type = type(None)  # no foreign arrays: everything is NumPy
+    array_type: Any = type(None)  # no foreign arrays: everything is NumPy
     is_gpu = False
     has_fp64 = True
     group_limit = 1024

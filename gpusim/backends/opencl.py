@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
 from gpusim.backends.caches import pocl_folder
-from gpusim.backends.commands import Arriving, Command, Copy
+from gpusim.backends.commands import Arriving, Command
 from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor
@@ -44,8 +44,7 @@ class OpenCLDevice(Taped):
     def __init__(self, cl_device, name: str):
         super().__init__()
         self._cl = cl = pyopencl()
-        self.name = name
-        self.cl_device = cl_device
+        self.name, self.cl_device = name, cl_device
         self.group_limit = cl_device.max_work_group_size
         self.local_bytes = min(self.local_bytes, cl_device.local_mem_size)
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
@@ -106,9 +105,6 @@ class OpenCLDevice(Taped):
                 while self._sent and self._sent[0].command_execution_status == done:
                     self._sent.popleft()
         return result
-
-    def _is_here(self, array):
-        return array.device is self
 
     def _fitting(self, array, dtype):
         return array if array.dtype == dtype else self._array(self._numpy(array), dtype)
@@ -214,14 +210,23 @@ class OpenCLDevice(Taped):
                 self._cl.enqueue_copy(self.queue, out, array.buffer)
         return out
 
-    def _place(self, array):
-        return array.buffer.int_ptr, array.shape, array.dtype
-
     def _dtype(self, array):
         return array.dtype
 
-    def _copy(self, target, source, count, start, to):
-        return Copy(self, target, source, count, start, to)
+    def _copy(self, stage, target, source, count, start, to):
+        size = source.dtype.itemsize
+        with self._lock:
+            event = self._cl.enqueue_copy(
+                self.queue,
+                target.buffer,
+                source.buffer,
+                byte_count=count * size,
+                src_offset=start * size,
+                dst_offset=to * size,
+            )
+            if self._clock.times is not None:
+                self._clock.events.append((stage, event))
+            self._keep((target, source))
 
     def _launch(self, stage, kernel, grid, args, defines, group):
         clock = self._clock

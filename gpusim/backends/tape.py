@@ -4,7 +4,9 @@ It then allocates, builds and copies nothing.
 """
 
 import threading
+from collections.abc import Callable
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -52,26 +54,27 @@ class Tape:
         self.commands, self.numbered, self.viewed = [], [], []
         self.reads, self.host_work = [], []
 
-    def again(self, request, make):
-        """Return the recorded result of the request in this place, or record `make()`."""
+    def again(self, request, make, *args):
+        """Return the recorded result of the request in this place, or record `make(*args)`."""
         if self._at < len(self._requests) and self._requests[self._at][0] == request:
             found = self._requests[self._at][1]
         else:
             del self._requests[self._at :]
-            found = make()
+            found = make(*args)
             self._requests.append((request, found))
         self._at += 1
         return found
 
     def constant(self, values, make):
-        """Return an array of these values: the recorded one if its values are equal, else `make()`.
+        """Return the recorded array if its values are equal, else record `make(values, dtype)`.
 
         The rest of the tape stays.
         """
         text = values.tobytes()
-        found = self.again(("array", values.shape, values.dtype.str), lambda: [text, make()])
-        if found[0] != text:
-            found[:] = text, make()
+        found = self.again(("array", values.shape, values.dtype.str), list)
+        if not found or found[0] != text:
+            # the array may share the copy's memory
+            found[:] = text, make(values.copy(), values.dtype)
         return found[1]
 
     def start(self, command):
@@ -164,17 +167,47 @@ def last_arguments(numbers, words=None) -> tuple:
     return tuple(map(float, numbers.values())) if words is None else words(**numbers)
 
 
+class Copy:
+    """A command that copies values between two arrays. args: target and source."""
+
+    def __init__(self, device, target, source, *places):
+        self.device, self.args, self.places = device, (target, source), places
+        self.stage, self.name = device._clock.charged or "copies", "copy"
+
+    def set(self, args):
+        """Set other arrays of the same kinds."""
+        self.args = args
+
+    def start(self):
+        """Copy in turn with the kernels."""
+        self.device._copy(self.stage, *self.args, *self.places)
+
+
 class Taped(Device):
-    """A device whose requests can be recorded; backends define its underscored methods.
+    """A device whose requests can be recorded; backends define its underscored attributes.
 
     Its launches are commands: `set(args)` gives a command other arguments of the same kinds,
     `start()` starts it; `stage` and `name` belong to its kernel, `device` is its device. Memory
     that the driver refuses raises OutOfMemory.
     """
 
+    _home: Any = None  # `device` of this device's arrays, if not itself
+    # (values, dtype): an array of this device with these values, which are not one of its arrays
+    _array: Callable[..., Any]
+    # (array, dtype): an array of this device with this type, contiguous: itself or a copy
+    _fitting: Callable[..., Any]
+    _empty: Callable[..., Any]  # (shape, dtype)
+    _reshape: Callable[..., Any]  # (array, shape)
+    _numpy: Callable[..., Any]  # (array)
+    _dtype: Callable[..., np.dtype]  # (array)
+    # (stage, target, source, count, start, to): copies `count` values from `source` to `target`
+    _copy: Callable[..., None]
+    _launch: Callable[..., None]  # (stage, kernel, grid, args, defines, group)
+    _command: Callable[..., Any]  # (the same): a command that launches with these arguments
+
     @refusable(of_values)
     def array(self, values, dtype=np.float32):
-        if isinstance(values, self.array_type) and self._is_here(values):
+        if self._is_own(values):
             return values
         if not isinstance(values, np.ndarray):
             shared = self._share(values, np.dtype(dtype))
@@ -187,8 +220,7 @@ class Taped(Device):
         values = np.ascontiguousarray(values, dtype)
         if values.nbytes > SMALL:
             return self._array(values, dtype)
-        # the array may share the copy's memory
-        return tape.constant(values, lambda: self._array(values.copy(), dtype))
+        return tape.constant(values, self._array)
 
     @refusable(of_values)
     def samples(self, values, dtype):
@@ -199,24 +231,21 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
-        return tape.again(
-            ("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype)
-        )
+        request = "empty", tuple(shape), np.dtype(dtype).str
+        return tape.again(request, self._empty, shape, dtype)
 
     def reshape(self, array, shape):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
         tape.viewed.append(array)
-        return tape.again(
-            ("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape)
-        )
+        return tape.again(("reshape", _place(array), tuple(shape)), self._reshape, array, shape)
 
     @refusable(of_values)
     def numpy(self, array):
         if isinstance(array, np.ndarray):
             return array
-        if not (isinstance(array, self.array_type) and self._is_here(array)):
+        if not self._is_own(array):
             return to_host(array, self.name)
         tape = _current.tape
         if tape is not None and not self._clock.host_work:
@@ -251,12 +280,12 @@ class Taped(Device):
     @refusable(of_values)
     def _start_copy(self, target, source, count, start, to):
         """Copy `count` values between arrays, in turn with launches."""
-        tape, what = _current.tape, (target, source, count, start, to)
+        tape, what = _current.tape, (self, target, source, count, start, to)
         if tape is None:
-            self._copy(*what).start()
+            Copy(*what).start()
         else:
-            places = self._place(target), self._place(source), count, start, to
-            command = tape.again(("copy", *places), lambda: self._copy(*what))
+            places = _place(target), _place(source), count, start, to
+            command = tape.again(("copy", *places), Copy, *what)
             command.set((target, source))
             tape.start(command)
 
@@ -271,14 +300,12 @@ class Taped(Device):
     ):
         if numbers:
             args = (*args, *last_arguments(numbers, words))
-        tape = _current.tape
+        tape, what = _current.tape, (stage, kernel, grid, args, defines or {}, group)
         if tape is None:
-            self._launch(stage, kernel, grid, args, defines or {}, group)
+            self._launch(*what)
         elif 0 not in grid:
             request = stage, kernel, tuple(grid), group, defines
-            command = tape.again(
-                request, lambda: self._command(stage, kernel, grid, args, defines or {}, group)
-            )
+            command = tape.again(request, self._command, *what)
             command.set(args)
             if numbers:
                 tape.numbered.append((command, numbers, words))
@@ -291,44 +318,14 @@ class Taped(Device):
     def give_back(self):
         """Free memory that is kept for reuse."""
 
-    def _array(self, values, dtype):
-        """Return an array of this device with these values, which are not one of its arrays."""
-        raise NotImplementedError
-
-    def _is_here(self, array) -> bool:
-        """Return whether an array of `array_type` belongs to this device."""
-        raise NotImplementedError
+    def _is_own(self, values) -> bool:
+        """Return whether it is an array of this device."""
+        return isinstance(values, self.array_type) and values.device in (self, self._home)
 
     def _share(self, values, dtype):
         """Return an array made from another's device memory; None if the host can read it."""
 
-    def _fitting(self, array, dtype):
-        """Return an array of this device with this type, contiguous: itself or a copy."""
-        raise NotImplementedError
 
-    def _empty(self, shape, dtype):
-        raise NotImplementedError
-
-    def _reshape(self, array, shape):
-        raise NotImplementedError
-
-    def _numpy(self, array):
-        raise NotImplementedError
-
-    def _place(self, array):
-        """Return a key that distinguishes an array's memory and form."""
-        raise NotImplementedError
-
-    def _dtype(self, array) -> np.dtype:
-        raise NotImplementedError
-
-    def _copy(self, target, source, count, start, to):
-        """Return a command that copies `count` values from `source` to `target`."""
-        raise NotImplementedError
-
-    def _launch(self, stage, kernel, grid, args, defines, group):
-        raise NotImplementedError
-
-    def _command(self, stage, kernel, grid, args, defines, group):
-        """Return a command that launches with these arguments."""
-        raise NotImplementedError
+def _place(array):
+    """Return a key that distinguishes an array's memory and form."""
+    return array.ptr, array.shape, array.dtype

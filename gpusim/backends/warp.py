@@ -18,7 +18,7 @@ from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
 from gpusim.backends.warp_arrays import array_class, mark_in, ordinal_of, wait_for
-from gpusim.backends.warp_commands import Arriving, Command, Copy
+from gpusim.backends.warp_commands import Arriving, Command
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
 from gpusim.domain.memory import Pinned
@@ -70,8 +70,7 @@ class WarpDevice(Taped):
             self.wp_device = wp.get_device(alias)
         except Exception as error:  # Warp raises ValueError or RuntimeError by version
             raise DeviceError(f"{name}: {error}") from error
-        self._wp = wp
-        self.name = name
+        self._wp, self.name, self._home = wp, name, self.wp_device
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
         if self.is_gpu:  # Warp's kernels use 4 bytes a work-item
@@ -101,9 +100,6 @@ class WarpDevice(Taped):
                 copy=not self.on_host,
             )
         )
-
-    def _is_here(self, array):
-        return array.device == self.wp_device
 
     def _share(self, values, dtype):
         wp = self._wp
@@ -256,14 +252,11 @@ class WarpDevice(Taped):
     def _numpy(self, array):
         return array.numpy()
 
-    def _place(self, array):
-        return array.ptr, array.shape, array.dtype
-
     def _dtype(self, array):
         return np.dtype(self._wp.dtype_to_numpy(array.dtype))
 
-    def _copy(self, target, source, count, start, to):
-        return Copy(self, target, source, count, start, to)
+    def _copy(self, stage, target, source, count, start, to):
+        self._timed(stage, lambda: self._wp.copy(target, source, to, start, count))
 
     def _launch(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)

@@ -1,4 +1,4 @@
-"""Commands of a Warp device: kernels with arguments, copies, transfers from the host."""
+"""Commands of a Warp device: kernels with arguments, transfers from the host."""
 
 import ctypes
 
@@ -12,13 +12,8 @@ class Command:
     """A launch with packed arguments. stage: stage that is charged. name: name of the kernel."""
 
     def __init__(self, device, stage, name, launch, args):
-        self.device, self.stage, self.name, self.launch, self.args = (
-            device,
-            stage,
-            name,
-            launch,
-            args,
-        )
+        self.device, self.stage, self.name = device, stage, name
+        self.launch, self.args = launch, args
         for index in range(len(args)):
             self._own(index + 1)
 
@@ -66,21 +61,3 @@ class Arriving(Transfer):
 
     def wait(self):
         self.device._wp.synchronize_event(self.event)
-
-
-class Copy:
-    """A copy between two arrays, in turn with the kernels. args: target and source."""
-
-    def __init__(self, device, target, source, *places):
-        self.device, self.args, self.places = device, (target, source), places
-        self.stage, self.name = device._clock.charged or "copies", "copy"
-
-    def set(self, args):
-        """Set other arrays of the same kinds."""
-        self.args = args
-
-    def start(self):
-        (target, source), (count, start, to) = self.args, self.places
-        self.device._timed(
-            self.stage, lambda: self.device._wp.copy(target, source, to, start, count)
-        )

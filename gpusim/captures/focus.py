@@ -225,7 +225,7 @@ def _contrast(raw, sensor, period, exposure_time, averaged):
     level, gain = raw.mean(), sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
-    dark = sensor.noise.dark_current * sensor.noise.warmth * exposure_time  # included in the level
+    dark = sensor.noise.operating_dark_current * exposure_time  # included in the level
     noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
     squares = np.concatenate(
         [

@@ -176,7 +176,7 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
                 device=device,
             )
         )
-    dark = sensor.noise.dark_current * sensor.noise.warmth * times[0]
+    dark = sensor.noise.operating_dark_current * times[0]
     electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(
         count * dark
     )
@@ -319,7 +319,7 @@ def _merge_tables(frames):
             RawNoise.of(frame.camera.sensor),
         )
         gain = sensor.gain_dn_per_electron
-        dark = sensor.noise.dark_current * sensor.noise.warmth * time
+        dark = sensor.noise.operating_dark_current * time
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
         rows.append(
             (

@@ -132,30 +132,19 @@ def _nodes(maps, steps, shape):
     """
     for count in NODES:
         places = [np.linspace(0, size, max(min(count, size + 1), 2)) - 0.5 for size in shape]
-        nodes = np.stack(
-            [
-                _at(_at(map_, *along[0]).T, *along[1]).T
-                for map_, first in maps
-                for along in [
-                    [
-                        ((place - start) / step, size)
-                        for place, start, step, size in zip(
-                            places, first, steps, map_.shape, strict=True
-                        )
-                    ]
-                ]
-            ]
-        )
-        error = 0.0
-        for made, (map_, first) in zip(nodes, maps, strict=True):
-            back = [
-                _hats(len(place), size)[start::step]
-                for place, size, start, step in zip(places, shape, first, steps, strict=True)
-            ]
+        nodes, error = [], 0.0
+        for map_, first in maps:
+            made, back = map_, []
+            for place, start, step, size, pixels in zip(
+                places, first, steps, map_.shape, shape, strict=True
+            ):
+                made = _at(made, (place - start) / step, size).T
+                back.append(_hats(len(place), pixels)[start::step])
             error = max(error, np.abs(back[0] @ made @ back[1].T / map_ - 1).max())
+            nodes.append(made)
         if error <= INTERPOLATION:
             break
-    return nodes
+    return np.stack(nodes)
 
 
 def _at(values, places, pixels):

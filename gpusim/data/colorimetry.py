@@ -46,11 +46,10 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     Returns:
         XYZ, shape (..., 3); Y is the luminance [cd m-2].
     """
-    factors = [cmf(), spectrum, *([light] if light else [])]
-    nodes = np.unique(np.concatenate([factor.wavelengths for factor in factors]))
-    low = max(factor.wavelengths[0] for factor in factors)
-    high = min(factor.wavelengths[-1] for factor in factors)
-    nodes = nodes[(nodes >= low) & (nodes <= high)]
+    axes = [factor.wavelengths for factor in (cmf(), spectrum, light) if factor is not None]
+    nodes = np.unique(np.concatenate(axes))
+    first, last = np.transpose([axis[[0, -1]] for axis in axes])
+    nodes = nodes[(nodes >= first.max()) & (nodes <= last.min())]
     if len(nodes) < 2:
         return np.zeros((*spectrum.values.shape[:-1], 3))
     steps = np.diff(nodes)

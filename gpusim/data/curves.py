@@ -3,11 +3,7 @@
 README-curves.md in this folder names their sources and contents.
 """
 
-from functools import cache
-from pathlib import Path
-
-import numpy as np
-
+from gpusim.data.colorimetry import tables
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.spectrum import Spectrum
 
@@ -21,17 +17,6 @@ CHANNELS = {
 }
 
 
-@cache
-def _tables():
-    with np.load(Path(__file__).with_name("curves.npz")) as file:
-        return dict(file)
-
-
-def curve_names() -> list[str]:
-    """Return the names that `curve` knows, sorted."""
-    return sorted(CHANNELS)
-
-
 def curve(name: str) -> Spectrum:
     """Return the table `name`, 400 to 700 nm.
 
@@ -40,4 +25,5 @@ def curve(name: str) -> Spectrum:
     """
     if name not in CHANNELS:
         raise UnknownName("curve", name, CHANNELS)
-    return Spectrum(_tables()["wavelengths"], _tables()[name], name)
+    table = tables("curves")
+    return Spectrum(table["wavelengths"], table[name], name)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.data.lights import light_of, white_radiance
-from gpusim.domain.content import is_seen
+from gpusim.domain.content import check_not_negative, is_seen
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import describe_array
 from gpusim.domain.illuminated import Illuminated, spline, surfaces_of
@@ -82,10 +82,8 @@ def _map(label, values, scene):
             f"{name}: shape {values.shape}, wanted {scene.content.shape} as the scene's samples, or "
             "one number"
         )
-    if is_seen(values) and not (np.isfinite(values).all() and values.min() >= 0):
-        raise BadData(
-            f"{name}: from {values.min():.3g} to {values.max():.3g}, wanted finite luminance, not negative"
-        )
+    if is_seen(values):
+        check_not_negative(f"{name}:", values, "luminance")
     return np.broadcast_to(values, scene.content.shape)
 
 

@@ -6,12 +6,11 @@ import numpy as np
 
 from gpusim.data.colorimetry import BRADFORD, adaptation, tables, xyz
 from gpusim.data.lights import illuminant
+from gpusim.domain.display import DISPLAYS, xyz_of
 from gpusim.domain.errors import BadData
 from gpusim.domain.spectrum import Spectrum
 
-# Chromaticities x, y of red, green and blue, IEC 61966-2-1.
-SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
-SRGB_WHITE = (0.3127, 0.3290)
+SRGB_PRIMARIES = np.array(DISPLAYS["srgb"].primaries)
 CLOSE = 1e-5  # largest difference of equal chromaticities stored as float32
 SEEN = 1e-4  # negative part over luminance that is only rounding of half floats
 
@@ -24,8 +23,7 @@ def srgb_to_xyz() -> np.ndarray:
     reflectance in D65 is then exactly RGB = (1, 1, 1). Entries differ from the standard's four
     digits by up to 3e-4.
     """
-    x, y = SRGB_PRIMARIES.T
-    primaries = np.stack([x / y, np.ones(3), (1 - x - y) / y])
+    primaries = xyz_of(SRGB_PRIMARIES)
     white = xyz(illuminant("D65"))
     return primaries * np.linalg.solve(primaries, white / white[1])
 
@@ -60,7 +58,7 @@ def srgb_from_rgb(chromaticities) -> np.ndarray | None:
         BadData: The chromaticities are not finite, or do not span a colour space.
     """
     given = np.asarray(chromaticities, np.float64)
-    if np.abs(given - [*SRGB_PRIMARIES, SRGB_WHITE]).max() < CLOSE:
+    if np.abs(given - [*SRGB_PRIMARIES, DISPLAYS["srgb"].white]).max() < CLOSE:
         return None
     if not np.abs(given).max() <= 10 or not given[3, 1] > 0:  # NaN is refused as well
         raise BadData(

@@ -6,41 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, checked_count
+from gpusim.domain.errors import (
+    FINITE,
+    BadData,
+    Limits,
+    OutOfRange,
+    check_fields,
+    checked_count,
+    within,
+)
 from gpusim.domain.short_repr import short_repr
 
-PINHOLE = (
-    "k1",
-    "k2",
-    "p1",
-    "p2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "s1",
-    "s2",
-    "s3",
-    "s4",
-    "tau_x",
-    "tau_y",
-)  # OpenCV's order
+PINHOLE = tuple("k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y".split())  # OpenCV's order
 FISHEYE = ("k1", "k2", "k3", "k4")
 COUNTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows for a pinhole
-STEEPEST_TILT = 1.5  # [rad] largest tilt of the sensor against the lens
+FINITE_NUMBER = Limits("a finite number", FINITE)
+POSITIVE = {key: within(f"0 < {key} < inf") for key in ("radius", "scale")}
+TILTS = {key: within(f"-1.5 <= {key} <= 1.5", "rad") for key in ("tau_x", "tau_y")}
+FOCAL_LENGTHS = {key: within(f"0 < {key} < inf pixels") for key in ("fx", "fy")}
 ROUNDING = 1.0  # [pixel]; scaled sizes are rounded to whole pixels
 
 
 def check_model(distortion, *coefficients):
     """Raise OutOfRange unless the coefficients are finite and radius and scale are positive."""
-    for name in coefficients:
-        if not np.isfinite(getattr(distortion, name)):
-            raise OutOfRange(f"distortion.{name}", getattr(distortion, name), "a finite number")
-    for name in ("radius", "scale"):
-        if not 0 < getattr(distortion, name) < np.inf:
-            raise OutOfRange(
-                f"distortion.{name}", f"{getattr(distortion, name):.6g}", f"0 < {name} < inf"
-            )
+    check_fields("distortion", distortion, dict.fromkeys(coefficients, FINITE_NUMBER) | POSITIVE)
 
 
 @dataclass(frozen=True)
@@ -93,13 +82,7 @@ class BrownConrady:
 
     def __post_init__(self):
         check_model(self, *PINHOLE)
-        for name in ("tau_x", "tau_y"):
-            if not abs(getattr(self, name)) <= STEEPEST_TILT:
-                raise OutOfRange(
-                    f"distortion.{name}",
-                    f"{getattr(self, name):.6g} rad",
-                    f"-{STEEPEST_TILT} <= {name} <= {STEEPEST_TILT}",
-                )
+        check_fields("distortion", self, TILTS)
 
     @cached_property
     def _tilt(self):
@@ -176,8 +159,32 @@ class BrownConrady:
         return tuple(self.scale * term for term in terms)
 
 
+class Radial:
+    """Displacement along radii, by the `_radial` of a subclass: r^ / r and dr^/dr without scale."""
+
+    scale: float
+
+    def distort(self, x, y):
+        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        factor = self.scale * self._radial(np.hypot(x, y))[0]
+        return x * factor, y * factor
+
+    def derivative(self, x, y):
+        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        r = np.hypot(x, y)
+        factor, slope = self._radial(r)
+        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
+        return tuple(
+            self.scale * term
+            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
+        )
+
+    def _radial(self, r):
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Fisheye:
+class Fisheye(Radial):
     """Equidistant fisheye projection with polynomial corrections.
 
         r^ = scale theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r
@@ -217,21 +224,6 @@ class Fisheye:
         slope = 1 + q * (3 * self.k1 + q * (5 * self.k2 + q * (7 * self.k3 + q * 9 * self.k4)))
         return np.divide(height, r, out=np.ones_like(r), where=r > 0), slope / (1 + r * r)
 
-    def distort(self, x, y):
-        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        factor = self.scale * self._radial(np.hypot(x, y))[0]
-        return x * factor, y * factor
-
-    def derivative(self, x, y):
-        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        r = np.hypot(x, y)
-        factor, slope = self._radial(r)
-        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
-        return tuple(
-            self.scale * term
-            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
-        )
-
 
 @dataclass(frozen=True)
 class Calibration:
@@ -269,11 +261,7 @@ class Calibration:
     def __post_init__(self):
         for key in ("width", "height"):
             checked_count(f"calibration.{key}", getattr(self, key))
-        for key in ("fx", "fy"):
-            if not 0 < getattr(self, key) < np.inf:
-                raise OutOfRange(
-                    f"calibration.{key}", f"{getattr(self, key):.6g}", f"0 < {key} < inf pixels"
-                )
+        check_fields("calibration", self, FOCAL_LENGTHS)
         for key, size in (("cx", self.width), ("cy", self.height)):
             if not -0.5 <= getattr(self, key) <= size - 0.5:
                 raise OutOfRange(

@@ -37,16 +37,22 @@ def _number(per_unit=1.0):
     return read
 
 
-def _number_or_auto(per_unit=1.0):
+def _number_or(word, wanted, per_unit=1.0):
+    """Return a reader of a number or a word; "auto" becomes None."""
+
     def read(value):
-        if value == "auto":
-            return None
+        if value == word:
+            return None if word == "auto" else word
         try:
             return _number(per_unit)(value)
         except _Wanted:
-            raise _Wanted('a number or "auto"') from None
+            raise _Wanted(wanted) from None
 
     return read
+
+
+def _number_or_auto(per_unit=1.0):
+    return _number_or("auto", 'a number or "auto"', per_unit)
 
 
 def _of(kind, wanted):
@@ -78,20 +84,55 @@ _text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(boo
 _MILLI, MICRO = 1e3, 1e6  # millimetres and micrometres in a metre
 
 
-def _numbers(count=None, per_unit=1.0):
+def _list(read_item, words, count=None):
+    """Return a reader of a list of `count` items, or of any number of them."""
+
     def read(value):
         if type(value) is not list or (count and len(value) != count):
-            raise _Wanted(f"a list of {count or 'the'} numbers")
-        return tuple(_number(per_unit)(item) for item in value)
+            raise _Wanted(f"a list of {count or 'the'} {words}")
+        return tuple(map(read_item, value))
 
     return read
 
 
-def _pupil(value):
-    known = {"blades": _whole, "obscuration": _number(), "rotation_deg": _number(180 / np.pi)}
-    if type(value) is not dict or not value.keys() <= known.keys():
-        raise _Wanted("a table of blades, obscuration, rotation_deg")
-    return Pupil(**{key.removesuffix("_deg"): known[key](item) for key, item in value.items()})
+def _numbers(count=None, per_unit=1.0):
+    return _list(_number(per_unit), "numbers", count)
+
+
+def _pairs(count=None):
+    return _list(_numbers(2), "pairs of numbers", count)
+
+
+def _table(cls, known):
+    """Return a reader of an object from a table; known: its keys, with fields and their readers."""
+
+    def read(value):
+        if type(value) is not dict or not value.keys() <= known.keys():
+            raise _Wanted(f"a table of {', '.join(known)}")
+        given = [(*known[key], item) for key, item in value.items()]
+        return cls(**{field: read_item(item) for field, read_item, item in given})
+
+    return read
+
+
+_pupil = _table(
+    Pupil,
+    {
+        "blades": ("blades", _whole),
+        "obscuration": ("obscuration", _number()),
+        "rotation_deg": ("rotation", _number(180 / np.pi)),
+    },
+)
+_auto_exposure = _table(
+    AutoExposure,
+    {
+        "method": ("method", _text),
+        "level": ("level", _number()),
+        "percentile": ("percentile", _number()),
+        "longest_ms": ("longest", _number(_MILLI)),
+        "most_gain": ("most_gain", _number()),
+    },
+)
 
 
 def _numbers_or_lists(value):
@@ -198,66 +239,23 @@ def _wholes(value):
     return tuple(value)
 
 
-def _pairs(count):
-    def read(value):
-        if type(value) is not list or (count and len(value) != count):
-            raise _Wanted(f"a list of {count or 'the'} pairs of numbers")
-        return tuple(_numbers(2)(pair) for pair in value)
-
-    return read
-
-
-def _number_or_srgb(value):
-    if value == "srgb":
-        return value
-    try:
-        return _number()(value)
-    except _Wanted:
-        raise _Wanted('"srgb" or an exponent') from None
-
-
-def _auto_exposure(value):
-    known = {
-        "method": ("method", _text),
-        "level": ("level", _number()),
-        "percentile": ("percentile", _number()),
-        "longest_ms": ("longest", _number(_MILLI)),
-        "most_gain": ("most_gain", _number()),
-    }
-    if type(value) is not dict or not value.keys() <= known.keys():
-        raise _Wanted(f"a table of {', '.join(known)}")
-    return AutoExposure(**{known[key][0]: known[key][1](item) for key, item in value.items()})
-
-
-def _number_or_ktc(value):
-    if value == "kTC":
-        return value  # becomes a number when conversion gain and temperature are known
-    try:
-        return _number()(value)
-    except _Wanted:
-        raise _Wanted('a number or "kTC"') from None
-
-
 def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
 
-def _number_or_curve(value):
-    return _number()(value) if type(value) in (int, float) else _curve(value)
-
-
-def _micrometres_or_curve(value):
-    return _number(1e6)(value) if type(value) in (int, float) else _curve(value)
+def _number_or_curve(per_unit=1.0):
+    read_number = _number(per_unit)
+    return lambda value: (read_number if type(value) in (int, float) else _curve)(value)
 
 
 # [section] key: (field of the domain's class, reader)
 _OPTICS = {
     "focal_length_mm": ("focal_length", _number(_MILLI)),
-    "transmission": ("transmission", _number_or_curve),
+    "transmission": ("transmission", _number_or_curve()),
     "relative_illumination": ("relative_illumination", _illumination),
     "object_distance_m": ("object_distance", _number()),
     "pupil": ("pupil", _pupil),
-    "defocus_um": ("defocus", _micrometres_or_curve),
+    "defocus_um": ("defocus", _number_or_curve(MICRO)),
     "defocus_diopters": ("diopters", _number()),
     "zernike_waves": ("zernike", _numbers_or_lists),
     "zernike_heights": ("heights", _numbers()),
@@ -268,7 +266,7 @@ _OPTICS = {
     "psf": ("psf", _text),
     "distortion": ("distortion", _distortion),
     "calibration": ("calibration", _calibration),
-    "lateral_color": ("lateral_color", _number_or_curve),
+    "lateral_color": ("lateral_color", _number_or_curve()),
 }
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
@@ -304,19 +302,20 @@ _NOISE = {
         f"{key}_e": (key, _number())
         for key in ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "telegraph")
     },
-    "reset_e": ("reset", _number_or_ktc),
+    # becomes a number when conversion gain and temperature are known
+    "reset_e": ("reset", _number_or("kTC", 'a number or "kTC"')),
     "adc_dn": ("adc", _number()),
     "hot_current_e_per_s": ("hot_current", _number()),
 }
 _PROCESSOR = {
     "table": ("table", _text),
-    "white": ("white", _numbers(None)),
-    "tone": ("tone", _pairs(None)),
+    "white": ("white", _numbers()),
+    "tone": ("tone", _pairs()),
 }
 _DISPLAY = {
     "primaries": ("primaries", _pairs(3)),
     "white": ("white", _numbers(2)),
-    "curve": ("curve", _number_or_srgb),
+    "curve": ("curve", _number_or("srgb", '"srgb" or an exponent')),
     "luminance_cd_per_m2": ("luminance", _number()),
 }
 # required fields, and the field that may replace each

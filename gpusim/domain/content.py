@@ -25,6 +25,14 @@ def is_seen(array) -> bool:
     return isinstance(array, np.ndarray) and not isinstance(array, Pinned)
 
 
+def check_not_negative(label: str, values: np.ndarray, kind: str):
+    """Raise BadData if a value, of light for example, is negative or not finite."""
+    if not (np.isfinite(values).all() and values.min() >= 0):
+        raise BadData(
+            f"{label} from {values.min():.3g} to {values.max():.3g}, wanted finite {kind}, not negative"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Content:
     """Samples on a grid (rows, cols), each a mixture of a few spectra (entries).
@@ -307,7 +315,7 @@ class Content:
             Spectra, shape (K, L); index of the spectrum of each sample, shape (N,); strength of the
             sample in units of its spectrum, shape (N,).
         """
-        spectra = self.planes[:, rows, cols].T.astype(np.float64) @ self.entry_spectra
+        spectra = self.take(rows, cols).planes.T.astype(np.float64) @ self.entry_spectra
         return spectra, np.arange(len(rows)), np.ones(len(rows))
 
     def check(self, name: str) -> None:
@@ -630,8 +638,4 @@ class Picture(Content):
             raise BadData(
                 f"{name}: curve of shape {self.curve.shape}, wanted ({256**kind.itemsize},) for {kind}"
             )
-        if not (np.isfinite(self.curve).all() and self.curve.min() >= 0):
-            raise BadData(
-                f"{name}: curve from {self.curve.min():.3g} to {self.curve.max():.3g}, wanted finite light, "
-                "not negative"
-            )
+        check_not_negative(f"{name}: curve", self.curve, "light")

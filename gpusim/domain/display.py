@@ -6,9 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from gpusim.domain.errors import BadData, OutOfRange, check_range
+from gpusim.domain.errors import (
+    BadData,
+    Interval,
+    Limits,
+    OutOfRange,
+    check_fields,
+    is_known,
+    within,
+)
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
+
+EXPONENT = {"curve": Limits('"srgb" or the exponent of a power law, 1 .. 4', Interval(1, 4))}
+LUMINANCE = {"luminance": within("0 < luminance <= 1e6", "cd m-2")}
 
 
 @dataclass(frozen=True)
@@ -55,27 +66,15 @@ class Display:
         ):
             if not (0 <= x <= 1 and 0 < y <= 1 and x + y <= 1):
                 raise OutOfRange(f"display.{key}", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
-        if abs(np.linalg.det(_xyz(self.primaries))) < 1e-6:
+        if abs(np.linalg.det(xyz_of(self.primaries))) < 1e-6:
             raise BadData(f"display.primaries = {self.primaries}: they lie on one line")
-        if (np.linalg.solve(_xyz(self.primaries), _xyz([self.white])[:, 0]) <= 0).any():
+        if (np.linalg.solve(xyz_of(self.primaries), xyz_of([self.white])[:, 0]) <= 0).any():
             raise BadData(
                 f"display.white = {self.white}: no mixture of the primaries {self.primaries}"
             )
-        check_range(
-            "display",
-            self,
-            "curve",
-            '"srgb" or the exponent of a power law, 1 .. 4',
-            lambda value: value == "srgb" or 1 <= value <= 4,
-        )
-        check_range(
-            "display",
-            self,
-            "luminance",
-            "0 < luminance <= 1e6",
-            lambda value: 0 < value <= 1e6,
-            "cd m-2",
-        )
+        if not is_known(self.curve, ("srgb",)):
+            check_fields("display", self, EXPONENT)
+        check_fields("display", self, LUMINANCE)
         if self.spectra is not None and not isinstance(self.spectra, Spectrum):
             raise BadData(f"display.spectra = {self.spectra!r}: wanted a Spectrum of three rows")
         if self.spectra is not None and self.spectra.values.shape[:-1] != (3,):
@@ -104,8 +103,8 @@ class Display:
 
         Each column is the XYZ of a primary, scaled until the three add up to white (SMPTE RP 177).
         """
-        primaries = _xyz(self.primaries)
-        return primaries * np.linalg.solve(primaries, _xyz([self.white])[:, 0])
+        primaries = xyz_of(self.primaries)
+        return primaries * np.linalg.solve(primaries, xyz_of([self.white])[:, 0])
 
     def decode(self, values: ArrayLike) -> np.ndarray:
         """Return linear light, white = 1, from codes.
@@ -179,7 +178,7 @@ def _table(curve, most):
     return table
 
 
-def _xyz(chromaticities):
+def xyz_of(chromaticities) -> np.ndarray:
     """Return XYZ with Y = 1 of each (x, y), as columns."""
     x, y = np.array(chromaticities, np.float64).T
     return np.stack([x / y, np.ones_like(x), (1 - x - y) / y])

@@ -4,9 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
+from gpusim.domain.calibration import (
+    BrownConrady,
+    Calibration,
+    Fisheye,
+    Framed,
+    Radial,
+    check_model,
+)
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 # Field heights at which turning points are searched, and from which Newton's method starts.
 SAMPLES = 4097
@@ -67,7 +75,7 @@ class RadialPolynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class RadialTable:
+class RadialTable(Radial):
     """Radial distortion as a table: r^ = scale f(r) with the cubic spline f through the entries.
 
     The spline is odd in r.
@@ -96,11 +104,7 @@ class RadialTable:
                 f"{real.shape}"
             )
         for name, heights in (("ideal", ideal), ("real", real)):
-            if (
-                not np.isfinite(heights).all()
-                or heights[0] != 0
-                or not (np.diff(heights) > 0).all()
-            ):
+            if not is_increasing(heights) or heights[0] != 0:
                 worst = int(np.argmin(np.diff(heights))) + 1
                 raise BadData(
                     f"distortion table: {name} heights must rise from 0; entry {worst} is "
@@ -130,21 +134,6 @@ class RadialTable:
         slope = self._slope(inside)
         height = self._curve(inside) + (r - inside) * slope
         return np.divide(height, r, out=np.array(self._slope(np.zeros_like(r))), where=r > 0), slope
-
-    def distort(self, x, y):
-        """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        factor = self.scale * self._radial(np.hypot(x, y))[0]
-        return x * factor, y * factor
-
-    def derivative(self, x, y):
-        """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        r = np.hypot(x, y)
-        factor, slope = self._radial(r)
-        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
-        return tuple(
-            self.scale * term
-            for term in (factor + x * x * over, x * y * over, x * y * over, factor + y * y * over)
-        )
 
 
 Model = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Framed

@@ -4,8 +4,12 @@ The command line prints `str(error)` on one line and exits with status 2, withou
 """
 
 import difflib
-from collections.abc import Iterable
+import re
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass
+from math import inf
 from numbers import Integral
+from typing import NamedTuple
 
 LONGEST = 480  # letters of a message: with "gpusim: " and a program's words it fits 500
 LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters that a message repeats from the input
@@ -125,7 +129,7 @@ class OutOfMemory(DeviceError):
         )
 
 
-def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -> int:
+def checked_count(key: str, value, least: int = 1, most: float = inf) -> int:
     """Return `value` as an int. Raise OutOfRange if it is no whole number in `least` .. `most`."""
     if (
         not isinstance(value, Integral)
@@ -135,7 +139,7 @@ def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -
         raise OutOfRange(
             key,
             format_value(value),
-            f"a whole number, {least}" + (" or more" if most == float("inf") else f" .. {most}"),
+            f"a whole number, {least}" + (" or more" if most == inf else f" .. {most}"),
         )
     return int(value)
 
@@ -151,18 +155,84 @@ def near(name: str, known) -> str:
     return f"; did you mean {nearest[0]!r}?" if nearest else f"; known: {', '.join(known)}"
 
 
-def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
-    """Raise OutOfRange unless `good` holds for the field `key` of `part`.
+RANGE = re.compile(r"(\S+) (<=?) \w+ (<=?) ([^\s,]+)")
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The numbers between two ends, for `in`; TypeError for values that cannot be compared."""
+
+    lowest: float
+    highest: float
+    has_lowest: bool = True
+    has_highest: bool = True
+
+    def __contains__(self, value):
+        if not (self.lowest <= value if self.has_lowest else self.lowest < value):
+            return False
+        return value <= self.highest if self.has_highest else value < self.highest
+
+
+FINITE = Interval(-inf, inf, has_lowest=False, has_highest=False)
+
+
+class Limits(NamedTuple):
+    """Limits of a field of a dataclass, for `check_fields`.
+
+    Attributes:
+        words: The limits as messages write them.
+        values: All allowed values, or None for all of `kind`.
+        unit: Unit of the value in messages.
+        kind: Class of an allowed value.
+        is_pair: Whether the field is a pair of such values.
+    """
+
+    words: str
+    values: Container | None = None
+    unit: str = ""
+    kind: type = object
+    is_pair: bool = False
+
+
+def within(words: str, unit: str = "") -> Limits:
+    """Return the limits that begin like `words`: "0 < gain <= 1e4, the largest gain"."""
+    lowest, above, below, highest = RANGE.match(words).groups()  # type: ignore[union-attr]
+    values = Interval(float(lowest), float(highest), above == "<=", below == "<=")
+    return Limits(words, values, unit)
+
+
+def check_fields(owner: str, part, limits: Mapping[str, Limits]):
+    """Raise OutOfRange for the first field of `part` outside its limits.
 
     None is accepted if it is the default of the field.
+
+    Args:
+        owner: Name of `part` in messages.
+        part: A dataclass.
+        limits: The limits of fields by name.
     """
-    value = getattr(part, key)
-    if value is None and getattr(type(part), key, 0) is None:
-        return
-    try:
-        right = good(value)
-    except (TypeError, ValueError, OverflowError):  # not of a kind that can be compared
-        right, value = False, value if isinstance(value, int) else repr(value)
-    if not right:
-        short = f"{value:.6g}" if isinstance(value, float) else one_line(value, LONGEST_VALUE)
-        raise OutOfRange(f"{owner}.{key}", f"{short} {unit}".rstrip(), allowed)
+    for key, limit in limits.items():
+        value = getattr(part, key)
+        if value is None and getattr(type(part), key, 0) is None:
+            continue
+        try:
+            right = len(value) == 2 if limit.is_pair else True
+            for item in value if limit.is_pair else [value]:
+                right = right and isinstance(item, limit.kind)
+                right = right and (limit.values is None or item in limit.values)
+        # not of a kind that can be compared
+        except (TypeError, ValueError, OverflowError):
+            right, value = False, value if isinstance(value, int) else repr(value)
+        if not right:
+            short = f"{value:.6g}" if isinstance(value, float) else value
+            raise OutOfRange(
+                f"{owner}.{key}",
+                f"{one_line(short, LONGEST_VALUE)} {limit.unit}".rstrip(),
+                limit.words,
+            )
+
+
+def check_known(what: str, name, known: Iterable[str]):
+    """Raise UnknownName unless `name` is a string among the known ones."""
+    if not is_known(name, known):
+        raise UnknownName(what, str(name), known)

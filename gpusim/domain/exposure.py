@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
+from gpusim.domain.errors import BadData, OutOfRange, check_fields, check_known, within
 
 METHODS = ("highlights", "full", "percentile", "mean", "centre")
+LIMITS = {
+    "level": within("0 < level <= 1"),
+    "percentile": within("0 < percentile <= 100", "%"),
+    "longest": within("0 < longest <= 1e12", "s"),
+    "most_gain": within("1 <= most_gain <= 1e4"),
+}
 LONGEST = 1e12  # [s]
 MOST_GAIN = 1e4  # largest analog gain on top of the sensor's own
 MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
@@ -107,7 +113,7 @@ class LightStatistics:
         The products of the weights must add up to 1.
         """
         values, more = self.values.copy(), np.float32(rate)
-        mean, root, added = (float(value) for value in (values[1], values[2], more))
+        mean, root, added = map(float, (values[1], values[2], more))
         values[2] = max(root**2 + 2 * mean * added + added**2, 0.0) ** 0.5
         values[[0, 1, 3, 5]] += more
         values[6:] += more  # order statistics stay sorted
@@ -143,34 +149,10 @@ class AutoExposure:
     most_gain: float = 1.0
 
     def __post_init__(self):
-        if not is_known(self.method, METHODS):
-            raise UnknownName("exposure method", str(self.method), METHODS)
+        check_known("exposure method", self.method, METHODS)
         if self.level is None:
             object.__setattr__(self, "level", FILLED * MIDDLE_GREY if self.averages else FILLED)
-        check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
-        check_range(
-            "auto_exposure",
-            self,
-            "percentile",
-            "0 < percentile <= 100",
-            lambda value: 0 < value <= 100,
-            "%",
-        )
-        check_range(
-            "auto_exposure",
-            self,
-            "longest",
-            "0 < longest <= 1e12",
-            lambda value: 0 < value <= 1e12,
-            "s",
-        )
-        check_range(
-            "auto_exposure",
-            self,
-            "most_gain",
-            "1 <= most_gain <= 1e4",
-            lambda value: 1 <= value <= 1e4,
-        )
+        check_fields("auto_exposure", self, LIMITS)
         if self.most_gain > 1 and self.longest is None:
             raise BadData(
                 f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises if the "
@@ -216,7 +198,7 @@ class AutoExposure:
             return without_highlights(
                 float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max())
             )
-        down, right = self._gaussians(rate.shape)
+        down, right = map(_center_weights, rate.shape[-2:])
         return float(np.mean(down @ rate.astype(np.float64) @ right))
 
     @property
@@ -235,17 +217,9 @@ class AutoExposure:
         Returns:
             Weights of rows, shape (layers rows,), and of columns, shape (cols,).
         """
-        down, right = self._gaussians(shape)
+        down, right = map(_center_weights, shape[-2:])
         layers = prod(shape[:-2])
         return np.tile(down / layers, layers), right
-
-    @staticmethod
-    def _gaussians(shape):
-        """Return Gaussian weights of sum 1 along rows and columns."""
-        weights = [
-            np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]
-        ]
-        return [weight / weight.sum() for weight in weights]
 
     def signal_of(self, statistics: LightStatistics) -> float:
         """Return the same as `signal`, from the statistics of the pixels.
@@ -309,6 +283,12 @@ class AutoExposure:
         if self.longest is None or time <= self.longest:
             return time, 1.0
         return self.longest, min(time / self.longest, self.most_gain)
+
+
+def _center_weights(count):
+    """Return Gaussian weights of sum 1 of `count` rows or columns."""
+    weights = np.exp(-0.5 * (((np.arange(count) + 0.5) / count - 0.5) / CENTRE) ** 2)
+    return weights / weights.sum()
 
 
 def without_highlights(rest: float, brightest: float) -> float:

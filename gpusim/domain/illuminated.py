@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gpusim.domain.content import Basis, Content, is_seen
+from gpusim.domain.content import Basis, Content, check_not_negative, is_seen
 from gpusim.domain.errors import BadData
 
 
@@ -78,12 +78,6 @@ class Illuminated(Content):
     def brightness(self, total: np.ndarray) -> np.ndarray:
         return self._sum((self.entry_spectra @ total).astype(np.float32)[None], ())[0]
 
-    def points(
-        self, rows: np.ndarray, cols: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        spectra = self.take(rows, cols).planes.T.astype(np.float64) @ self.entry_spectra
-        return spectra, np.arange(len(rows)), np.ones(len(rows))
-
     def _sum(self, rates, window):
         """Return channel values of the samples, summed over lights.
 
@@ -96,18 +90,6 @@ class Illuminated(Content):
         )
 
     def check(self, name: str) -> None:
-        self._check_arrays(name)
-        self.surfaces.check(name)
-        # splines of spectral lines undershoot slightly: negative values are accepted
-        if not np.isfinite(self.lights).all():
-            raise BadData(f"{name}: NaN or infinite lights")
-        if is_seen(self.maps) and not (np.isfinite(self.maps).all() and self.maps.min() >= 0):
-            raise BadData(
-                f"{name}: maps from {self.maps.min():.3g} to {self.maps.max():.3g}, wanted finite light, not "
-                "negative"
-            )
-
-    def _check_arrays(self, name):
         shape, count = tuple(self.coefficients.shape), len(self.lights)
         if tuple(self.maps.shape) != (count, *shape[1:]) or not count:
             raise BadData(
@@ -118,6 +100,12 @@ class Illuminated(Content):
             raise BadData(
                 f"{name}: lights {self.lights.shape} do not match {len(self.wavelengths)} wavelengths"
             )
+        self.surfaces.check(name)
+        # splines of spectral lines undershoot slightly: negative values are accepted
+        if not np.isfinite(self.lights).all():
+            raise BadData(f"{name}: NaN or infinite lights")
+        if is_seen(self.maps):
+            check_not_negative(f"{name}: maps", self.maps, "light")
 
 
 def surfaces_of(content: Content) -> Basis:

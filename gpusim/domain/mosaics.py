@@ -49,11 +49,6 @@ MOSAICS: dict[str, tuple[str, ...]] = {
 }
 
 
-def mosaic_names() -> list[str]:
-    """Return the names that `mosaic` knows, sorted."""
-    return sorted(MOSAICS)
-
-
 def mosaic(name: str) -> tuple[str, ...]:
     """Return one period of the colour filter array `name`, a string per row. Raise UnknownName."""
     if name not in MOSAICS:

@@ -4,7 +4,15 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
+from gpusim.domain.errors import (
+    BadData,
+    Interval,
+    Limits,
+    OutOfRange,
+    check_fields,
+    check_known,
+    within,
+)
 from gpusim.domain.short_repr import short_repr
 
 PHOTONS = ("fast", "exact", "none")
@@ -12,8 +20,36 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)
 BOLTZMANN = 1.380649e-23  # [J K-1], exact
 ZERO_CELSIUS = 273.15  # [K]
 MOST_DOUBLINGS = 60
-MOST = 1e12  # more electrons than any pixel holds; its square is far from float32's limit
 SLOWEST_SWITCHING = 1 / 1024  # [1/frame]; a state is traced back through about 1024 frames
+# 1e12: more electrons than any pixel holds; its square is far from float32's limit
+UNITS = {"dark_current": "e-/s", "hot_current": "e-/s", "adc": "DN"}
+AMOUNTS = "dark_current hot_current read reset adc row column dsnu row_dsnu column_dsnu telegraph"
+LIMITS = (
+    {key: within(f"0 <= {key} <= 1e12", UNITS.get(key, "e-")) for key in AMOUNTS.split()}
+    | {key: within(f"0 <= {key} < 1") for key in ("prnu", "row_prnu", "column_prnu")}
+    | {
+        key: within(f"0 <= {key} <= 1, a part of all pixels")
+        for key in ("hot_pixels", "dead_pixels", "telegraph_pixels")
+    }
+    | {
+        key: within(f"-273.15 < {key} <= 1000", "deg C")
+        for key in ("temperature", "reference_temperature")
+    }
+    | {
+        "doubling": within(
+            "0.1 <= doubling <= 1000, with at most 60 doublings or halvings of the dark current",
+            "K",
+        ),
+        "telegraph_switching": Limits(
+            "1/1024 <= telegraph_switching <= 1", Interval(SLOWEST_SWITCHING, 1), "per frame"
+        ),
+        "seed": Limits(
+            "a whole number, 0 <= seed < 2**64",
+            Interval(0, 2**64, has_highest=False),
+            kind=Integral,
+        ),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -84,61 +120,11 @@ class Noise:
     __repr__ = short_repr
 
     def __post_init__(self):
-        def check(key, allowed, good, unit=""):
-            check_range("noise", self, key, allowed, good, unit)
-
-        if not is_known(self.photon, PHOTONS):
-            raise UnknownName("noise.photon", str(self.photon), PHOTONS)
-        for key in ("dark_current", "hot_current"):
-            check(key, f"0 <= {key} <= 1e12", lambda value: 0 <= value <= MOST, "e-/s")
-        for key in (
-            "read",
-            "reset",
-            "adc",
-            "row",
-            "column",
-            "dsnu",
-            "row_dsnu",
-            "column_dsnu",
-            "telegraph",
-        ):
-            check(
-                key,
-                f"0 <= {key} <= 1e12",
-                lambda value: 0 <= value <= MOST,
-                "DN" if key == "adc" else "e-",
-            )
-        for key in ("prnu", "row_prnu", "column_prnu"):
-            check(key, f"0 <= {key} < 1", lambda value: 0 <= value < 1)
-        for key in ("hot_pixels", "dead_pixels", "telegraph_pixels"):
-            check(key, f"0 <= {key} <= 1, a part of all pixels", lambda value: 0 <= value <= 1)
-        for key in ("temperature", "reference_temperature"):
-            check(
-                key,
-                f"-273.15 < {key} <= 1000",
-                lambda value: -ZERO_CELSIUS < value <= 1000,
-                "deg C",
-            )
-        check(
-            "doubling",
-            "0.1 <= doubling <= 1000, with at most 60 doublings or halvings of the dark current",
-            lambda value: (
-                0.1 <= value <= 1000
-                and abs(self.temperature - self.reference_temperature) <= MOST_DOUBLINGS * value
-            ),
-            "K",
-        )
-        check(
-            "telegraph_switching",
-            "1/1024 <= telegraph_switching <= 1",
-            lambda value: SLOWEST_SWITCHING <= value <= 1,
-            "per frame",
-        )
-        check(
-            "seed",
-            "a whole number, 0 <= seed < 2**64",
-            lambda value: isinstance(value, Integral) and 0 <= value < 2**64,
-        )
+        check_known("noise.photon", self.photon, PHOTONS)
+        check_fields("noise", self, LIMITS)
+        warmer = self.temperature - self.reference_temperature
+        if not abs(warmer) <= MOST_DOUBLINGS * self.doubling:
+            raise OutOfRange("noise.doubling", f"{self.doubling:.6g} K", LIMITS["doubling"].words)
         for part, size in (("hot_pixels", "hot_current"), ("telegraph_pixels", "telegraph")):
             if getattr(self, part) and not getattr(self, size):
                 raise BadData(
@@ -149,6 +135,11 @@ class Noise:
     def warmth(self) -> float:
         """Dark current relative to its value at the reference temperature [1]."""
         return 2.0 ** ((self.temperature - self.reference_temperature) / self.doubling)
+
+    @property
+    def operating_dark_current(self) -> float:
+        """Dark current at the temperature of the sensor [e- s-1]."""
+        return self.dark_current * self.warmth
 
 
 def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:

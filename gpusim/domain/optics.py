@@ -6,14 +6,15 @@ from functools import cached_property
 import numpy as np
 
 from gpusim.domain.distortion import Distortion
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_fields, within
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
 from gpusim.domain.short_repr import short_repr
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, tabulate, values_of
 
 MODELS = ("diffraction", "measured", "none")
 RELATIVE_ILLUMINATIONS = ("cos4", "none")
+FOCAL_LENGTH = {"focal_length": within("0 < focal_length < inf", "m")}
 AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1, divided by pi: the "1.22" of textbooks
 
 
@@ -70,10 +71,7 @@ class Optics:
     def __post_init__(self):
         if not 0.1 <= self.f_number <= 1000:
             raise OutOfRange("optics.f_number", self.f_number, "0.1 <= f_number <= 1000")
-        if not 0 < self.focal_length < np.inf:
-            raise OutOfRange(
-                "optics.focal_length", f"{self.focal_length:.6g} m", "0 < focal_length < inf"
-            )
+        check_fields("optics", self, FOCAL_LENGTH)
         if not self.object_distance > self.focal_length:
             # At the focal length and nearer a lens forms no real image.
             raise OutOfRange(
@@ -99,13 +97,15 @@ class Optics:
             raise UnknownName(
                 "optics.relative_illumination", self.relative_illumination, RELATIVE_ILLUMINATIONS
             )
+        for key in ("transmission", "defocus", "lateral_color"):
+            value = getattr(self, key)
+            if isinstance(value, Spectrum) and value.values.ndim != 1:
+                raise BadData(
+                    f"optics.{key}: wanted one function of wavelength, got {len(value.values)}"
+                )
         values = self.transmission
         if isinstance(values, Spectrum):
             values = values.values
-            if values.ndim != 1:
-                raise BadData(
-                    f"optics.transmission: wanted one function of wavelength, got {len(values)}"
-                )
         low, high = np.min(values), np.max(values)
         if not (low >= 0 and high <= 1):
             raise OutOfRange(
@@ -113,10 +113,6 @@ class Optics:
             )
         defocus = self.defocus
         if isinstance(defocus, Spectrum):
-            if defocus.values.ndim != 1:
-                raise BadData(
-                    f"optics.defocus: wanted one function of wavelength, got {len(defocus.values)}"
-                )
             defocus = np.abs(defocus.values).max()
         # the formulas are first order in defocus / image distance
         if not abs(defocus) < self.image_distance / 2:
@@ -128,10 +124,6 @@ class Optics:
         lateral = self.lateral_color
         if isinstance(lateral, Spectrum):
             lateral = lateral.values
-            if lateral.ndim != 1:
-                raise BadData(
-                    f"optics.lateral_color: wanted one function of wavelength, got {len(lateral)}"
-                )
         if not (np.abs(lateral) < 0.5).all():  # also refuses NaN
             raise OutOfRange(
                 "optics.lateral_color", self.lateral_color, "-0.5 < lateral_color < 0.5"
@@ -162,14 +154,10 @@ class Optics:
 
     def _blur_settings(self):
         """Settings, apart from the pupil, that add to the blur of model "diffraction": name -> bool."""
-
-        def has(value):
-            return bool(np.any(value.values if isinstance(value, Spectrum) else value))
-
         own = self.wavefront
         return {
-            "optics.lateral_color": has(self.lateral_color),
-            "optics.defocus": has(self.defocus),
+            "optics.lateral_color": bool(np.any(values_of(self.lateral_color))),
+            "optics.defocus": bool(np.any(values_of(self.defocus))),
             "optics.zernike": bool(np.any(own.zernike)),
             "optics.seidel": any(own.seidel),
             "optics.birefringence": any(self.birefringence),
@@ -179,16 +167,8 @@ class Optics:
     @property
     def ignored_settings(self) -> str:
         """Settings that have no effect on the blur with model "none", in words."""
-        return ", ".join(
-            [
-                "diffraction",
-                *(
-                    name.removeprefix("optics.").replace("lateral_color", "lateral colour")
-                    for name, is_set in self._blur_settings().items()
-                    if is_set
-                ),
-            ]
-        )
+        names = ["diffraction", *(name for name, is_set in self._blur_settings().items() if is_set)]
+        return ", ".join(names).replace("optics.", "").replace("lateral_color", "lateral colour")
 
     @property
     def magnification(self) -> float:
@@ -224,9 +204,7 @@ class Optics:
         Returns:
             T in 0 .. 1, shape (L,).
         """
-        if isinstance(self.transmission, Spectrum):
-            return self.transmission.at(wavelengths, outside=None)
-        return np.full(np.shape(wavelengths), float(self.transmission))
+        return tabulate(self.transmission, wavelengths)
 
     def lateral_color_at(self, wavelengths: np.ndarray) -> np.ndarray:
         """Return the relative excess of the image height.
@@ -237,9 +215,7 @@ class Optics:
         Returns:
             Excess [1], shape (L,).
         """
-        if isinstance(self.lateral_color, Spectrum):
-            return self.lateral_color.at(wavelengths, outside=None)
-        return np.full(np.shape(wavelengths), float(self.lateral_color))
+        return tabulate(self.lateral_color, wavelengths)
 
     @cached_property
     def is_ideal(self) -> bool:
@@ -250,11 +226,7 @@ class Optics:
             and not any(self.birefringence)
             and self.diffuser == 0
             and not self.waves(np.array([550.0])).any()
-            and (
-                self.defocus == 0
-                if not isinstance(self.defocus, Spectrum)
-                else not self.defocus.values.any()
-            )
+            and not np.any(values_of(self.defocus))
         )
 
     @cached_property
@@ -276,8 +248,7 @@ class Optics:
         """Whether the blur varies over the field."""
         if self.model == "none":
             return False
-        lateral = self.lateral_color
-        if np.any(lateral.values if isinstance(lateral, Spectrum) else lateral):
+        if np.any(values_of(self.lateral_color)):
             return True
         if self.psf is not None:
             return self.psf.heights is not None or self.psf.grid is not None
@@ -353,11 +324,7 @@ class Optics:
             self.wavefront.polynomial(height, azimuth)
             * (self.wavefront.reference / wavelengths)[:, None, None]
         )
-        shift = (
-            self.defocus.at(wavelengths, outside=None)
-            if isinstance(self.defocus, Spectrum)
-            else np.full(wavelengths.shape, float(self.defocus))
-        )
+        shift = tabulate(self.defocus, wavelengths)
         if distance is not None:
             shift = shift + self.displacement(self.diopters(distance))
         w020 = shift / (8 * self.working_f_number**2) / (wavelengths * 1e-9)

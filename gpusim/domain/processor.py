@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
+from gpusim.domain.errors import BadData, Interval, Limits, OutOfRange, check_fields, check_known
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.short_repr import short_repr
 
@@ -29,6 +29,18 @@ COLORS = (
     "fixed-diagonal",
     "none",
 )
+METHODS = {
+    "defects": DEFECTS,
+    "demosaic": DEMOSAICS,
+    "white_balance": WHITE_BALANCES,
+    "color": COLORS,
+    "scaling": SCALINGS,
+}
+LIMITS = {
+    "shading": Limits("True or False", kind=bool),
+    "table": Limits("a FilterTable, see `gpusim.io.camera.learned.read_table`", kind=FilterTable),
+    "denoise": Limits("0 (none) .. 4", Interval(0, 4)),
+}
 BRIGHTEST = 1e3  # largest input of a tone curve, encoded
 
 
@@ -88,26 +100,9 @@ class Processor:
     __repr__ = short_repr
 
     def __post_init__(self):
-        for key, known in (
-            ("defects", DEFECTS),
-            ("demosaic", DEMOSAICS),
-            ("white_balance", WHITE_BALANCES),
-            ("color", COLORS),
-            ("scaling", SCALINGS),
-        ):
-            if not is_known(getattr(self, key), known):
-                raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
-        check_range(
-            "processor", self, "shading", "True or False", lambda value: isinstance(value, bool)
-        )
-        check_range(
-            "processor",
-            self,
-            "table",
-            "a FilterTable, see `gpusim.io.camera.learned.read_table`",
-            lambda value: isinstance(value, FilterTable),
-        )
-        check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
+        for key, known in METHODS.items():
+            check_known(f"processor.{key}", getattr(self, key), known)
+        check_fields("processor", self, LIMITS)
         if self.table is not None and self.demosaic != "learned":
             raise OutOfRange(
                 "processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"'
@@ -143,12 +138,12 @@ class Processor:
 
     def _check_white(self):
         try:
-            white = tuple(float(value) for value in self.white)
+            white = tuple(map(float, self.white))
         except (TypeError, ValueError):
             raise BadData(
                 f"processor.white = {self.white!r}: wanted a number for each channel"
             ) from None
-        if not all(0 < value < np.inf for value in white):
+        if not (np.isfinite(white).all() and (np.array(white) > 0).all()):
             raise OutOfRange("processor.white", list(white), "numbers above 0")
         if bool(white) != (self.white_balance == "preset"):
             raise OutOfRange(

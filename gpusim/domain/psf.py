@@ -1,14 +1,14 @@
-"""Point spreads that are given as arrays, or by a formula other than diffraction."""
+"""Point spreads that are given as arrays."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy
-from scipy.special import erf
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,7 @@ class PointSpread:
             for axis in (self.grid or ([] if self.heights is None else [self.heights]))
         ]
         for axis in axes:
-            if (
-                axis.ndim != 1
-                or not np.isfinite(axis).all()
-                or not (np.diff(axis) > 0).all()
-                or len(axis) < 2
-            ):
+            if not is_increasing(axis) or len(axis) < 2:
                 raise BadData(
                     f"point spread: wanted two or more field points, increasing, got {axis}"
                 )
@@ -76,11 +71,7 @@ class PointSpread:
                 "point spread: energies of pixels do not turn with the field, as square pixels do not; give "
                 "samples of the irradiance, or a grid of field points"
             )
-        if (
-            wavelengths.ndim != 1
-            or not np.isfinite(wavelengths).all()
-            or not (np.diff(wavelengths) > 0).all()
-        ):
+        if not is_increasing(wavelengths):
             raise BadData(
                 f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ..."
             )
@@ -150,52 +141,3 @@ class PointSpread:
             [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
         )
         return turned / turned.sum(axis=(1, 2), keepdims=True)
-
-
-def gaussian_kernel(sigma, radius) -> np.ndarray:
-    """Return the energy of a Gaussian in unit pixels up to `radius` from its own, shape (n, n).
-
-    Exact: differences of the error function. Its sum is the energy within these pixels, not scaled
-    to 1. sigma: standard deviation [pixel].
-    """
-    if not (0 < sigma < np.inf and radius >= 0):
-        raise OutOfRange("gaussian", f"sigma {sigma:g}, radius {radius}", "sigma > 0, radius >= 0")
-    edges = np.arange(-radius, radius + 2) - 0.5
-    line = np.diff(erf(edges / (np.sqrt(2) * sigma))) / 2
-    return np.outer(line, line)
-
-
-def pillbox_kernel(diameter) -> np.ndarray:
-    """Return the energy of a uniform disc in unit pixels about its centre, shape (n, n), n odd.
-
-    Its sum is 1. Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 -
-    x^2).
-    """
-    if not 0 < diameter < 1e4:
-        raise OutOfRange("pillbox diameter", f"{diameter:g} pixels", "0 < diameter < 1e4")
-    r = diameter / 2
-    reach = int(np.ceil(r - 0.5)) if r > 0.5 else 0
-    edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -r, r)
-    y, x = np.meshgrid(edges, edges, indexing="ij")
-    area = _disc_below(x, y, r)
-    return np.diff(np.diff(area, axis=0), axis=1) / (np.pi * r * r)
-
-
-def _disc_below(x, y, r):
-    """Area of the part of the disc with coordinates below x and below y, both in -r .. r."""
-
-    def column(a, b):  # integral over a .. b of sqrt(r^2 - t^2)
-        def primitive(t):
-            return (
-                t * np.sqrt(np.maximum(r * r - t * t, 0)) + r * r * np.arcsin(np.clip(t / r, -1, 1))
-            ) / 2
-
-        return primitive(b) - primitive(a)
-
-    w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
-    left, right = np.minimum(x, -w), np.clip(x, -w, w)
-    # Within the chord the strip goes from the lower arc to y. Outside the chord the strip is the
-    # whole disc for y > 0, and empty for y < 0.
-    inside = column(-w, right) + y * (right + w)
-    beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
-    return inside + np.where(y > 0, beside, 0)

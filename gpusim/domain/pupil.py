@@ -10,8 +10,9 @@ from math import comb, factorial
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import FINITE, BadData, Limits, OutOfRange, check_fields
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.spectrum import is_increasing
 
 # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
 LONGEST_WAVEFRONT = 40.0
@@ -46,8 +47,7 @@ class Pupil:
                 self.obscuration,
                 f"0 <= obscuration < {self.inner_radius:.4g}, the radius of the circle that fits in",
             )
-        if not np.isfinite(self.rotation):
-            raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
+        check_fields("optics.pupil", self, {"rotation": Limits("a finite angle", FINITE)})
 
     @property
     def area(self) -> float:
@@ -131,7 +131,7 @@ class Wavefront:
                 "optics.zernike: wanted a list of numbers, or one of them for each field height, equally "
                 "long"
             ) from None
-        seidel = tuple(float(value) for value in self.seidel)
+        seidel = tuple(map(float, self.seidel))
         if zernike.ndim != (2 if heights.size else 1) or (
             heights.size and zernike.shape[0] != heights.size
         ):
@@ -139,7 +139,7 @@ class Wavefront:
                 f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
                 "or one per height"
             )
-        if heights.ndim != 1 or not (np.isfinite(heights).all() and (np.diff(heights) > 0).all()):
+        if not is_increasing(heights):
             raise BadData("optics.zernike: field heights must increase")
         if zernike.shape[-1] > 66:
             raise OutOfRange(
@@ -160,13 +160,10 @@ class Wavefront:
             )
         if not 100 <= self.reference <= 100000:
             raise OutOfRange("optics.reference_nm", self.reference, "100 <= reference_nm <= 100000")
-        rows = tuple(map(tuple, zernike.tolist())) if heights.size else tuple(zernike.tolist())
-        for name, value in (
-            ("zernike", rows),
-            ("heights", tuple(heights.tolist())),
-            ("seidel", seidel),
-        ):
-            object.__setattr__(self, name, value)
+        rows = map(tuple, zernike.tolist()) if heights.size else zernike.tolist()
+        object.__setattr__(self, "zernike", tuple(rows))
+        object.__setattr__(self, "heights", tuple(heights.tolist()))
+        object.__setattr__(self, "seidel", seidel)
 
     def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
         """Return the coefficients [i, j] of x^i y^j at one field point.
@@ -185,7 +182,8 @@ class Wavefront:
             zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
         w040, w131, w222, w220, w311 = self.seidel
         h = height
-        total = _empty_table(len(zernike))
+        order = int((np.sqrt(8 * max(len(zernike), 1) - 7) - 1) / 2)
+        total = np.zeros((max(order, 4) + 1,) * 2)
         total[:5, :5] += w040 * disc_power(2) + w220 * h**2 * np.pad(disc_power(1), (0, 2))
         total[1, 0] += w311 * h**3
         total[2, 0] += w222 * h**2
@@ -244,12 +242,6 @@ def noll(j) -> np.ndarray:
                 for a, b in zip(*np.nonzero(radial), strict=True):
                     table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]
     return table
-
-
-def _empty_table(count):
-    """Room for Seidel terms and `count` Zernike polynomials."""
-    order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
-    return np.zeros((max(order, 4) + 1,) * 2)
 
 
 def _turn(table, angle):

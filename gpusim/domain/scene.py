@@ -1,7 +1,7 @@
 """The scene: spectral reflectance (or radiance) of surfaces, and the light on them."""
 
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -183,11 +183,7 @@ class Scene(Pictured):
         Returns:
             The scene with these arrays.
         """
-        content, scene = copy(self.content), copy(self)
-        for name, array in arrays.items():
-            object.__setattr__(content, name, array)
-        object.__setattr__(scene, "content", content)
-        return scene
+        return _copy_with(self, content=_copy_with(self.content, **arrays))
 
     def viewed(self, view: View) -> "Scene":
         """Return the scene from another view. Its samples are not checked again.
@@ -201,8 +197,7 @@ class Scene(Pictured):
         Raises:
             BadData: The scene has depth, or `view` is no View.
         """
-        scene = copy(self)
-        object.__setattr__(scene, "view", view)
+        scene = _copy_with(self, view=view)
         scene._check_view()
         return scene
 
@@ -215,18 +210,15 @@ class Scene(Pictured):
         Returns:
             The scene with this light.
         """
-        scene = copy(self)
-        object.__setattr__(
-            scene, "illuminant", replace(self.illuminant, values=factor * self.illuminant.values)
-        )
-        return scene
+        return _copy_with(self, illuminant=self.illuminant.scale(factor))
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the frame [pixel]."""
         # 1.1 is no binary fraction: 11 samples are 10 pixels of that size, not 9.999...
-        rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
-        return rows, cols
+        rows, cols = self.samples
+        down = int(rows / self.samples_per_pixel * (1 + 1e-12))
+        return down, int(cols / self.samples_per_pixel * (1 + 1e-12))
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -246,6 +238,14 @@ class Scene(Pictured):
         Otherwise it is radiance [photon s-1 m-2 sr-1 nm-1], and the illuminant is 1.
         """
         return bool((self.illuminant.values != 1).any())
+
+
+def _copy_with(part, **fields):
+    """Return a copy with other fields, which are not checked."""
+    made = copy(part)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
 
 
 def checked_scene(scene) -> Scene:

@@ -5,15 +5,53 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, format_value
+from gpusim.domain.errors import (
+    BadData,
+    Interval,
+    Limits,
+    OutOfRange,
+    check_fields,
+    check_known,
+    format_value,
+    within,
+)
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import short_repr
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, is_increasing
 
-HUGE = 1e12  # limit of electrons, seconds and gains; its square is far from float32's limit
 FLOAT_BITS = 32  # value of `bits` for raw values without a converter
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
+
+# Limits of fields. The square of 1e12 electrons, seconds or gains is far from float32's limit.
+LIMITS = {
+    "pixel_pitch": within("0 < pixel_pitch <= 0.001 m", "m"),
+    "fill_factor": within("0 < fill_factor <= 1"),
+    "photodetector": Limits(
+        "height and width over the pitch, 0 < each <= 1", Interval(0, 1, False), is_pair=True
+    ),
+    "centre": Limits("rows and columns, within -0.5 .. 0.5", Interval(-0.5, 0.5), is_pair=True),
+    "offset": Limits(
+        "rows and columns [pixel], within -1e4 .. 1e4", Interval(-1e4, 1e4), is_pair=True
+    ),
+    "exposure_time": within("0 < exposure_time <= 1e12, or automatic", "s"),
+    "row_time": within("0 <= row_time <= 1e12", "s"),
+    "full_well": within("0 < full_well <= 1e12", "e-"),
+    "bits": Limits(
+        "a whole number, 1 <= bits <= 16, or 32 for float32 without a converter",
+        (*range(1, 17), FLOAT_BITS),
+    ),
+    "gain": within("0 < gain <= 1e12, or automatic", "DN/e-"),
+    "conversion_gain": within("0 < conversion_gain <= 1e12, or automatic", "V/e-"),
+    "adc_range": within("0 < adc_range <= 1e12, or automatic", "V"),
+    "analog_gain": within("0 < analog_gain <= 1e4"),
+    "analog_offset": within("-1e12 <= analog_offset <= 1e12", "e-"),
+    "binning": Limits(
+        f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
+        range(1, LONGEST_PERIOD + 1),
+        is_pair=True,
+    ),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +78,8 @@ class Microlens:
     def __post_init__(self):
         angles = np.asarray(self.angles, np.float64)
         response = np.asarray(self.response, np.float64)
-        if (
-            angles.ndim != 1
-            or angles.shape != response.shape
-            or len(angles) < 2
-            or angles[0] != 0
-            or not (np.diff(angles) > 0).all()
-        ):
+        wanted = is_increasing(angles) and angles.shape == response.shape and len(angles) > 1
+        if not wanted or angles[0] != 0:
             raise BadData(
                 "sensor.microlens: wanted two or more angles rising from 0 and as many responses"
             )
@@ -157,30 +190,12 @@ class Sensor:
                 raise BadData(
                     f"sensor.{key} = {format_value(value)}: wanted a tuple of texts, such as {wanted}"
                 )
+        check_fields("sensor", self, LIMITS)
         self._check_pixel()
-        self._check_numbers()
+        self._check_readout()
         self._check_mosaic()
 
     def _check_pixel(self):
-        def check(key, allowed, good, unit=""):
-            check_range("sensor", self, key, allowed, good, unit)
-
-        check("pixel_pitch", "0 < pixel_pitch <= 0.001 m", lambda value: 0 < value <= 1e-3, "m")
-        check("fill_factor", "0 < fill_factor <= 1", lambda value: 0 < value <= 1)
-        for key, allowed, good in (
-            (
-                "photodetector",
-                "height and width over the pitch, 0 < each <= 1",
-                lambda value: 0 < value <= 1,
-            ),
-            ("centre", "rows and columns, within -0.5 .. 0.5", lambda value: abs(value) <= 0.5),
-            (
-                "offset",
-                "rows and columns [pixel], within -1e4 .. 1e4",
-                lambda value: abs(value) <= 1e4,
-            ),
-        ):
-            check(key, allowed, lambda pair, good=good: len(pair) == 2 and all(map(good, pair)))
         if self.photodetector is not None:
             height, width = self.photodetector
             # copies made by dataclasses.replace have both
@@ -213,30 +228,10 @@ class Sensor:
             # a tuple can be compared and cannot change
             object.__setattr__(self, "vignetting", tuple(map(tuple, map_.tolist())))
 
-    def _check_numbers(self):
-        def check(key, allowed, good, unit=""):
-            check_range("sensor", self, key, allowed, good, unit)
-
-        def positive(value):
-            return 0 < value <= HUGE
-
-        check("exposure_time", "0 < exposure_time <= 1e12, or automatic", positive, "s")
-        check("row_time", "0 <= row_time <= 1e12", lambda value: 0 <= value <= HUGE, "s")
-        check("full_well", "0 < full_well <= 1e12", positive, "e-")
-        check(
-            "bits",
-            "a whole number, 1 <= bits <= 16, or 32 for float32 without a converter",
-            lambda value: value in (*range(1, 17), FLOAT_BITS),
-        )
+    def _check_readout(self):
         top = 2**16 if self.bits == FLOAT_BITS else self.white_level
-        check(
-            "black_level",
-            f"a whole number, 0 <= black_level < {top} (the white level)",
-            lambda value: value in range(top),
-            "DN",
-        )
-        for key, unit in (("gain", "DN/e-"), ("conversion_gain", "V/e-"), ("adc_range", "V")):
-            check(key, f"0 < {key} <= 1e12, or automatic", positive, unit)
+        words = f"a whole number, 0 <= black_level < {top} (the white level)"
+        check_fields("sensor", self, {"black_level": Limits(words, range(top), "DN")})
         if (self.conversion_gain is None) != (self.adc_range is None) or None not in (
             self.gain,
             self.adc_range,
@@ -244,20 +239,7 @@ class Sensor:
             raise BadData(
                 "sensor.gain, conversion_gain and adc_range: wanted only gain, or the other two, or none"
             )
-        check("analog_gain", "0 < analog_gain <= 1e4", lambda value: 0 < value <= 1e4)
-        check(
-            "analog_offset",
-            "-1e12 <= analog_offset <= 1e12",
-            lambda value: abs(value) <= HUGE,
-            "e-",
-        )
-        check(
-            "binning",
-            f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
-            lambda pair: len(pair) == 2 and all(n in range(1, LONGEST_PERIOD + 1) for n in pair),
-        )
-        if self.binning_mode not in ("charge", "digital"):
-            raise UnknownName("sensor.binning_mode", str(self.binning_mode), ("charge", "digital"))
+        check_known("sensor.binning_mode", self.binning_mode, ("charge", "digital"))
         if self.binning != (1, 1) and self.stacked:
             raise BadData(
                 "sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False"
@@ -281,7 +263,7 @@ class Sensor:
             )
 
     def _check_mosaic(self):
-        if not self.channels or any(len(letter) != 1 for letter in self.channels):
+        if set(map(len, self.channels)) != {1}:
             raise BadData(f"sensor.channels = {self.channels}: one letter per curve")
         if len(set(self.channels)) != len(self.channels):
             raise BadData(f"sensor.channels = {self.channels}: a letter occurs twice")
@@ -293,7 +275,7 @@ class Sensor:
         low, high = self.qe.values.min(), self.qe.values.max()
         if not (low >= 0 and high <= 1):
             raise OutOfRange("sensor.qe", f"{low:.6g} .. {high:.6g} e-/photon", "0 <= qe <= 1")
-        widths = {len(row) for row in self.cfa}
+        widths = set(map(len, self.cfa))
         if (
             len(widths) != 1
             or not 1 <= max(widths) <= LONGEST_PERIOD
@@ -368,9 +350,7 @@ class Sensor:
         """
         if self.stacked:
             return np.arange(len(self.channels), dtype=np.int32)[None]
-        return np.array(
-            [[self.channels.index(letter) for letter in row] for row in self.cfa], np.int32
-        )
+        return np.array([list(map(self.channels.index, row)) for row in self.cfa], np.int32)
 
     @property
     def is_monochrome(self) -> bool:

@@ -89,6 +89,23 @@ class Spectrum:
         return Spectrum(self.wavelengths, self.values * factor, self.name)
 
 
+def values_of(value: Spectrum | float) -> np.ndarray:
+    """Return the values of a number or a Spectrum as an array."""
+    return np.asarray(value, np.float64)
+
+
+def tabulate(value: Spectrum | float, wavelengths: ArrayLike) -> np.ndarray:
+    """Return a number or one function at wavelengths [nm], shape (L,); its end values continue."""
+    if isinstance(value, Spectrum):
+        return value.at(wavelengths, outside=None)
+    return np.full(np.shape(wavelengths), float(value))
+
+
+def is_increasing(values: np.ndarray) -> bool:
+    """Return True if the values have one axis, are finite and increase strictly."""
+    return values.ndim == 1 and bool(np.isfinite(values).all() and (np.diff(values) > 0).all())
+
+
 def check_wavelengths(wavelengths, label: str, least: int = 1):
     """Raise BadData unless wavelengths (L,) are light, increase, and number at least `least`."""
     if wavelengths.ndim != 1 or len(wavelengths) < least:

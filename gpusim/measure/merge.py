@@ -85,7 +85,7 @@ def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:
             raise BadData(f"merge_inputs: frame {number} has NaN or infinite values")
         sensor = frame.camera.sensor
         noises.append(RawNoise.of(sensor, averaged))
-        darks.append(sensor.noise.dark_current * sensor.noise.warmth * time)
+        darks.append(sensor.noise.operating_dark_current * time)
         electrons = (raw - sensor.black_level) / sensor.gain_dn_per_electron - sensor.analog_offset
         found.append((electrons - darks[-1]) / time)
         full = electrons >= sensor.full_well - MARGIN * np.sqrt(noises[-1].variance(temporal=True))

@@ -77,7 +77,7 @@ def snr_curve(
     per_exposure = electrons_per_lux_second(sensor, light)
     if not per_exposure.any():
         raise BadData(f"snr_curve: the sensor does not respond to {light.name or 'the light'}")
-    dark = sensor.noise.dark_current * sensor.noise.warmth * seconds
+    dark = sensor.noise.operating_dark_current * seconds
     room = sensor.saturation - dark
     if not room > 0:
         raise BadData(

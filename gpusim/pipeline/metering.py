@@ -77,7 +77,7 @@ def metering_numbers(sensor: Sensor, readout: Readout) -> dict:
     """Return the keyword arguments of `choose_exposure` that come from the sensor."""
     return {
         "automatic": sensor.auto_exposure,
-        "dark": sensor.noise.dark_current * sensor.noise.warmth,  # fills the well like light
+        "dark": sensor.noise.operating_dark_current,  # fills the well like light
         "saturation": readout.output.saturation / readout.pixels,
     }
 

@@ -693,7 +693,7 @@ class Readout:
             The charge [e-].
         """
         noise_ = self.output.noise
-        return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
+        return min(noise_.operating_dark_current * exposure_time, MOST)
 
     def _bin(self, pixels, average=False):
         return bin_pixels(

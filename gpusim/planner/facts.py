@@ -222,7 +222,7 @@ class Operation:
         size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time if exposure_time is None else exposure_time
         if seconds is None:
-            dark = sensor.noise.dark_current * sensor.noise.warmth
+            dark = sensor.noise.operating_dark_current
             try:
                 automatic, brightest = sensor.auto_exposure, float(looked.max())
                 if automatic.method == "highlights" and brightest > 0:

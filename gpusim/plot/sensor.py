@@ -214,7 +214,7 @@ def noise_of(frame) -> dict[str, np.ndarray]:
         )
     sensor = frame.camera.sensor
     own, gain = sensor.noise, sensor.gain_dn_per_electron
-    electrons = frame.mean + own.dark_current * own.warmth * frame.exposure_time
+    electrons = frame.mean + own.operating_dark_current * frame.exposure_time
     parts = RawNoise.of(sensor, frame.averaged)
     variance = parts.variance(electrons) + (parts.response + parts.line_response) * np.square(
         frame.mean, dtype=float

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from blur_kernels import pillbox_kernel
 from devices import ALL_KINDS, DEVICES, KINDS
 from scipy.signal import fftconvolve
 
@@ -14,7 +15,6 @@ from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.optics import Optics
-from gpusim.domain.psf import pillbox_kernel
 from gpusim.domain.scene import Layer, Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.io.scene.npz import read_npz, write_npz

@@ -89,7 +89,7 @@ def patches():
 def information(rate, times, sensor):
     """Cramer-Rao: the sum over the frames that are not full of 1 / variance of their rates, [s2 e-2]."""
     gain, chip = sensor.gain_dn_per_electron, sensor.noise
-    dark = chip.dark_current * chip.warmth
+    dark = chip.operating_dark_current
     floor = chip.read**2 + 1 / (12 * gain**2)
     return sum(
         time**2 / (rate * time + dark * time + floor) * (rate * time < sensor.full_well)

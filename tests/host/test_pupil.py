@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from blur_kernels import gaussian_kernel, pillbox_kernel
 from scipy.integrate import dblquad
 from scipy.optimize import brentq
 from scipy.special import j1
 
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.optics import Optics
-from gpusim.domain.psf import PointSpread, gaussian_kernel, pillbox_kernel
+from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.camera.cameras import open_camera

@@ -77,7 +77,7 @@ def frames(sensor, mean, count, first=0, exposure_time=EXPOSURE):
     return noise(
         expected,
         offset,
-        dark_electrons=part.dark_current * part.warmth * exposure_time,
+        dark_electrons=part.operating_dark_current * exposure_time,
         read_noise=part.read,
         full_well=sensor.full_well,
         gain=sensor.gain_dn_per_electron,

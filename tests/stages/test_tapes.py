@@ -175,7 +175,7 @@ def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device)
 def overwrite(device, target, source):
     """Copy an array's values to another, by the verbs that devices have."""
     size = int(np.prod(target.shape))
-    device._copy(target, source, size, 0, 0).start()
+    device._start_copy(target, source, size, 0, 0)
 
 
 def test_nothing_is_allocated_or_built_again(device, monkeypatch):
