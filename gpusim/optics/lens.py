@@ -9,10 +9,13 @@ A field point is (y, x), 1 the distance of the frame's corner from the axis, in 
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
 import scipy
+from numpy.polynomial.legendre import leggauss
+from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
@@ -318,9 +321,8 @@ class PupilLens(_OnGrid):
     @cached_property
     def symmetry(self) -> Symmetry:
         """See `Lens`."""
-        return Symmetry(
-            self.optics.is_symmetric, self.optics.has_mirror and not any(self.displacement)
-        )
+        is_mirrored = self.optics.has_mirror and not any(self.displacement)
+        return Symmetry(self.optics.is_symmetric, is_mirrored)
 
     @cached_property
     def tail(self) -> Tail:
@@ -356,20 +358,13 @@ class PupilLens(_OnGrid):
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
-        optics = self.optics
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        return stages.pupil(
-            optics.pupil,
-            optics.waves(self.nanometres(q), distance=distance),
-            q,
-            self.aperture,
-            rows,
-            cols,
-            spots=tuple(length / self.pitch for length in optics.birefringence),
-            diffuser=optics.diffuser / self.pitch,
-            displacement=self.displacement,
-        )
+        optics, (down, across) = self.optics, self.optics.birefringence
+        waves = optics.waves(self.nanometres(q), distance=distance)
+        spots, diffuser = (down / self.pitch, across / self.pitch), optics.diffuser / self.pitch
+        softened = {"spots": spots, "diffuser": diffuser, "displacement": self.displacement}
+        return stages.pupil(optics.pupil, waves, q, self.aperture, rows, cols, **softened)
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
@@ -377,18 +372,12 @@ class PupilLens(_OnGrid):
         optics = self.optics
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
-        found = np.stack(
-            [
-                transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
-                for wave, one in zip(waves, cut, strict=True)
-            ]
-        )
+        found = np.empty((len(waves), fx.size), complex)
+        for own, wave, one in zip(found, waves, cut, strict=True):
+            own[:] = transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
         down, across = optics.birefringence
-        return found * (
-            np.cos(np.pi * down * fy)
-            * np.cos(np.pi * across * fx)
-            * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2))
-        )
+        spots = np.cos(np.pi * down * fy) * np.cos(np.pi * across * fx)
+        return found * (spots * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2)))
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
@@ -407,46 +396,31 @@ class PupilLens(_OnGrid):
         Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
         gaps, or overlap, share the light as if they tiled the image.
         """
-        optics, (y, x) = self.optics, place
-        wavelengths = np.asarray(wavelengths, np.float64)
+        optics, q = self.optics, self._q(wavelengths)
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        # shift per unit of field height [pixel]
-        colour = optics.lateral_color_at(wavelengths) * self.corner
-        out = np.empty((len(wavelengths), size, size))
-        for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
-            kernel[:] = self._kernel(
-                wavelength * 1e-9 * optics.working_f_number / self.pitch,
-                wave,
-                size,
-                (shift * y - self.displacement[0], shift * x - self.displacement[1]),
-            )
+        shifts, out = self._shifts(wavelengths, place), np.empty((len(q), size, size))
+        for kernel, one_q, wave, shift in zip(out, q, waves, shifts, strict=True):
+            kernel[:] = self._kernel(one_q, wave, size, shift)
             if optics.diffuser:
-                spectrum = scipy.ndimage.fourier_gaussian(
-                    np.fft.fft2(kernel), optics.diffuser / self.pitch
-                )
-                kernel[:] = np.fft.ifft2(spectrum).real
+                softness, spectrum = optics.diffuser / self.pitch, np.fft.fft2(kernel)
+                kernel[:] = np.fft.ifft2(scipy.ndimage.fourier_gaussian(spectrum, softness)).real
         return out
+
+    def _shifts(self, wavelengths, place):
+        """Displacement of a point's image on the samples by lateral colour and the apertures, (L, 2) [sample]."""
+        colour = self.optics.lateral_color_at(np.asarray(wavelengths, np.float64)) * self.corner
+        return colour[:, None] * np.array(place, np.float64) - np.array(self.displacement)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        optics, (y, x) = self.optics, place
-        wavelengths = np.asarray(wavelengths, np.float64)
-        q = wavelengths * 1e-9 * optics.working_f_number / self.pitch
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        means = _mean_powers(optics.pupil, waves.shape[1])
-        slopes = [
-            [
-                np.vdot(slope, means[: slope.shape[0], : slope.shape[1]])
-                for slope in (np.polynomial.polynomial.polyder(wave, axis=axis) for axis in (1, 0))
-            ]
-            for wave in waves
-        ]
-        colour = optics.lateral_color_at(wavelengths) * self.corner
-        return (
-            -2 * q[:, None] * np.array(slopes)
-            + colour[:, None] * np.array([y, x])
-            - np.array(self.displacement)
-        )
+        waves = self.optics.waves(wavelengths, *_polar(place), distance=distance)
+        means, slopes = _mean_powers(self.optics.pupil, waves.shape[1]), np.empty((len(waves), 2))
+        for slope, wave in zip(slopes, waves, strict=True):
+            along_x, along_y = _derivatives(wave)
+            slope[:] = np.vdot(along_y, means[:, :-1]), np.vdot(along_x, means[:-1])
+        colour = self.optics.lateral_color_at(np.asarray(wavelengths, np.float64)) * self.corner
+        moved = -2 * self._q(wavelengths)[:, None] * slopes + colour[:, None] * np.array(place)
+        return moved - np.array(self.displacement)
 
     def _kernel(self, q, wave, size, shift):
         points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
@@ -454,25 +428,21 @@ class PupilLens(_OnGrid):
         fastest = (size / 2 + max(map(abs, shift))) / (2 * q) + _steepest(wave)
         count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
         u = (np.arange(count) + 0.5) / count * 2 - 1
-        path = np.polynomial.polynomial.polygrid2d(u, u, wave).T  # [y, x]
-        aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(
-            np.complex64
-        )
-        mass = np.polynomial.legendre.leggauss(points)[1] / 2
-        energies = []
-        spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
-        for a in {-spots[0], spots[0]}:
-            for b in {-spots[1], spots[1]}:
-                left, right = (
-                    _waves_to(size, points, width, move, count, q)
-                    for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True)
-                )
-                field_ = left @ aperture @ right.T
-                energies.append(field_.real**2 + field_.imag**2)
+        path = polygrid2d(u, u, wave).T  # [y, x]
+        aperture = _coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)
+        aperture = aperture.astype(np.complex64)
+        mass, energies = leggauss(points)[1] / 2, []
+        (down, across), (height, width) = self.optics.birefringence, self.aperture
+        down, across = down / self.pitch / 2, across / self.pitch / 2
+        for a, b in product({-down, down}, {-across, across}):
+            left = _waves_to(size, points, height, shift[0] + a, count, q)
+            right = _waves_to(size, points, width, shift[1] + b, count, q)
+            field_ = left @ aperture @ right.T
+            energies.append(field_.real**2 + field_.imag**2)
         energy = sum(energies).reshape(size, points, size, points)
         energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
         inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(aperture).sum()
-        if q < 1 and any(width != 1 for width in self.aperture):
+        if q < 1 and self.aperture != (1, 1):
             # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
             whole = inside + whole * _energy_beyond(self.tail, q, wave, size)
         return energy / whole
@@ -485,13 +455,8 @@ def _energy_beyond(tail, q, wave, size):
     b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
     """
     radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    slopes = [
-        np.polynomial.polynomial.polyval2d(
-            np.cos(angle), np.sin(angle), np.polynomial.polynomial.polyder(wave, axis=axis)
-        )
-        for axis in (0, 1)
-    ]
-    near = min(np.mean(4 * q * q * (slopes[0] ** 2 + slopes[1] ** 2)) / radius**2, 0.8)
+    x, y = (polyval2d(np.cos(angle), np.sin(angle), slope) for slope in _derivatives(wave))
+    near = min(np.mean(4 * q * q * (x**2 + y**2)) / radius**2, 0.8)
     return 2 * np.pi * tail.strength * q / radius / (1 - near)
 
 
@@ -502,7 +467,7 @@ def _waves_to(size, points, aperture, shift, count, q):
     A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
     """
     u = (np.arange(count) + 0.5) / count * 2 - 1
-    nodes = np.polynomial.legendre.leggauss(points)[0] / 2
+    nodes = leggauss(points)[0] / 2
     pixels = ((np.arange(size) - size // 2)[:, None] + aperture * nodes).ravel() - shift
     return np.exp(2j * np.pi * np.outer(pixels, u) / (2 * q)).astype(np.complex64)
 
@@ -548,22 +513,10 @@ class MeasuredLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`. Raises OutOfRange if the spread is larger than `size` samples, or a distance is given."""
         _require_no_distance(distance)
-        place = tuple(
-            float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True)
-        )
-        tables = psf_tables(
-            self.spread_data,
-            np.asarray(wavelengths, np.float64),
-            self.pitch,
-            self.aperture,
-            size,
-            size,
-            place=place,
-            displacement=self.displacement,
-        )
-        kernels = np.fft.fftshift(
-            np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2)
-        )
+        place = tuple(np.clip(place, np.negative(self.corner), self.corner).tolist())
+        tables = self._tables(wavelengths, size, size, place=place)
+        kernels = np.fft.irfft2(tables.view(np.complex128), (size, size))
+        kernels = np.fft.fftshift(kernels, axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
@@ -581,29 +534,23 @@ class MeasuredLens(_OnGrid):
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
         _require_no_distance(distance)
-        return stages.given(
-            psf_tables(
-                self.spread_data,
-                self.nanometres(q),
-                self.pitch,
-                self.aperture,
-                rows,
-                cols,
-                finest=float(q.min()) * self.pitch / 2 if stages.whole else 0.0,
-                whole=stages.whole,
-                displacement=self.displacement,
-            )
-        )
+        finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
+        fit = {"finest": finest, "whole": stages.whole}
+        return stages.given(self._tables(self.nanometres(q), rows, cols, **fit))
+
+    def _tables(self, wavelengths, rows, cols, **how):
+        """Transfer tables of the point spreads, see `psf_tables`."""
+        grid, displaced = (self.pitch, self.aperture, rows, cols), self.displacement
+        return psf_tables(self.spread_data, wavelengths, *grid, displacement=displaced, **how)
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""
         _require_no_distance(distance)
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         values = spread_at(self.spread_data, wavelengths, place)
-        left, right = (
-            np.exp(-2j * np.pi * self.spread_data.spacing * np.outer(f, np.arange(n) - (n - 1) / 2))
-            for f, n in zip((fy, fx), values.shape[1:], strict=True)
-        )
+        spacing, (rows, cols) = self.spread_data.spacing, values.shape[1:]
+        left = np.exp(-2j * np.pi * spacing * np.outer(fy, np.arange(rows) - (rows - 1) / 2))
+        right = np.exp(-2j * np.pi * spacing * np.outer(fx, np.arange(cols) - (cols - 1) / 2))
         return np.einsum("fy,lyx,fx->lf", left, values, right, optimize=True)
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
@@ -720,8 +667,8 @@ def _polar(place) -> tuple[float, float]:
 
 def _checked_frequencies(wavelengths, fy, fx):
     """Wavelengths (L,) and frequencies (F,), (F,) as arrays."""
-    fy, fx = (np.atleast_1d(np.asarray(f, np.float64)) for f in np.broadcast_arrays(fy, fx))
-    return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy, fx
+    fy, fx = np.broadcast_arrays(*np.atleast_1d(fy, fx))
+    return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy.astype(float), fx.astype(float)
 
 
 def wavelength_nodes(wavelengths, count: int = NODES):
@@ -736,15 +683,13 @@ def wavelength_nodes(wavelengths, count: int = NODES):
 def _steepest(wave):
     """Largest slope of the wavefront in the pupil [waves per radius]."""
     u = np.linspace(-1, 1, 17)
-    slopes = [
-        np.abs(
-            np.polynomial.polynomial.polygrid2d(
-                u, u, np.polynomial.polynomial.polyder(wave, axis=axis)
-            )
-        )
-        for axis in (0, 1)
-    ]
-    return float(np.hypot(*slopes)[u[:, None] ** 2 + u**2 <= 1].max())
+    x, y = (polygrid2d(u, u, slope) for slope in _derivatives(wave))
+    return float(np.hypot(x, y)[u[:, None] ** 2 + u**2 <= 1].max())
+
+
+def _derivatives(wave):
+    """Coefficients of the wavefront's derivatives along x and along y."""
+    return polyder(wave, axis=0), polyder(wave, axis=1)
 
 
 @lru_cache(maxsize=32)
@@ -762,13 +707,10 @@ def _coverage(pupil, count):
     y, x = u[:, None], u
     radius = np.hypot(y, x)
     inside = 1 - radius
-    if pupil.sides.size:
-        inside = np.minimum.reduce(
-            [pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle) for angle in pupil.sides]
-        )
+    for number, angle in enumerate(pupil.sides):
+        side = pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle)
+        inside = np.minimum(inside, side) if number else side
     open_ = np.clip(inside / step + 0.5, 0, 1)
-    return (
-        open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
-        if pupil.obscuration
-        else open_
-    )
+    if pupil.obscuration:
+        open_ = open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
+    return open_
