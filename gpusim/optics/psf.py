@@ -48,7 +48,7 @@ def psf_tables(
         OutOfRange: The samples are too coarse, the spread is larger than the period, or
             energies of pixels are displaced by parts of a pixel.
     """
-    between = _neighbours(spread, wavelengths)
+    low, high, rest = _neighbours(spread, wavelengths)
     ratio = spread.spacing / pitch
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
         raise OutOfRange(
@@ -77,15 +77,12 @@ def psf_tables(
                 f"{size} samples = {size * ratio:.4g} pixels",
                 f"up to the {period} pixels of scene and surroundings",
             )
+    (count_y, count_x), (height, width) = values.shape[1:], np.broadcast_to(aperture, 2)
+    down, across = displacement
     fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
-    left, right = (
-        _sample_transform(f, size, ratio, width, spread.integrated, move)
-        for f, size, width, move in zip(
-            (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True
-        )
-    )
+    left = _sample_transform(fy, count_y, ratio, height, spread.integrated, down)
+    right = _sample_transform(fx, count_x, ratio, width, spread.integrated, across)
     own = np.stack([left @ one @ right.T for one in values])
-    low, high, rest = between
     tables = own[low] * (1 - rest) + own[high] * rest
     for i in {0, rows // 2} if rows % 2 == 0 else {0}:  # what is its own opposite is real
         for j in {0, cols // 2} if cols % 2 == 0 else {0}:
@@ -105,9 +102,8 @@ def _sample_transform(frequencies, count, ratio, aperture, integrated, displacem
         # at exactly half the rate a sample counts half for either sign
         beyond = np.abs(f) * ratio - 0.5
         share = np.where(beyond < -1e-12, 1.0, np.where(beyond < 1e-12, 0.5, 0.0))
-        total += (share * np.sinc(aperture * f))[:, None] * np.exp(
-            -2j * np.pi * np.outer(f, places)
-        )
+        share = share * np.sinc(aperture * f)
+        total += share[:, None] * np.exp(-2j * np.pi * np.outer(f, places))
     return total
 
 
