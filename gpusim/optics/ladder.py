@@ -19,7 +19,6 @@ from math import gamma, log, pi
 import numpy as np
 from numpy.polynomial.polynomial import polyvander
 
-from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
 
 RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
@@ -74,7 +73,7 @@ def edge_tail(pupil: Pupil) -> float:
     return float(edges / (np.pi * pupil.area) / (2 * np.pi**3))
 
 
-def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
+def tail(pupil: Pupil, q, waves, variance: float) -> np.ndarray:
     """Return t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
 
     t_3 is q times `edge_tail`. Each point of the pupil's rim spreads its light about the place
@@ -86,8 +85,8 @@ def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
         pupil: The pupil.
         q: Wavelength times f-number over the distance of samples, shape (L,).
         waves: Wavefronts of the wavelengths, see `Optics.waves`.
-        aperture: Variances along both axes of everything that spreads light a little
-            [sample^2], see `variance`.
+        variance: Sum along both axes of the variances of everything that spreads light a little:
+            the samples' aperture, a low-pass filter's spots and a diffuser [sample^2].
     """
     q, inner = np.asarray(q, np.float64), pupil.obscuration
     cusp = edge_tail(pupil) * q
@@ -95,23 +94,12 @@ def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
     if inner:  # the rims' lengths weigh them
         both = squares, _squares(waves, q, inner)
         squares = np.tensordot(both, (1 / (1 + inner), inner / (1 + inner)), (0, 0))
-    spread = 9 / 4 * sum(aperture)
+    spread = 9 / 4 * variance
     # factor of |s|^3 in the transfer function of a round pupil in focus
     cubic = 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
     third = 9 / (16 * pi**4) * cubic * q**3
     fifth = cusp * (3 * squares[:, 0] + spread) + third
     return np.stack([cusp, fifth, 5 * cusp * squares[:, 1]], axis=1)
-
-
-def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
-    """How much samples of an aperture, a low-pass filter's spots and a diffuser spread light down and across.
-
-    pitch: of samples [m]. aperture: height and width over it. Returns [sample^2].
-    """
-    (height, width), (down, across) = aperture, optics.birefringence
-    soft = (optics.diffuser / pitch) ** 2
-    first = height**2 / 12 + (down / pitch / 2) ** 2 + soft
-    return first, width**2 / 12 + (across / pitch / 2) ** 2 + soft
 
 
 def _squares(waves, q, radius):

@@ -8,14 +8,11 @@ A field point is (y, x), 1 the distance of the frame's corner from the axis, in 
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import product
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 import scipy
-from numpy.polynomial.legendre import leggauss
-from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
@@ -23,12 +20,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.optics import ladder
 from gpusim.optics.otf import transfer
-from gpusim.optics.psf import psf_tables, spread_at
+from gpusim.optics.psf import mean_slopes, psf_tables, pupil_kernel, spread_at, steepest_slope
 
-# Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
-QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
-SAMPLES_PER_CYCLE = 6  # of the pupil's phase, at the edge of the kernel
-CELLS = 128  # along the pupil, for mean slopes of the wavefront
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
@@ -334,16 +327,19 @@ class PupilLens(_OnGrid):
 
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
-        spread = ladder.variance(self.optics, self.pitch, self.aperture)
-        waves = self.optics.waves(wavelengths)
-        return ladder.tail(self.optics.pupil, self._q(wavelengths), waves, spread)
+        optics, (down, across) = self.optics, self.optics.birefringence
+        soft = (optics.diffuser / self.pitch) ** 2
+        rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
+        cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
+        waves = optics.waves(wavelengths)
+        return ladder.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
         waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
         for q, wave in zip(self._q(wavelengths), waves, strict=True):
             if wave.any():
-                radius = max(radius, 2 * q * _steepest(wave))
+                radius = max(radius, 2 * q * steepest_slope(wave))
         return radius
 
     def cutoff(self, wavelength) -> float:
@@ -390,86 +386,30 @@ class PupilLens(_OnGrid):
         return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
 
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
-        """See `Lens`.
-
-        The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
-        Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
-        gaps, or overlap, share the light as if they tiled the image.
-        """
+        """See `Lens`."""
         optics, q = self.optics, self._q(wavelengths)
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        shifts, out = self._shifts(wavelengths, place), np.empty((len(q), size, size))
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        out = np.empty((len(q), size, size))
+        down, across = optics.birefringence
+        samples = size, self.aperture, (down / self.pitch / 2, across / self.pitch / 2)
         for kernel, one_q, wave, shift in zip(out, q, waves, shifts, strict=True):
-            kernel[:] = self._kernel(one_q, wave, size, shift)
+            kernel[:] = pupil_kernel(optics.pupil, wave, one_q, shift, *samples)
             if optics.diffuser:
                 softness, spectrum = optics.diffuser / self.pitch, np.fft.fft2(kernel)
                 kernel[:] = np.fft.ifft2(scipy.ndimage.fourier_gaussian(spectrum, softness)).real
         return out
 
-    def _shifts(self, wavelengths, place):
-        """Displacement of a point's image on the samples by lateral colour and the apertures, (L, 2) [sample]."""
+    def _colour_shifts(self, wavelengths, place):
+        """Displacement of a point's image by lateral colour, (L, 2) [sample]."""
         colour = self.optics.lateral_color_at(np.asarray(wavelengths, np.float64)) * self.corner
-        return colour[:, None] * np.array(place, np.float64) - np.array(self.displacement)
+        return colour[:, None] * np.array(place, np.float64)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
         waves = self.optics.waves(wavelengths, *_polar(place), distance=distance)
-        means, slopes = _mean_powers(self.optics.pupil, waves.shape[1]), np.empty((len(waves), 2))
-        for slope, wave in zip(slopes, waves, strict=True):
-            along_x, along_y = _derivatives(wave)
-            slope[:] = np.vdot(along_y, means[:, :-1]), np.vdot(along_x, means[:-1])
-        colour = self.optics.lateral_color_at(np.asarray(wavelengths, np.float64)) * self.corner
-        moved = -2 * self._q(wavelengths)[:, None] * slopes + colour[:, None] * np.array(place)
-        return moved - np.array(self.displacement)
-
-    def _kernel(self, q, wave, size, shift):
-        points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
-        # cycles of the phase per radius: x / 2 q for the image at x, and the wavefront's own
-        fastest = (size / 2 + max(map(abs, shift))) / (2 * q) + _steepest(wave)
-        count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
-        u = (np.arange(count) + 0.5) / count * 2 - 1
-        path = polygrid2d(u, u, wave).T  # [y, x]
-        aperture = _coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)
-        aperture = aperture.astype(np.complex64)
-        mass, energies = leggauss(points)[1] / 2, []
-        (down, across), (height, width) = self.optics.birefringence, self.aperture
-        down, across = down / self.pitch / 2, across / self.pitch / 2
-        for a, b in product({-down, down}, {-across, across}):
-            left = _waves_to(size, points, height, shift[0] + a, count, q)
-            right = _waves_to(size, points, width, shift[1] + b, count, q)
-            field_ = left @ aperture @ right.T
-            energies.append(field_.real**2 + field_.imag**2)
-        energy = sum(energies).reshape(size, points, size, points)
-        energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
-        inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(aperture).sum()
-        if q < 1 and self.aperture != (1, 1):
-            # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
-            whole = inside + whole * _energy_beyond(self.tail, q, wave, size)
-        return energy / whole
-
-
-def _energy_beyond(tail, q, wave, size):
-    """Share of the light outside a kernel of this size, if that is beyond most rays.
-
-    It is q tail / r^3, or if the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 -
-    b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
-    """
-    radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    x, y = (polyval2d(np.cos(angle), np.sin(angle), slope) for slope in _derivatives(wave))
-    near = min(np.mean(4 * q * q * (x**2 + y**2)) / radius**2, 0.8)
-    return 2 * np.pi * tail.strength * q / radius / (1 - near)
-
-
-@lru_cache(maxsize=32)
-def _waves_to(size, points, aperture, shift, count, q):
-    """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
-
-    A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
-    """
-    u = (np.arange(count) + 0.5) / count * 2 - 1
-    nodes = leggauss(points)[0] / 2
-    pixels = ((np.arange(size) - size // 2)[:, None] + aperture * nodes).ravel() - shift
-    return np.exp(2j * np.pi * np.outer(pixels, u) / (2 * q)).astype(np.complex64)
+        rays = -2 * self._q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
+        return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -678,39 +618,3 @@ def wavelength_nodes(wavelengths, count: int = NODES):
         return wavelengths, np.eye(len(wavelengths))
     nodes = np.linspace(wavelengths[0], wavelengths[-1], count)
     return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(count))(wavelengths)
-
-
-def _steepest(wave):
-    """Largest slope of the wavefront in the pupil [waves per radius]."""
-    u = np.linspace(-1, 1, 17)
-    x, y = (polygrid2d(u, u, slope) for slope in _derivatives(wave))
-    return float(np.hypot(x, y)[u[:, None] ** 2 + u**2 <= 1].max())
-
-
-def _derivatives(wave):
-    """Coefficients of the wavefront's derivatives along x and along y."""
-    return polyder(wave, axis=0), polyder(wave, axis=1)
-
-
-@lru_cache(maxsize=32)
-def _mean_powers(pupil, count):
-    """Means of x^i y^j over the open pupil, shape (count, count)."""
-    u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
-    powers, open_ = u ** np.arange(count)[:, None], _coverage(pupil, CELLS)  # [y, x]
-    return powers @ open_.T @ powers.T / open_.sum()
-
-
-@lru_cache(maxsize=32)
-def _coverage(pupil, count):
-    """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
-    u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
-    y, x = u[:, None], u
-    radius = np.hypot(y, x)
-    inside = 1 - radius
-    for number, angle in enumerate(pupil.sides):
-        side = pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle)
-        inside = np.minimum(inside, side) if number else side
-    open_ = np.clip(inside / step + 0.5, 0, 1)
-    if pupil.obscuration:
-        open_ = open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
-    return open_
