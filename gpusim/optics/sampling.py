@@ -158,14 +158,16 @@ def sampling_error(
         optical = _channel_optics(waves, weights * channels.means, q, ratio, tables)
     mean = square = np.ones((len(waves.all), len(waves.all)))
     if taps is not None:
-        (mean_y, square_y), (mean_x, square_x) = (_mean_response(one, waves.all) for one in taps)
+        rows, cols = taps
+        mean_y, square_y = _mean_response(rows, waves.all)
+        mean_x, square_x = _mean_response(cols, waves.all)
         mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
     error = 0.0
-    for part, own, jumps, changes in zip(
-        share, optical, channels.jumps, channels.changes, strict=True
-    ):
-        errors = _unit_errors(own, waves, ratio, aperture, mean, square, displacement)
-        error += part * (errors[0] * jumps + errors[1] * changes)
+    how = ratio, aperture, mean, square, displacement
+    for channel, part in enumerate(share):
+        per_jump, per_change = _unit_errors(optical[channel], waves, *how)
+        own = per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
+        error += part * own
     return float(np.sqrt(error / (share @ channels.squares)))
 
 
