@@ -503,11 +503,8 @@ class Differences:
         places = (np.asarray(places, np.float64) - self.middle) / self.corner
         for kernel, (y, x) in zip(kernels, places, strict=True):
             if self.lens.symmetry.is_mirrored:  # the other quadrants are mirror images
-                turned = (
-                    slice(None, None, -1 if y < 0 else 1),
-                    slice(None, None, -1 if x < 0 else 1),
-                )
-                kernel[:] = self._at(abs(y), abs(x))[:, *turned]
+                down, across = -1 if y < 0 else 1, -1 if x < 0 else 1
+                kernel[:] = self._at(abs(y), abs(x))[:, ::down, ::across]
             else:
                 kernel[:] = self._at(y, x)
         return kernels

@@ -100,10 +100,8 @@ def unseen_light(
     steps = period[0] / high, period[1] / wide
     widest, worlds, soft = max(times), {}, soft * max(steps)
     world = _coarse(image, period, (high, wide), border, widest)
-    for count in {
-        1,
-        *times,
-    }:  # middle periods of worlds that repeat themselves after `count` periods
+    # middle periods of worlds that repeat themselves after `count` periods
+    for count in {1, *times}:
         around, middle = (widest - count + 1) // 2, count // 2
         rows = slice(around * high, (around + count) * high)
         part = world[rows, around * wide : (around + count) * wide]
@@ -172,12 +170,11 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
 
 def _likeness(image):
     """Mean product of neighbours along some rows and columns, over the mean square; the smaller of the two."""
-    least = np.inf
+    found = []
     for whole in (image, image.T):
         some = whole[:: len(whole) // PROBED + 1]
-        alike = np.vdot(some[:, 1:], some[:, :-1]) / max(np.vdot(some, some), 1e-300)
-        least = min(least, float(alike))
-    return least
+        found.append(np.vdot(some[:, 1:], some[:, :-1]) / max(np.vdot(some, some), 1e-300))
+    return float(min(found))
 
 
 def _blur_to_pixels(image, deviation, mode):
