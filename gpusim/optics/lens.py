@@ -82,77 +82,62 @@ class Lens(Protocol):
     @property
     def optics(self) -> Optics:
         """The camera's settings."""
-        ...
 
     @property
     def pitch(self) -> float:
         """Distance of the samples [m]."""
-        ...
 
     @property
     def aperture(self) -> tuple[float, float]:
         """Height and width over which each sample is integrated [sample]."""
-        ...
 
     @property
     def displacement(self) -> tuple[float, float]:
         """Displacement of the apertures from the samples, (rows, cols) [sample]."""
-        ...
 
     @property
     def axis(self) -> tuple[float, float]:
         """Where the optical axis meets the frame, from the frame's middle, (rows, cols) [sample]."""
-        ...
 
     @property
     def least_size(self) -> int:
         """Least side of kernels that hold a point's spread [sample]."""
-        ...
 
     @property
     def wavelengths(self) -> tuple[float, float]:
         """Shortest and longest wavelength for which the blur is known [nm]."""
-        ...
 
     @property
     def is_pointlike(self) -> bool:
         """Whether the lens does not blur."""
-        ...
 
     @property
     def is_uniform(self) -> bool:
         """Whether the blur is the same all over the field."""
-        ...
 
     @property
     def is_airy(self) -> bool:
         """Whether on the axis nothing blurs but diffraction at a clear circular pupil."""
-        ...
 
     @property
     def is_adjustable(self) -> bool:
         """Whether f-number and focus may be changed."""
-        ...
 
     @property
     def fixed_distance(self) -> str:
         """Why the blur does not follow the distance of objects, in words; "" if it does."""
-        ...
 
     @property
     def symmetry(self) -> Symmetry:
         """Symmetries of the blur."""
-        ...
 
     @property
     def tail(self) -> Tail | None:
         """Decay of light far from a point; None if the kernels hold all of it."""
-        ...
 
     @property
     def words(self) -> str:
         """Description of the blur; for a lens that does not blur, the effects it leaves out."""
-        ...
 
     def kernels(self, wavelengths, place, size: int, distance: float | None = None) -> np.ndarray:
         """Return the energy of every pixel around a point's image.
@@ -166,11 +151,9 @@ class Lens(Protocol):
         Returns:
             Kernels, float64 (L, size, size), of energy 1 in all the image.
         """
-        ...
 
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
-        ...
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
         """Return the optical transfer function around a point's image, without the pixels, complex (L, F).
@@ -184,7 +167,6 @@ class Lens(Protocol):
             place: Field point (y, x).
             distance: Distance of the object [m]; None: the plane in focus.
         """
-        ...
 
     def tables(self, q, rows: int, cols: int, stages: Stages, distance: float | None = None):
         """Return transfer tables on the axis at all frequencies of a period, integrated over the samples.
@@ -200,11 +182,9 @@ class Lens(Protocol):
             Real quarters (L, rows // 2 + 1, cols // 2 + 1) if the blur is round and the apertures are not displaced,
             else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
         """
-        ...
 
     def tails(self, wavelengths) -> np.ndarray:
         """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.ladder.tail`."""
-        ...
 
     def spread(self, wavelengths, height: float = 0.0, distance: float | None = None) -> float:
         """Return the radius within which the rays of a point meet the image, or its spread ends [sample].
@@ -214,11 +194,9 @@ class Lens(Protocol):
             height: Field height, 0 on the axis, 1 in the corner.
             distance: Distance of the object [m]; None: the plane in focus.
         """
-        ...
 
     def cutoff(self, wavelength: float) -> float:
         """Return the frequency beyond which nothing is transferred at `wavelength` [nm], [cycle/m]."""
-        ...
 
     def sampled_spread(self, wavelengths, place, reach: float, count: int):
         """Return a picture of the point spread without the pixels, and the distance of its samples [m].
@@ -232,14 +210,12 @@ class Lens(Protocol):
         Returns:
             Energies (L, rows, cols) and the distance of their samples [m].
         """
-        ...
 
     def describe(self, by_depth: bool) -> tuple[str, str]:
         """Return the stage that makes the tables, and the blur in words.
 
         by_depth: if it follows the distance.
         """
-        ...
 
 
 class _OnGrid:
