@@ -85,7 +85,8 @@ def merge_bracket(
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     device, has_photon_noise = simulator.device, sensor.noise.photon != "none"
     with device.timed() as ms:
-        raw, rates = _replace_defects(simulator, frames), []
+        raw = _replace_defects(simulator, frames)
+        rates = []
         for layer in raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1):
             stack = device.array(np.ascontiguousarray(layer), np.uint16)
             how = {"period": period, "photon": has_photon_noise, "device": device}

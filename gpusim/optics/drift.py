@@ -164,7 +164,8 @@ class Watch:
         For a row b of B it is b M' b^T / |b|^4: the error of M' in the direction of b, over the
         error |b|^2 of M.
         """
-        size, falls = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150), []  # its square is no 0
+        size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
+        falls = []
         for more in moments:
             falls.append(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2)
         return tuple(falls)

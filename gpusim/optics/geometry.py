@@ -233,7 +233,8 @@ def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndar
     waves of a fifth of a cycle per sample err the most.
     """
     pixels = [np.unique(np.linspace(0, n - 1, min(n, MOST_PLACES)).astype(int)) for n in shape]
-    edges, at = _edges(shape, distortion.nodes.shape[:2]), []
+    edges = _edges(shape, distortion.nodes.shape[:2])
+    at = []
     for axis in (0, 1):
         places = scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])
         at.append(places(*pixels) % 1 * PHASES)

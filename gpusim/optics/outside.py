@@ -98,9 +98,9 @@ def unseen_light(
     times = times[-len(powers) - 1 :]
     high, wide = _cells(period, cell)
     steps = period[0] / high, period[1] / wide
-    widest, worlds, soft = max(times), {}, soft * max(steps)
+    widest, soft = max(times), soft * max(steps)
     world = _coarse(image, period, (high, wide), border, widest)
-    # middle periods of worlds that repeat themselves after `count` periods
+    worlds = {}  # middle periods of worlds that repeat themselves after `count` periods
     for count in {1, *times}:
         around, middle = (widest - count + 1) // 2, count // 2
         rows = slice(around * high, (around + count) * high)

@@ -40,16 +40,16 @@ def pupil_kernel(outline: Pupil, wave, q, shift, size: int, aperture, spots) -> 
     count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
     u = (np.arange(count) + 0.5) / count * 2 - 1
     path = polygrid2d(u, u, wave).T  # [y, x]
-    opening = _coverage(outline, count) * np.exp(2j * np.pi * path)
-    opening = opening.astype(np.complex64)
-    mass, energies = leggauss(points)[1] / 2, []
+    opening = (_coverage(outline, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
     (down, across), (height, width) = spots, aperture
+    energies = []
     for a, b in product({-down, down}, {-across, across}):
         left = _waves_to(size, points, height, shift[0] + a, count, q)
         right = _waves_to(size, points, width, shift[1] + b, count, q)
         field_ = left @ opening @ right.T
         energies.append(field_.real**2 + field_.imag**2)
     energy = sum(energies).reshape(size, points, size, points)
+    mass = leggauss(points)[1] / 2
     energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
     inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(opening).sum()
     if q < 1 and (height, width) != (1, 1):

@@ -36,12 +36,12 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
                 f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
                 f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap"
             )
-    grid, (low, high) = [nodes if len(nodes) > 1 else np.array(band)], band
+    tables, (low, high) = [nodes if len(nodes) > 1 else np.array(band)], band
     for factor in factors:  # beyond, a factor is zero
         low, high = max(low, factor.wavelengths[0]), min(high, factor.wavelengths[-1])
-        grid.append(factor.wavelengths)
+        tables.append(factor.wavelengths)
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
-    grid = np.unique(np.concatenate([np.linspace(low, high, count), *grid]))
+    grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]
     cardinal = np.ones((len(grid), 1))
     if len(nodes) > 1:
