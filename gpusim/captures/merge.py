@@ -223,8 +223,8 @@ def merge_flash(
             reach=reach,
             device=device,
         )
-    unchanged = {"display_from_camera": np.eye(3), "ceiling": np.full(3, np.inf)}
-    as_is = dataclasses.replace(ambient.rendering, **unchanged)
+    same, no_limit = np.eye(3), np.full(3, np.inf)
+    as_is = dataclasses.replace(ambient.rendering, display_from_camera=same, ceiling=no_limit)
     developer = Developer(ambient.camera, device)
     shown = developer.apply_color(device.array(planes), as_is)
     linear, rgb = host_pictures(device, developer, shown)

@@ -279,7 +279,7 @@ class Outside:
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
         rule, tail = rule_of(self.border), self.tail * (1 + near) / (1 - near) ** 2
-        lines = {"rays": self.rays, "straight": self.straight}
+        lines: Any = {"rays": self.rays, "straight": self.straight}
         coarse = unseen_light(self.image, period, rule, cell, tail, disc, **lines)
         rows, cols, sigma = self._probes
         lost = at_samples(coarse, self.image.shape, period, rows, cols) + self.missing
