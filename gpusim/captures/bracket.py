@@ -52,9 +52,8 @@ def bracket(
     for number, factor in enumerate(factors):
         exposure = change_exposure_time(simulator, metered, metered.exposure_time * float(factor))
         if number == 0:
-            exposure = dataclasses.replace(
-                exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
-            )
+            ms, wall_ms = metered.ms | exposure.ms, metered.wall_ms + exposure.wall_ms
+            exposure = dataclasses.replace(exposure, ms=ms, wall_ms=wall_ms)
         frames += simulator.shoot(exposure, seed=seed, first=first + number)
     return frames
 
@@ -81,12 +80,8 @@ def change_exposure_time(
         raise OutOfRange("exposure_time", "None", "a time [s]")
     device, shape, start = simulator.device, exposure.mean.shape, perf_counter()
     with device.timed() as ms:
-        mean = chip(
-            device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
-            scale=exposure_time / exposure.exposure_time,
-            device=device,
-        )
-        changed = expose_mean(
-            simulator, exposure.plan, device.reshape(mean, shape), exposure_time, exposure.gain
-        )
+        rows = device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1]))
+        mean = chip(rows, scale=exposure_time / exposure.exposure_time, device=device)
+        mean, how = device.reshape(mean, shape), (exposure_time, exposure.gain)
+        changed = expose_mean(simulator, exposure.plan, mean, *how)
     return dataclasses.replace(changed, ms=dict(ms), wall_ms=1e3 * (perf_counter() - start))

@@ -44,16 +44,13 @@ def burst(
     views = [scenes] if isinstance(scenes, Scene) else list(scenes)
     if not views:
         raise BadData("burst: no scenes; wanted one or more")
-    exposures = [simulator.expose(views[0], plan=plan)]
-    exposures += [
-        simulator.expose(view, exposures[0].exposure_time, exposures[0].gain, plan)
-        for view in views[1:]
-    ]
-    return [
-        frame
-        for number, exposure in enumerate(exposures)
-        for frame in simulator.shoot(exposure, count, seed=seed, first=first + number * count)
-    ]
+    metered = simulator.expose(views[0], plan=plan)
+    how, exposures = (metered.exposure_time, metered.gain, plan), [metered]
+    exposures += [simulator.expose(view, *how) for view in views[1:]]
+    frames: list[Frame] = []
+    for exposure in exposures:
+        frames += simulator.shoot(exposure, count, seed=seed, first=first + len(frames))
+    return frames
 
 
 def average(
@@ -74,13 +71,6 @@ def average(
     Raises:
         OutOfRange: if `count`, `seed` or `first` is out of range.
     """
-    return exposure.split_layers(
-        simulator.readout.average(
-            exposure.chip_mean,
-            exposure.exposure_time,
-            count,
-            gain=exposure.gain,
-            seed=seed,
-            first=first,
-        )
-    )
+    light = exposure.chip_mean, exposure.exposure_time
+    how = {"gain": exposure.gain, "seed": seed, "first": first}
+    return exposure.split_layers(simulator.readout.average(*light, count, **how))

@@ -110,12 +110,8 @@ class EventSensor:
                 another shape.
         """
         times, found, state = np.asarray(times, np.float64), [], None
-        if (
-            times.ndim != 1
-            or len(times) < 2
-            or not np.isfinite(times).all()
-            or (np.diff(times) <= 0).any()
-        ):
+        is_series = times.ndim == 1 and len(times) > 1 and np.isfinite(times).all()
+        if not is_series or (np.diff(times) <= 0).any():
             raise BadData(
                 f"times of events: shape {times.shape}; wanted two or more finite instants [s], rising"
             )
@@ -159,9 +155,8 @@ class _Pixels:
     def __init__(self, sensor, shape, random):
         self._sensor, self.shape = sensor, shape
         scatter = 1 + sensor.mismatch * random.standard_normal((2, *shape))
-        self._on, self._off = np.maximum(
-            [[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD
-        ).reshape(2, -1)
+        thresholds = [[[sensor.on]], [[sensor.off]]] * scatter
+        self._on, self._off = np.maximum(thresholds, LEAST_THRESHOLD).reshape(2, -1)
         self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
         # end of the refractory time; -inf: not refractory
         self._free = np.full(self._on.shape, -inf)
@@ -244,18 +239,16 @@ def events_of(
     if not 0 < duration < inf:
         raise OutOfRange("duration of events", duration, "above 0 s")
     if instants is None:
-        instants = 1 + ceil(
-            max(duration / sensor.window if sensor.window else 1, COARSEST * duration)
-        )
+        windows = duration / sensor.window if sensor.window else 1
+        instants = 1 + ceil(max(windows, COARSEST * duration))
         times = start + duration * np.linspace(0, 1, min(instants, MOST))
         instants = 1 + ceil((instants - 1) * max(largest_step(scene, motion, times) / STEP, 1))
     if instants > MOST:
         raise OutOfRange(
             "instants of events", instants, f"up to {MOST}: take a shorter time or a slower camera"
         )
-    times = start + duration * np.linspace(
-        0, 1, checked_count("instants of events", instants, 2, MOST)
-    )
+    instants = checked_count("instants of events", instants, 2, MOST)
+    times = start + duration * np.linspace(0, 1, instants)
     program = simulator.program(scene.viewed(motion.at(start)), 1.0)
 
     def rates():

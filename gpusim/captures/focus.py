@@ -122,11 +122,9 @@ def _steps(camera):
     """Return the step of the first trials and the depth of focus, both in dioptres [1/m]."""
     infinity, pitch = replace(camera.optics, object_distance=np.inf), camera.sensor.pixel_pitch
     diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # per pixel
-    depth_of_focus = max(
-        2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9,  # a quarter wave
-        infinity.working_f_number * pitch / 2,
-    ) / infinity.displacement(1.0)
-    return FIRST_STEP * diopters, depth_of_focus
+    quarter_wave = 2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9
+    depth_of_focus = max(quarter_wave, infinity.working_f_number * pitch / 2)
+    return FIRST_STEP * diopters, depth_of_focus / infinity.displacement(1.0)
 
 
 def _ends(optics, scene, nearest, farthest):
@@ -135,9 +133,8 @@ def _ends(optics, scene, nearest, farthest):
     Raises OutOfRange if nothing remains.
     """
     per_diopter = replace(optics, object_distance=np.inf).displacement(1.0)
-    reach = (
-        0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
-    )
+    longest = 0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2  # [wavelength]
+    reach = longest * scene.wavelengths[0] * 1e-9 / per_diopter
     far = max(1 / farthest, 1 / scene.depth.min() - reach)
     near = min(1 / nearest, 1 / scene.depth.max() + reach)
     if not far < near:
@@ -176,14 +173,9 @@ class _Trials:
             program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
             # the middle channel
             raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
-            operated = exposure.camera.sensor
-            self.found[vergence] = _contrast(
-                raw[self._region].astype(float) - operated.dark_level,
-                operated,
-                self._period,
-                exposure.exposure_time,
-                simulator.readout.averaged,
-            )
+            operated, how = exposure.camera.sensor, (self._period, exposure.exposure_time)
+            raw = raw[self._region].astype(float) - operated.dark_level
+            self.found[vergence] = _contrast(raw, operated, *how, simulator.readout.averaged)
         return self.found[vergence][0]
 
     def require_rise(self):
@@ -227,14 +219,8 @@ def _contrast(raw, sensor, period, exposure_time, averaged):
         return 0.0, 0.0
     dark = sensor.noise.operating_dark_current * exposure_time  # included in the level
     noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
-    squares = np.concatenate(
-        [
-            ((raw[step:] - raw[:-step]) ** 2).ravel()
-            if axis == 0
-            else ((raw[:, step:] - raw[:, :-step]) ** 2).ravel()
-            for axis, step in enumerate(period)
-        ]
-    )
-    return float((squares.mean() - noise) / level**2), float(
-        squares.std() / np.sqrt(squares.size) / level**2
-    )
+    down, across = period
+    differences = (raw[down:] - raw[:-down]).ravel(), (raw[:, across:] - raw[:, :-across]).ravel()
+    squares = np.concatenate(differences) ** 2
+    error = squares.std() / np.sqrt(squares.size)
+    return float((squares.mean() - noise) / level**2), float(error / level**2)

@@ -21,6 +21,9 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
 
+# fields of a sensor that frames of one camera have in common
+SAME = "channels", "cfa", "stacked", "bits", "black_level", "pixel_pitch", "full_well", "noise"
+
 
 def merge_bracket(
     simulator: Simulator, frames: Iterable[Frame], *, full_scale: float | None = None
@@ -80,26 +83,19 @@ def merge_bracket(
             f"{times[0]:.4g} s; take a shorter exposure"
         )
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
-    with simulator.device.timed() as ms:
+    device, has_photon_noise = simulator.device, sensor.noise.photon != "none"
+    with device.timed() as ms:
         raw = _replace_defects(simulator, frames)
-        layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
-        rate = np.stack(
-            [
-                simulator.device.numpy(
-                    merge(
-                        simulator.device.array(np.ascontiguousarray(layer), np.uint16),
-                        **tables,
-                        period=period,
-                        photon=sensor.noise.photon != "none",
-                        device=simulator.device,
-                    )
-                )
-                for layer in layers
-            ]
-        ).reshape(raw.shape[1:])
+        rates = []
+        for layer in raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1):
+            stack = device.array(np.ascontiguousarray(layer), np.uint16)
+            how = {"period": period, "photon": has_photon_noise, "device": device}
+            rates.append(device.numpy(merge(stack, **tables, **how)))
+        rate = np.stack(rates).reshape(raw.shape[1:])
     # [e- in the longest exposure]
     dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)
-    shown = frames[len(frames) // 2]
+    shown, span = frames[len(frames) // 2], f"{times.min():.4g} .. {longest:.4g} s"
+    model = f"{len(frames)} exposures, {span}, to rates, weighted by inverse variance"
     return develop_merged(
         simulator,
         shown,
@@ -111,10 +107,7 @@ def merge_bracket(
         dark_noise=dark_noise,
         defects=_defect_method(simulator, frames),
         ms=ms,
-        stages={
-            "processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
-            "rates, weighted by inverse variance"
-        },
+        stages={"processor.merge": model},
     )
 
 
@@ -147,10 +140,8 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
     frames = _check_frames("merge_burst", frames, None)
     times = np.array([frame.exposure_time for frame in frames])
     sensors = [frame.camera.sensor for frame in frames]
-    if (
-        np.ptp(times) > 1e-9 * times[0]
-        or len({sensor.gain_dn_per_electron for sensor in sensors}) > 1
-    ):
+    gains = {sensor.gain_dn_per_electron for sensor in sensors}
+    if np.ptp(times) > 1e-9 * times[0] or len(gains) > 1:
         raise BadData(
             "merge_burst: the frames differ in exposure time or gain; wanted equal ones; use merge_bracket "
             "for different ones"
@@ -162,28 +153,18 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
     # fixed offsets count as noise, because frames move
     noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
+    how = {"reference": reference, "period": period, "device": device}
     with device.timed() as ms:
         raw = device.array(_replace_defects(simulator, frames), np.uint16)
-        displacement = align(raw, reference=reference, period=period, device=device)
-        numbers = device.numpy(
-            average(
-                raw,
-                displacement,
-                reference=reference,
-                period=period,
-                noise=noise,
-                black_level=sensor.dark_level,
-                device=device,
-            )
-        )
+        displacement = align(raw, **how)
+        mean = average(raw, displacement, noise=noise, black_level=sensor.dark_level, **how)
+        numbers = device.numpy(mean)
     dark = sensor.noise.operating_dark_current * times[0]
-    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(
-        count * dark
-    )
+    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain)
+    electrons = electrons - np.float32(count * dark)
     full = (sensor.white_level - sensor.dark_level) / gain
-    dark_noise = float(
-        np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark))
-    )
+    variance = RawNoise.of(sensor, simulator.readout.averaged).variance(dark)
+    dark_noise = float(np.sqrt(count * variance))
     return develop_merged(
         simulator,
         frames[int(reference)],
@@ -230,30 +211,26 @@ def merge_flash(
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
     full = CLIPPED * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
-    ambient_noise, flash_noise = (
-        _display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash)
-    )
-    with simulator.device.timed() as ms:
+    device, averaged = simulator.device, simulator.readout.averaged
+    with device.timed() as ms:
         planes = with_flash(
-            *(np.moveaxis(frame.linear, -1, 0) for frame in (ambient, flash)),
-            ambient_noise=ambient_noise,
-            flash_noise=flash_noise,
+            np.moveaxis(ambient.linear, -1, 0),
+            np.moveaxis(flash.linear, -1, 0),
+            ambient_noise=_display_noise(ambient, averaged),
+            flash_noise=_display_noise(flash, averaged),
             full=full if full > 0 else np.inf,
             radius=radius,
             reach=reach,
-            device=simulator.device,
+            device=device,
         )
-    as_is = dataclasses.replace(
-        ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
-    )
-    developer = Developer(ambient.camera, simulator.device)
-    linear, rgb = host_pictures(
-        simulator.device, developer, developer.apply_color(simulator.device.array(planes), as_is)
-    )
+    same, no_limit = np.eye(3), np.full(3, np.inf)
+    as_is = dataclasses.replace(ambient.rendering, display_from_camera=same, ceiling=no_limit)
+    developer = Developer(ambient.camera, device)
+    shown = developer.apply_color(device.array(planes), as_is)
+    linear, rgb = host_pictures(device, developer, shown)
     *stages, encoding = ambient.report.stages
-    by_flash = StageReport(
-        "processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0)
-    )
+    taken = ms.get("processor.flash", 0.0)
+    by_flash = StageReport("processor.flash", "denoised by a flash picture", taken)
     report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
@@ -282,26 +259,14 @@ def _check_frames(function, frames, most) -> list[Frame]:
                 f"{function}: frame {number} has no converter (float raw values); wanted sensor.bits 1 .. 16"
             )
         if not 0 < frame.exposure_time < np.inf:
-            raise OutOfRange(
-                f"exposure_time of frame {number}",
-                f"{frame.exposure_time} s",
-                "0 < exposure_time < inf",
-            )
+            name, found = f"exposure_time of frame {number}", f"{frame.exposure_time} s"
+            raise OutOfRange(name, found, "0 < exposure_time < inf")
         if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
             raise BadData(
                 f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
                 f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
             )
-        for key in (
-            "channels",
-            "cfa",
-            "stacked",
-            "bits",
-            "black_level",
-            "pixel_pitch",
-            "full_well",
-            "noise",
-        ):
+        for key in SAME:
             if getattr(sensor, key) != getattr(first.camera.sensor, key):
                 raise BadData(
                     f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs"
@@ -313,23 +278,12 @@ def _merge_tables(frames):
     """Return the parameters of each frame that `processor.merge` takes."""
     rows = []
     for frame in frames:
-        sensor, time, noise = (
-            frame.camera.sensor,
-            frame.exposure_time,
-            RawNoise.of(frame.camera.sensor),
-        )
-        gain = sensor.gain_dn_per_electron
+        sensor, time = frame.camera.sensor, frame.exposure_time
+        noise, gain = RawNoise.of(sensor), sensor.gain_dn_per_electron
         dark = sensor.noise.operating_dark_current * time
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
-        rows.append(
-            (
-                sensor.dark_level + gain * dark,
-                gain,
-                time,
-                noise.variance(dark),
-                min(full, sensor.white_level),
-            )
-        )
+        ceiling = min(full, sensor.white_level)
+        rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), ceiling))
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
@@ -359,17 +313,16 @@ def _replace_defects(simulator, frames):
             known = simulator.readout.defects(shape, frame.exposure_time, HOT * sensor.read_sigma)
         maps = [None] * len(layers) if known is None else known.reshape(layers.shape)
         for layer, map_ in zip(layers, maps, strict=True):
-            layer[:] = device.numpy(
-                defects(
-                    device.array(layer, np.uint16),
-                    map_,
-                    cfa=np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices,
-                    detect=STANDS_OUT if how == "detect" else None,
-                    black_level=sensor.dark_level,
-                    noise=Developer(frame.camera, device, simulator.readout.averaged).noise,
-                    device=device,
-                )
+            replaced = defects(
+                device.array(layer, np.uint16),
+                map_,
+                cfa=np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices,
+                detect=STANDS_OUT if how == "detect" else None,
+                black_level=sensor.dark_level,
+                noise=Developer(frame.camera, device, simulator.readout.averaged).noise,
+                device=device,
             )
+            layer[:] = device.numpy(replaced)
     return raw
 
 
@@ -383,6 +336,5 @@ def _display_noise(frame, averaged=1):
     noise = RawNoise.of(sensor, averaged)
     scale = sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
-    return np.column_stack(
-        [per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)]
-    )
+    constant = scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)
+    return np.column_stack([per_light, constant])

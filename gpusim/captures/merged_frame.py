@@ -13,6 +13,8 @@ PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
 REACH = 16  # [pixel] reach of demosaicking
+# noise that merged values have no more, or as read noise
+MERGED_NOISE = "dark_current", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu"
 
 
 def develop_merged(
@@ -39,39 +41,19 @@ def develop_merged(
     """
     device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
-    chip = dataclasses.replace(
-        old.noise,
-        dark_current=0.0,
-        read=dark_noise * averaged**0.5,
-        reset=0.0,
-        adc=0.0,
-        row=0.0,
-        column=0.0,
-        dsnu=0.0,
-        row_dsnu=0.0,
-        column_dsnu=0.0,
-    )
+    merged = dict.fromkeys(MERGED_NOISE, 0.0) | {"read": dark_noise * averaged**0.5}
+    chip = dataclasses.replace(old.noise, **merged)
     processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
 
     def develop_at(full):
         """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
         gain = (TOP - PEDESTAL) / full
-        sensor = dataclasses.replace(
-            old,
-            bits=16,
-            black_level=PEDESTAL,
-            analog_offset=0.0,
-            gain=gain,
-            analog_gain=1.0,
-            conversion_gain=None,
-            adc_range=None,
-            full_well=full,
-            noise=chip,
-        )
+        gains = {"gain": gain, "analog_gain": 1.0, "conversion_gain": None, "adc_range": None}
+        levels = {"bits": 16, "black_level": PEDESTAL, "analog_offset": 0.0, "full_well": full}
+        sensor = dataclasses.replace(old, **gains, **levels, noise=chip)
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
-        raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(
-            np.uint16
-        )
+        numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
+        raw = np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
         developer = Developer(camera, device, averaged)
         planes = developer.demosaic(
             device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
@@ -88,9 +70,8 @@ def develop_merged(
             fine = device.numpy(develop_at(full / FINER)[-1]) / FINER
             # gains of the shading correction clip earlier
             most = 1.0 if shading is None else max(1.0, float(shading.max()))
-            planes = device.array(
-                np.where(_bright_mask(electrons, full / FINER / most), device.numpy(planes), fine)
-            )
+            is_bright = _bright_mask(electrons, full / FINER / most)
+            planes = device.array(np.where(is_bright, device.numpy(planes), fine))
         # camera value of the frame over the merged one
         k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
         rendering = frame.rendering
@@ -104,30 +85,15 @@ def develop_merged(
         linear, rgb = host_pictures(device, developer, developer.apply_color(planes, rescaled))
     first = {}
     if defects != "none":
-        before = dataclasses.replace(
-            camera, processor=dataclasses.replace(processor, defects=defects)
-        )
-        first["processor.defects"] = (
-            Developer(before, device).models()["processor.defects"] + ", frame by frame"
-        )
-    report = _replace_stages(
-        frame.report,
-        first | stages | developer.models(),
-        {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}},
-    )
-    return Frame(
-        camera,
-        float(exposure_time),
-        rescaled,
-        electrons,
-        raw,
-        linear,
-        rgb,
-        report,
-        frame.blur,
-        shading,
-        averaged=None,
-    )
+        replacing = dataclasses.replace(processor, defects=defects)
+        models = Developer(dataclasses.replace(camera, processor=replacing), device).models()
+        first["processor.defects"] = models["processor.defects"] + ", frame by frame"
+    both = {**ms, **ms_developed}
+    taken = {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in both}
+    report = _replace_stages(frame.report, first | stages | developer.models(), taken)
+    values = electrons, raw, linear, rgb
+    how = report, frame.blur, shading
+    return Frame(camera, float(exposure_time), rescaled, *values, *how, averaged=None)
 
 
 def host_pictures(device, developer, shown):
@@ -139,16 +105,13 @@ def host_pictures(device, developer, shown):
 
 def _replace_stages(report, processing, ms):
     """Return a frame's report with other stages between its sensor and its colours."""
-    last = ("processor.color", "display.encode")
-    before = [
-        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
-    ]
+    before, after = [], []
+    for stage in report.stages:
+        if stage.stage in ("processor.color", "display.encode"):
+            after.append(dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0)))
+        elif not stage.stage.startswith(("processor.", "display.")):
+            before.append(stage)
     stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
-    after = [
-        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
-        for stage in report.stages
-        if stage.stage in last
-    ]
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 
 
@@ -156,7 +119,5 @@ def _bright_mask(electrons, limit):
     """Return where demosaicking may have mixed in a value above `limit` [e-], bool (rows, cols)."""
     from scipy.ndimage import maximum_filter
 
-    return (
-        maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1)
-        >= 0.99 * limit
-    )
+    brightest = electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0)
+    return maximum_filter(brightest, 2 * REACH + 1) >= 0.99 * limit

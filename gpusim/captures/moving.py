@@ -97,38 +97,27 @@ def expose_moving(
         layers = prod(shape[:-2])  # of stacked pixels, one below the other
         stacked = device.reshape(device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
         mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
-        model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
-            f", light that flickers at {flicker.frequency:g} Hz" if flicker else ""
-        )
-        reported = dataclasses.replace(
-            _worst(plans), models=plans[0].models | {"sensor.shutter": model}
-        )
-        exposure = expose_mean(
-            simulator, reported, device.reshape(mean, shape), exposure_time, gain
-        )
+        model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart"
+        if flicker:
+            model += f", light that flickers at {flicker.frequency:g} Hz"
+        models = plans[0].models | {"sensor.shutter": model}
+        reported = dataclasses.replace(_worst(plans), models=models)
+        mean = device.reshape(mean, shape)
+        exposure = expose_mean(simulator, reported, mean, exposure_time, gain)
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begin))
 
 
 def _plans(simulator, scenes, plan, exposure_time):
     """Return a plan for every scene: one per content, or the given one."""
-
-    def plan_scene(scene):
-        return (
-            simulator.plan(scene)
-            if plan is None
-            else adopt_plan(simulator, plan, scene, exposure_time)
-        )
-
-    first = plan_scene(scenes[0])
-    return [
-        first,
-        *(
-            dataclasses.replace(first, scene=scene)
-            if first.serves(scene) and (scene.content is scenes[0].content)
-            else plan_scene(scene)
-            for scene in scenes[1:]
-        ),
-    ]
+    plans: list[Plan] = []
+    for scene in scenes:
+        if plans and plans[0].serves(scene) and scene.content is scenes[0].content:
+            plans.append(dataclasses.replace(plans[0], scene=scene))
+        elif plan is None:
+            plans.append(simulator.plan(scene))
+        else:
+            plans.append(adopt_plan(simulator, plan, scene, exposure_time))
+    return plans
 
 
 def _worst(plans):
@@ -138,13 +127,11 @@ def _worst(plans):
         for name, bound in plan.account.bounds.items():
             other = bounds.get(name, bound)
             bounds[name] = Bound(*map(max, dataclasses.astuple(bound), dataclasses.astuple(other)))
-    first = plans[0]
     doubt = next((plan.account.doubt for plan in plans if plan.account.doubt), "")
-    account = dataclasses.replace(first.account, bounds=bounds, doubt=doubt)
-    goals = (plan.find(Goal) for plan in plans if plan.verdict and plan.verdict.remedy)
-    goal = next(goals, None)
+    account = dataclasses.replace(plans[0].account, bounds=bounds, doubt=doubt)
+    goals = [plan.find(Goal) for plan in plans if plan.verdict and plan.verdict.remedy]
     left_out = list(dict.fromkeys(line for plan in plans for line in plan.left_out))
-    return first.exchange(*([goal] if goal else []), account=account, left_out=left_out)
+    return plans[0].exchange(*goals[:1], account=account, left_out=left_out)
 
 
 def expose_motion(
@@ -200,12 +187,10 @@ def expose_motion(
         if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
-        tolerance = simulator.tolerance
-        if (
-            instants
-            or not step
-            or (step <= STEP if tolerance is None else SAFETY * wrong.ratio(tolerance) <= ENOUGH)
-        ):
+        tolerance, is_enough = simulator.tolerance, step <= STEP
+        if tolerance is not None:
+            is_enough = SAFETY * wrong.ratio(tolerance) <= ENOUGH
+        if instants or not step or is_enough:
             break
     else:
         raise OutOfRange(
@@ -218,26 +203,21 @@ def expose_motion(
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
     exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
-    between = next(
-        (one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)),
-        scenes[0].view,
-    )
-    bounds = {"view": probes.resampling_error(between, scene.samples_per_pixel), "shutter": wrong}
-    plan_made = exposure.plan
-    account = dataclasses.replace(plan_made.account, bounds=plan_made.account.bounds | bounds)
-    return dataclasses.replace(exposure, plan=dataclasses.replace(plan_made, account=account))
+    ratio, views = scene.samples_per_pixel, [one.view for one in scenes]
+    between = next((view for view in views if not view.is_whole(ratio)), views[0])
+    bounds = {"view": probes.resampling_error(between, ratio), "shutter": wrong}
+    account = exposure.plan.account
+    account = dataclasses.replace(account, bounds=account.bounds | bounds)
+    made = dataclasses.replace(exposure.plan, account=account)
+    return dataclasses.replace(exposure, plan=made)
 
 
 def largest_step(scene, motion, times):
     """Return the camera's largest step between two of these times in the frame [sample]."""
     y = np.array((-0.5, 0.5))[:, None] * scene.samples[0]
     x = np.array((-0.5, 0.5)) * scene.samples[1]
-    places = np.array(
-        [
-            np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel))
-            for time in times
-        ]
-    )
-    # samples of the frame per sample of the scene
-    zoom = max(motion.at(time).zoom for time in times)
-    return float(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).max(initial=0)) * zoom
+    views = [motion.at(time) for time in times]
+    places = [np.broadcast_arrays(*view.place(y, x, scene.samples_per_pixel)) for view in views]
+    zoom = max(view.zoom for view in views)  # samples of the frame per sample of the scene
+    steps = np.diff(np.array(places), axis=0).swapaxes(0, 1)
+    return float(np.hypot(*steps).max(initial=0)) * zoom

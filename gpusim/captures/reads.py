@@ -38,13 +38,6 @@ def read_nondestructively(
     """
     checked: np.ndarray = simulator.readout.checked_reads(times)
     exposure = simulator.expose(scene, float(checked[-1]), plan=plan)
-    return exposure.split_layers(
-        simulator.readout.nondestructive(
-            exposure.mean,
-            exposure.exposure_time,
-            checked,
-            gain=exposure.gain,
-            seed=seed,
-            frame=frame,
-        )
-    )
+    light = exposure.mean, exposure.exposure_time
+    how = {"gain": exposure.gain, "seed": seed, "frame": frame}
+    return exposure.split_layers(simulator.readout.nondestructive(*light, checked, **how))

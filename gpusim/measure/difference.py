@@ -132,9 +132,9 @@ def blur_as_eye(xyz, samples_per_degree: float) -> np.ndarray:
     squared = y[:, None] ** 2 + x**2
     channels = []
     for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):
-        transfer = sum(
-            weight * np.exp(-((np.pi * spread) ** 2) * squared) for weight, spread in gaussians
-        )
+        transfer = np.zeros_like(squared)
+        for weight, spread in gaussians:
+            transfer += weight * np.exp(-((np.pi * spread) ** 2) * squared)
         channels.append(idctn(dctn(plane) * transfer / transfer[0, 0]))
     return np.stack(channels, axis=-1) @ np.linalg.inv(OPPONENT).T
 
@@ -173,13 +173,12 @@ def xyz_and_white(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
 
 def _pair(picture, reference, white):
     """Return XYZ of both pictures, of one shape, and of the white."""
-    pair = [picture, reference]
-    frame = next((one for one in pair if hasattr(one, "camera")), None)
-    display = frame.camera.display if frame is not None else DISPLAYS["srgb"]
-    shape = next(
-        (np.shape(getattr(one, "linear", one))[:-1] for one in pair if not isinstance(one, Scene)),
-        None,
-    )
+    pair, display, shape = [picture, reference], DISPLAYS["srgb"], None
+    for one in (reference, picture):  # the first counts if both are frames
+        if hasattr(one, "camera"):
+            display = one.camera.display
+        if not isinstance(one, Scene):
+            shape = np.shape(getattr(one, "linear", one))[:-1]
     pair = [ideal(one, display, shape) if isinstance(one, Scene) else one for one in pair]
     white = display.xyz_from_rgb.sum(1) if white is None else white
     (picture, white), (reference, _) = (xyz_and_white(one, white) for one in pair)

@@ -60,17 +60,9 @@ def ssim(
     image, reference, peak = _crop(image, reference, border, peak, WINDOW)
     from skimage.metrics import structural_similarity
 
-    return float(
-        structural_similarity(
-            image,
-            reference,
-            data_range=peak,
-            channel_axis=-1,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-        )
-    )
+    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    found = structural_similarity(image, reference, data_range=peak, channel_axis=-1, **window)
+    return float(found)
 
 
 def _crop(image, reference, border, peak, least) -> tuple[np.ndarray, np.ndarray, float]:

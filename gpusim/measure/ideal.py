@@ -77,11 +77,8 @@ def ideal(
     else:
         scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
-    return np.moveaxis(
-        _bin(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape),
-        0,
-        -1,
-    )
+    weights = adaptation(white, display.xyz_from_rgb.sum(1)) @ weights
+    return np.moveaxis(_bin(pixel_sums(scene, weights), shape), 0, -1)
 
 
 def pixel_sums(scene: Scene, weights) -> np.ndarray:
@@ -127,22 +124,11 @@ def _pixels(scene, planes):
 def _bin(planes, shape):
     if shape is None or tuple(shape) == planes.shape[1:]:
         return planes
-    rows, cols = shape
-    by, bx = factors = [
-        size // max(count, 1) for size, count in zip(planes.shape[1:], shape, strict=True)
-    ]
-    if (
-        rows < 1
-        or cols < 1
-        or max(factors) < 2
-        or min(factors) < 1
-        or any(
-            size >= (count + PERIOD) * factor
-            for size, count, factor in zip(planes.shape[1:], shape, factors, strict=True)
-        )
-    ):
+    (rows, cols), (high, wide) = shape, planes.shape[1:]
+    by, bx = high // max(rows, 1), wide // max(cols, 1)
+    is_binning = min(rows, cols, by, bx) >= 1 and max(by, bx) >= 2
+    if not is_binning or high >= (rows + PERIOD) * by or wide >= (cols + PERIOD) * bx:
         raise BadData(
-            f"ideal: {rows} x {cols} pixels do not come from the scene's {planes.shape[1]} x "
-            f"{planes.shape[2]} by binning"
+            f"ideal: {rows} x {cols} pixels do not come from the scene's {high} x {wide} by binning"
         )
     return planes[:, : rows * by, : cols * bx].reshape(3, rows, by, cols, bx).mean(axis=(2, 4))

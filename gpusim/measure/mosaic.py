@@ -28,12 +28,10 @@ def color_mosaic(sensor: Sensor, codes) -> np.ndarray:
     if codes.ndim == 3:
         if sensor.channels == ("R", "G", "B"):
             return np.ascontiguousarray(np.moveaxis(codes, 0, -1))
-        return np.repeat(
-            codes.mean(axis=0, dtype=np.float32).astype(np.uint8)[..., None], 3, axis=2
-        )
-    lights = [
-        GREY if sensor.is_monochrome else LIGHTS.get(letter, GREY) for letter in sensor.channels
-    ]
+        mean = codes.mean(axis=0, dtype=np.float32).astype(np.uint8)
+        return np.repeat(mean[..., None], 3, axis=2)
+    known = {} if sensor.is_monochrome else LIGHTS
+    lights = [known.get(letter, GREY) for letter in sensor.channels]
     period = np.array(lights, np.float32)[sensor.cfa_indices]
     return (codes[..., None] * tile(period, codes.shape) + np.float32(0.5)).astype(np.uint8)
 

@@ -17,6 +17,9 @@ LEAST_DARK_VARIANCE = 0.24
 FIT = 0.7  # part of saturation up to which lines are fitted
 LINEAR = 0.05, 0.95  # parts of saturation between which linearity is judged
 MIDDLE = 0.3, FIT  # part of saturation at which PRNU may be measured; the standard aims at 0.5
+# fields of the result that `sensor_from_emva1288` takes
+FIGURES = "gain", "quantum_efficiency", "saturation_capacity", "dark_noise", "dark_current"
+NONUNIFORMITIES = "dsnu", "dsnu_row", "dsnu_column", "prnu", "prnu_row", "prnu_column"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +93,7 @@ class PhotonTransfer:
         It also needs pixel_pitch, bits, black_level and wavelength. Nonuniformities that the frames
         do not resolve are left out.
         """
-        names = (
-            "gain",
-            "quantum_efficiency",
-            "saturation_capacity",
-            "dark_noise",
-            "dark_current",
-            "dsnu",
-            "dsnu_row",
-            "dsnu_column",
-            "prnu",
-            "prnu_row",
-            "prnu_column",
-        )
-        found = {name: getattr(self, name) for name in names}
+        found = {name: getattr(self, name) for name in FIGURES + NONUNIFORMITIES}
         return {
             name: value
             for name, value in found.items()
@@ -175,17 +165,15 @@ def photon_transfer(
         )
     dark_mean, dark_variance = _temporal_statistics(dark, "dark")
     shape = np.shape(dark)[1:]
-    levels = np.array(
-        [
-            _temporal_statistics(frames, f"bright[{index}]", shape)
-            for index, frames in enumerate(bright)
-        ]
-    )
+    levels = [
+        _temporal_statistics(frames, f"bright[{index}]", shape)
+        for index, frames in enumerate(bright)
+    ]
     if len(levels) != len(photons):
         raise BadData(
             f"bright has {len(levels)} levels, photons {len(photons)}: wanted equal numbers"
         )
-    signal, variance = (levels - (dark_mean, dark_variance)).T
+    signal, variance = (np.array(levels) - (dark_mean, dark_variance)).T
     last = _saturation(variance, saturation_level)
 
     fit = signal <= FIT * signal[last]
@@ -205,11 +193,9 @@ def photon_transfer(
 
     currents = {}
     if dark_series is not None:
-        dark_variance, *slopes = _dark_lines(dark_series, shape)
-        currents = {
-            "dark_current": slopes[0] / gain,
-            "dark_current_from_variance": slopes[1] / gain**2,
-        }
+        dark_variance, mean_slope, variance_slope = _dark_lines(dark_series, shape)
+        currents["dark_current"] = mean_slope / gain
+        currents["dark_current_from_variance"] = variance_slope / gain**2
     limited = bool(dark_variance < LEAST_DARK_VARIANCE)
     noise_dn = math.sqrt(max(dark_variance, LEAST_DARK_VARIANCE))
     efficiency = responsivity / gain
@@ -303,15 +289,13 @@ def _dark_lines(series, shape):
         raise BadData(
             f"dark_series has the exposure times {times.tolist()} s: wanted three or more, 0 or above"
         )
-    points = np.array(
-        [
-            _temporal_statistics(series[time], f"dark_series[{time:g}]", shape)
-            for time in sorted(series)
-        ]
-    )
-    (mean_slope, _), (variance_slope, variance) = (
-        np.polyfit(times, column, 1) for column in points.T
-    )
+    points = [
+        _temporal_statistics(series[time], f"dark_series[{time:g}]", shape)
+        for time in sorted(series)
+    ]
+    means, variances = np.transpose(points)
+    mean_slope, _ = np.polyfit(times, means, 1)
+    variance_slope, variance = np.polyfit(times, variances, 1)
     return variance, float(mean_slope), float(variance_slope)
 
 

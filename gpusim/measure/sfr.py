@@ -171,19 +171,17 @@ def _response(plane, order):
     # pixels beyond whole periods; left out on both sides
     spare = len(plane) - round(len(plane) * np.floor(turns) / turns)
     rows = rows[spare // 2 : len(plane) - (spare - spare // 2)]
-    distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / np.hypot(1, fit.deriv()(rows))[
-        :, None
-    ]
-    read = int(reach * BINS) - 1
+    slope = np.hypot(1, fit.deriv()(rows))[:, None]
+    distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / slope
+    read, angle = int(reach * BINS) - 1, np.arctan(abs(fit.deriv()(rows.mean())))
     number = np.floor(distance * BINS + 0.5).astype(int)
     used = np.abs(number) <= read
     number = number[used] + read
     count = np.bincount(number, minlength=2 * read + 1)
     if not count.all():
         raise BadData(
-            f"sfr: the edge, {np.degrees(np.arctan(abs(fit.deriv()(rows.mean())))):.3g} degrees from the "
-            f"pixel axis over {len(plane)} pixels, has too few phases to fill quarter-pixel bins; turn "
-            "it to about 5 degrees, or use a larger picture"
+            f"sfr: the edge, {np.degrees(angle):.3g} degrees from the pixel axis over {len(plane)} pixels, "
+            "has too few phases to fill quarter-pixel bins; turn it to about 5 degrees, or use a larger picture"
         )
     spread = np.bincount(number, plane[rows][used]) / count
     place = np.bincount(number, distance[used]) / count
@@ -193,23 +191,21 @@ def _response(plane, order):
         raise BadData(
             "sfr: no edge, or one too blurred for the picture: values still change at the borders"
         )
-    response, narrower = (
-        _transform(line, middle, width) for width in (read / BINS, read / BINS / 2)
-    )
+    response = _transform(line, middle, read / BINS)
+    narrower = _transform(line, middle, read / BINS / 2)
     error = float(np.abs(narrower - response)[FREQUENCIES <= 0.5].max())
     if error > MOST_ERROR:
         raise BadData(
             f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge "
             f"change the response by {error:.2g}, wanted {MOST_ERROR:g} or less: use a larger picture"
         )
-    return response, np.arctan(abs(fit.deriv()(rows.mean()))), error
+    return response, angle, error
 
 
 def _transform(line, middle, reach):
     """Return the response of a line spread at positions `middle` [pixel], windowed to `reach`."""
-    line = np.where(
-        np.abs(middle) <= reach, line * (0.54 + 0.46 * np.cos(np.pi * middle / reach)), 0
-    )
+    windowed = line * (0.54 + 0.46 * np.cos(np.pi * middle / reach))
+    line = np.where(np.abs(middle) <= reach, windowed, 0)
     response = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * middle) @ line) / line.sum()
     return response / np.sinc(FREQUENCIES / BINS) ** 2
 
@@ -239,9 +235,8 @@ def _edge(plane, order):
             raise BadData(
                 "sfr: no edge found in some of the rows or columns; wanted one edge across all of them"
             )
-        fit = np.polynomial.Polynomial.fit(
-            rows, (weight * between).sum(axis=1) / total, order
-        ).convert()
+        middle = (weight * between).sum(axis=1) / total
+        fit = np.polynomial.Polynomial.fit(rows, middle, order).convert()
         reach = min(fit(rows).min(), slope.shape[1] - fit(rows).max())
         if reach < LEAST / 2:
             raise BadData(

@@ -86,10 +86,9 @@ def snr_curve(
         )
     with np.errstate(divide="ignore"):
         saturation = room / per_exposure
-    most = saturation[np.isfinite(saturation)].max()
-    exposure = np.union1d(
-        np.geomspace(most * 10**-DECADES, most, POINTS), saturation[np.isfinite(saturation)]
-    )
+    ends = saturation[np.isfinite(saturation)]
+    even = np.geomspace(ends.max() * 10**-DECADES, ends.max(), POINTS)
+    exposure = np.union1d(even, ends)
     electrons = np.minimum(np.outer(per_exposure, exposure), room)
     noise = RawNoise.of(sensor)
     variance = noise.variance(electrons + dark, temporal=temporal)
@@ -105,16 +104,12 @@ def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
 
     light: relative power in energy units.
     """
-    nodes = np.array(
-        [
-            max(light.wavelengths[0], sensor.qe.wavelengths[0]),
-            min(light.wavelengths[-1], sensor.qe.wavelengths[-1]),
-        ]
-    )
-    if not nodes[0] < nodes[1]:
+    first = max(light.wavelengths[0], sensor.qe.wavelengths[0])
+    last = min(light.wavelengths[-1], sensor.qe.wavelengths[-1])
+    if not first < last:
         return np.zeros(len(sensor.channels))
     height, width = sensor.aperture
-    photons = product_weights(nodes, photons_from_energy(light), sensor.qe).sum(-1)
+    photons = product_weights([first, last], photons_from_energy(light), sensor.qe).sum(-1)
     return height * width * photons / xyz(light)[1]
 
 
@@ -185,11 +180,8 @@ def visible_snr(patch: Any, samples_per_degree: float, white: ArrayLike | None =
 
 def _numbers(values, name) -> np.ndarray:
     values = np.asarray(values)
-    if (
-        values.ndim not in (2, 3)
-        or values.dtype.kind not in "uif"
-        or values.shape[0] * values.shape[1] < 2
-    ):
+    is_picture = values.ndim in (2, 3) and values.dtype.kind in "uif"
+    if not is_picture or values.shape[0] * values.shape[1] < 2:
         raise BadData(
             f"snr: {name} of shape {values.shape} and type {values.dtype}; wanted numbers (rows, cols) or "
             "(rows, cols, channels), 2 pixels or more"

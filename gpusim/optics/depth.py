@@ -35,27 +35,23 @@ def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength
     Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
     """
     diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
-    return (optics.displacement(1.0) * diopters + _defocus(optics, wavelength)) / (
-        optics.working_f_number * pitch
-    )
+    shift = optics.displacement(1.0) * diopters + _defocus(optics, wavelength)
+    return shift / (optics.working_f_number * pitch)
 
 
 def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
     """Distance [m] whose `circle_of_confusion` is `confusion`; infinite or negative beyond what has an image."""
-    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch) - _defocus(
-        optics, wavelength
-    )
+    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch)
+    shift = shift - _defocus(optics, wavelength)
     with np.errstate(divide="ignore"):
         return 1 / (1 / optics.object_distance - shift / optics.image_distance**2)
 
 
 def _defocus(optics, wavelength):
     shift = optics.defocus
-    return (
-        float(shift.at(np.array([wavelength]), outside=None)[0])
-        if isinstance(shift, Spectrum)
-        else float(shift)
-    )
+    if isinstance(shift, Spectrum):
+        shift = shift.at(np.array([wavelength]), outside=None)[0]
+    return float(shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +101,8 @@ class DepthPlan:
         nearer = self.layer < layer
         if not nearer.any():
             return content, self.layer == layer, self.confusion
-        rows, cols = scipy.ndimage.distance_transform_edt(
-            nearer, return_distances=False, return_indices=True
-        )
+        places = {"return_distances": False, "return_indices": True}
+        rows, cols = scipy.ndimage.distance_transform_edt(nearer, **places)
         return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 
     def shares(self, coverage, confusion):
@@ -123,11 +118,10 @@ class DepthPlan:
                 continue
             at, start = confusion[some], first[some]
             weight = np.array(coverage[some], np.float64)
-            for other in (start + i for i in range(count)):  # Lagrange's polynomials
+            for other in start + np.arange(count)[:, None]:  # Lagrange's polynomials
                 apart = self.kernels[kernel] - self.kernels[other]
-                weight *= np.where(
-                    other == kernel, 1, (at - self.kernels[other]) / np.where(apart == 0, 1, apart)
-                )
+                factor = (at - self.kernels[other]) / np.where(apart == 0, 1, apart)
+                weight *= np.where(other == kernel, 1, factor)
             share = np.zeros(confusion.shape, np.float32)
             share[some] = weight
             if share.any():
@@ -176,19 +170,15 @@ def plan_depth(
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
     sheets = _sheets(scene, optics, pitch) if scene is not None and scene.layers else ()
-    every = (
-        np.concatenate([its[coverage > 0] for _, coverage, its in sheets]) if sheets else confusion
-    )
+    every = confusion
+    if sheets:
+        every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power = float(np.mean(light**2)) or 1.0
-    contrast = np.sqrt(
-        sum(
-            float(np.mean(np.diff(light, axis=axis) ** 2))
-            for axis in (0, 1)
-            if light.shape[axis] > 1
-        )
-        / power
-    )
+    power, change = float(np.mean(light**2)) or 1.0, 0.0
+    for axis in (0, 1):
+        if light.shape[axis] > 1:
+            change += float(np.mean(np.diff(light, axis=axis) ** 2))
+    contrast = np.sqrt(change / power)
     q = 550e-9 * optics.working_f_number / pitch
     distinct = np.unique(every)
     nodes = distinct if len(distinct) <= 4 else kernel_nodes(low, high, contrast, tolerance / 4, q)
@@ -207,21 +197,13 @@ def plan_depth(
         "depth, kernels between those computed": float(contrast * _remainder(nodes, every, q)),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
+    kernels = distance_of(optics, nodes, pitch), nodes, confusion
     if sheets:
-        predicted |= {
-            "depth, in layers that are given": edges.given_error(light, power),
-            "depth, if without layers": plain,
-        }
-        return DepthPlan(
-            distance_of(optics, nodes, pitch),
-            nodes,
-            confusion,
-            np.zeros(light.shape, np.uint8),
-            len(sheets),
-            f"{len(sheets)} layers that are given; {span}",
-            predicted,
-            sheets,
-        )
+        predicted["depth, in layers that are given"] = edges.given_error(light, power)
+        predicted["depth, if without layers"] = plain
+        layer, count = np.zeros(light.shape, np.uint8), len(sheets)
+        model = f"{count} layers that are given; {span}"
+        return DepthPlan(*kernels, layer, count, model, predicted, sheets)
     cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)
     in_layers = edges.layered_error(cuts, light, power)
     if layered is None:
@@ -232,34 +214,26 @@ def plan_depth(
     layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
     if layered:
         model = f"{count} layers by depth; {span}"
-        predicted |= {
-            "depth, in layers (hidden parts are continued)": in_layers,
-            "depth, if without layers": plain,
-        }
+        predicted["depth, in layers (hidden parts are continued)"] = in_layers
+        predicted["depth, if without layers"] = plain
     else:
         model = f"by depth, without layers; {span}"
-        predicted |= {"depth, occlusion left out": plain, "depth, if in layers": in_layers}
-    return DepthPlan(
-        distance_of(optics, nodes, pitch), nodes, confusion, layer, count, model, predicted
-    )
+        predicted["depth, occlusion left out"] = plain
+        predicted["depth, if in layers"] = in_layers
+    return DepthPlan(*kernels, layer, count, model, predicted)
 
 
 def _sheets(scene, optics, pitch):
     """The layers that a scene gives, the background last, as `DepthPlan.sheet` returns them. Raises OutOfRange."""
     if len(scene.layers) >= MOST_LAYERS:
         raise OutOfRange("scene.layers", len(scene.layers), f"up to {MOST_LAYERS - 1}")
-    shape = np.shape(scene.depth)
+    shape, sheets = np.shape(scene.depth), []
     behind = Layer(scene.content, np.ones(shape, np.float32), scene.depth)
-    return tuple(
-        (
-            layer.content,
-            np.asarray(layer.alpha),
-            checked_confusion(
-                optics, pitch, np.broadcast_to(layer.depth, shape).astype(np.float64), shape
-            ),
-        )
-        for layer in (*scene.layers, behind)
-    )
+    for layer in (*scene.layers, behind):
+        depth = np.broadcast_to(layer.depth, shape).astype(np.float64)
+        confusion = checked_confusion(optics, pitch, depth, shape)
+        sheets.append((layer.content, np.asarray(layer.alpha), confusion))
+    return tuple(sheets)
 
 
 def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
@@ -312,9 +286,8 @@ def kernel_nodes(
 def _stencil(nodes, confusion):
     """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
     count = min(4, len(nodes))
-    return np.clip(
-        np.searchsorted(nodes, confusion, "right") - count // 2, 0, len(nodes) - count
-    ), count
+    first = np.searchsorted(nodes, confusion, "right") - count // 2
+    return np.clip(first, 0, len(nodes) - count), count
 
 
 def _remainder(nodes, confusion, q):
@@ -351,20 +324,13 @@ def _derivative_table(order, q):
     all_f = (np.arange(-reach, reach + 1)[:, None] + f).ravel()
     radius = np.hypot(all_f[:, None], all_f)
     s = np.minimum(radius * q, 1)
-    passed = (
-        2
-        / np.pi
-        * (np.arccos(s) - s * np.sqrt(1 - s * s))
-        * np.sinc(all_f[:, None])
-        * np.sinc(all_f)
-    )
+    passed = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    passed = passed * np.sinc(all_f[:, None]) * np.sinc(all_f)
     rate = np.pi * radius * (1 - s)
     v = np.arange(0.05, 512 * rate.max() + 0.1, 0.05)
-    derivative = (
-        -2 * jv(2, v) / v
-        if order == 1
-        else 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
-    )
+    derivative = 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
+    if order == 1:
+        derivative = -2 * jv(2, v) / v
     values = []
     for confusion in np.expm1(known):
         some = passed * rate**order * np.interp(confusion * rate, v, derivative)

@@ -99,16 +99,8 @@ class Watch:
         along = rest @ there.T
         beside = float(np.linalg.norm(along, 2)), float(np.linalg.norm(rest - along @ there, 2))
         first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
-        return cls(
-            flat,
-            wrong,
-            left,
-            projections.astype(np.float32),
-            seen**2,
-            beside,
-            first,
-            np.asarray(table),
-        )
+        projections, table = projections.astype(np.float32), np.asarray(table)
+        return cls(flat, wrong, left, projections, seen**2, beside, first, table)
 
     @classmethod
     def of_no_blur(
@@ -129,13 +121,9 @@ class Watch:
 
         With them float32 holds the squares of contents up to 1e15 times as bright.
         """
-        unit, of_table = (
-            2.0 ** -float(np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT))
-            for largest in (
-                np.abs(content.planes).max(initial=0),
-                np.abs(self.table).max(initial=0),
-            )
-        )
+        largest = np.abs(content.planes).max(initial=0), np.abs(self.table).max(initial=0)
+        exponents = np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT)
+        unit, of_table = np.ldexp(1.0, -exponents).tolist()
         return replace(self, scale=(unit, unit * of_table))
 
     def _in_content_units(self, survey):
@@ -169,10 +157,8 @@ class Watch:
         """Upper bound of the part of R, of pairs of rows (n, P + 1)."""
         whole, along = squares[:, -1], squares[:, : len(self.flat)] @ self.seen
         across = np.maximum(whole - along, ROUNDING * whole)
-        return np.fmin(
-            self.left * whole,
-            (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2,
-        )
+        root = self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)
+        return np.fmin(self.left * whole, root**2)
 
     def forecast_falls(self, moments) -> tuple:
         """Return `falls` for operators of one plane more, two more and so on, with error moments M'.
@@ -181,9 +167,10 @@ class Watch:
         error |b|^2 of M.
         """
         size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
-        return tuple(
-            np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
-        )
+        falls = []
+        for more in moments:
+            falls.append(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2)
+        return tuple(falls)
 
     def count_missing_planes(self, survey) -> int:
         """Return the number of additional planes with which the error of a content is within the limit.
@@ -195,24 +182,17 @@ class Watch:
         values, across, down = self._in_content_units(survey).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (self.limit / self.factor) ** 2 * values[:signals].sum()
-        return 1 + next(
-            (
-                more
-                for more, fall in enumerate(self.falls)
-                if fall @ differences[signals:-1] <= allowed
-            ),
-            len(self.falls),
-        )
+        for more, fall in enumerate(self.falls, 1):
+            if fall @ differences[signals:-1] <= allowed:
+                return more
+        return len(self.falls) + 1
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:
     """Return M, shape (L, L): d M d^T is the mosaic's mean square error for neighbours that differ by d (L,)."""
-    wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(
-        table.shape[1]
-    )
-    return np.tensordot(
-        wrong, response.share[:, None, None] * (response.optical @ wrong), ((0, 1), (0, 1))
-    )
+    wrong = response.excess(table, transfers)
+    shared = response.share[:, None, None] * (response.optical @ wrong)
+    return np.tensordot(wrong, shared, ((0, 1), (0, 1)))
 
 
 def _rows(moments, content, count):

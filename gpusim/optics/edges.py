@@ -29,24 +29,15 @@ class Edges:
     def of(cls, confusion, light):
         """All pairs along rows and columns."""
         pairs = []
-        for axis in (0, 1):
-            one, two = (
-                np.take(a, range(a.shape[axis] - 1), axis).ravel() for a in (confusion, light)
-            )
-            other, its = (
-                np.take(a, range(1, a.shape[axis]), axis).ravel() for a in (confusion, light)
-            )
-            swap = one > other
-            unequal = one != other
-            pairs.append(
-                [
-                    np.where(swap, b, a)[unequal]
-                    for a, b in ((one, other), (other, one), (two, its), (its, two))
-                ]
-            )
+        for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+            unequal = confusion[before] != confusion[after]
+            one, other = confusion[before][unequal], confusion[after][unequal]
+            two, its = light[before][unequal], light[after][unequal]
+            nearer = np.where(one > other, [other, one, its, two], [one, other, two, its])
+            pairs.append(nearer)
         lags = [2**k for k in range(12) if 2**k < max(light.shape)]
         return cls(
-            *map(np.concatenate, zip(*pairs, strict=True)),
+            *np.concatenate(pairs, axis=1),
             np.array([0, *lags]),
             np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]),
         )
@@ -77,12 +68,8 @@ class Edges:
         """
         some = ~self.jumps
         moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
-        return float(
-            np.sqrt(
-                ((moved * (self.light_near - self.light_far)[some]) ** 2).sum()
-                / (power * light.size)
-            )
-        )
+        square = (moved * (self.light_near - self.light_far)[some]) ** 2
+        return float(np.sqrt(square.sum() / (power * light.size)))
 
     def _plain(self):
         some = self.jumps
@@ -101,9 +88,8 @@ class Edges:
         averages it over its chord, in which pieces of a lag's length are independent.
         """
         lag = (np.abs(near) + np.abs(far)) / 2
-        guess = np.interp(lag, self.lags, self.variation) / (
-            1 + 2 * np.abs(far) / np.maximum(lag, 1e-9)
-        )
+        pieces = 1 + 2 * np.abs(far) / np.maximum(lag, 1e-9)
+        guess = np.interp(lag, self.lags, self.variation) / pieces
         return guess * _edge("hidden", near, far)
 
     def given_error(self, light, power):
@@ -119,11 +105,10 @@ class Edges:
         their covariance over the pupil is left out.
         """
         near, far = self.near[some] / 2, self.far[some] / 2
-        jump = (self.far - self.near)[some] > JUMP  # a slope hides only its neighbourhood
-        return np.hypot(near, far) * (
-            np.where(jump, self._hidden_error(near, far), 0)
-            + self._covariance(far) * _edge("covariance", near, far)
-        )
+        # a slope hides only its neighbourhood
+        hidden = np.where(self.jumps[some], self._hidden_error(near, far), 0)
+        covariance = self._covariance(far) * _edge("covariance", near, far)
+        return np.hypot(near, far) * (hidden + covariance)
 
     def _covariance(self, radius):
         """Squared covariance of a background within a disc with half of the disc, over the variance of that half.
@@ -144,9 +129,8 @@ class Edges:
         if not some.any():
             return np.empty(0)
         count = int(np.ceil((high - low) / STEP))
-        first, last = (
-            np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far)
-        )
+        bins = ((np.stack([self.near, self.far]) - low) / STEP).astype(int)
+        first, last = np.clip(bins, 0, count - 1)
         smooth = (first != last) & ~some
         cost = _best_cover(first[smooth], last[smooth], self._layered_error(smooth), count)
         plain, layered = self._plain(), self._layered_error(some)
@@ -175,12 +159,10 @@ class Edges:
 def _variation(confusion, light, lag):
     """Mean square difference of brightness of pixels `lag` apart along rows or columns on one surface."""
     total, count = 0.0, 0
-    for axis in (0, 1):
+    for axis, (before, after) in enumerate(
+        ((np.s_[:-lag], np.s_[lag:]), (np.s_[:, :-lag], np.s_[:, lag:]))
+    ):
         if light.shape[axis] > lag:
-            before, after = (
-                tuple(slice(None) if a != axis else part for a in (0, 1))
-                for part in (slice(None, -lag), slice(lag, None))
-            )
             same = np.abs(confusion[after] - confusion[before]) <= JUMP
             total += float((((light[after] - light[before]) ** 2) * same).sum())
             count += int(same.sum())
@@ -189,20 +171,15 @@ def _variation(confusion, light, lag):
 
 def _best_cover(first, last, values, count):
     """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
-    steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[
-        :count
-    ]
-    return np.cumsum(steps)
+    begins = np.bincount(first + 1, values, count + 1)
+    return np.cumsum((begins - np.bincount(last + 1, values, count + 1))[:count])
 
 
 def _edge(what, near, far):
     """Integral across a straight edge, over the root of the sum of the squared radii, which are signed."""
     angles, tables = _edge_tables()
-    return np.interp(
-        np.arctan2(np.abs(far), np.abs(near) * np.where(near * far < 0, -1, 1)),
-        angles,
-        tables[what],
-    )
+    along = np.abs(near) * np.where(near * far < 0, -1, 1)
+    return np.interp(np.arctan2(np.abs(far), along), angles, tables[what])
 
 
 @lru_cache(maxsize=1)
@@ -215,19 +192,16 @@ def _edge_tables():
     """
     angles = np.linspace(0, np.pi, 257)
     t = (np.arange(4000) + 0.5) / 2000 - 1
-    tables = {"plain": [], "hidden": [], "covariance": [], "differs": []}
-    for angle in angles:
-        near, far = (_edge_spread(t, abs(radius)) for radius in (np.cos(angle), np.sin(angle)))
+    tables = {name: np.empty(257) for name in ("plain", "hidden", "covariance", "differs")}
+    for k, angle in enumerate(angles):
+        near, far = _edge_spread(t, abs(np.cos(angle))), _edge_spread(t, abs(np.sin(angle)))
         more = near - far
         wrong = np.abs(more) if angle <= np.pi / 2 else np.where(t > 0, 2 - near - far, near + far)
-        for name, value in (
-            ("plain", (more * near / (1 + more)) ** 2),
-            ("hidden", ((1 - near) * far) ** 2),
-            ("covariance", near * (1 - near)),
-            ("differs", wrong - more**2),
-        ):
-            tables[name].append(2 * np.mean(value))
-    return angles, {name: np.array(values) for name, values in tables.items()}
+        tables["plain"][k] = 2 * np.mean((more * near / (1 + more)) ** 2)
+        tables["hidden"][k] = 2 * np.mean(((1 - near) * far) ** 2)
+        tables["covariance"][k] = 2 * np.mean(near * (1 - near))
+        tables["differs"][k] = 2 * np.mean(wrong - more**2)
+    return angles, tables
 
 
 def _edge_spread(t, radius):

@@ -80,10 +80,8 @@ class FieldBlur:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
         count, planes, m, _ = self.kernels.shape
         rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
-        return (
-            8 * count * planes * rows * (cols // 2 + 1)
-            + 4 * channels * len(self.index) * rows * cols
-        )
+        spectra = 8 * count * planes * rows * (cols // 2 + 1)
+        return spectra + 4 * channels * len(self.index) * rows * cols
 
     @property
     def report(self) -> str:
@@ -147,24 +145,16 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
     """
     for size, count in zip(shape, grid, strict=True):
         if not 2 <= count <= max(size, 2):
-            raise OutOfRange(
-                "field grid",
-                f"{grid[0]} x {grid[1]}",
-                f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns",
-            )
+            wanted = f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns"
+            raise OutOfRange("field grid", f"{grid[0]} x {grid[1]}", wanted)
     axes = [_Window(size, count, window) for size, count in zip(shape, grid, strict=True)]
-    places = np.stack(np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij"), axis=-1).reshape(
-        -1, 2
-    )
-    kernels = _kernels(lens, places)
+    kernels = _kernels(lens, _mesh(axes[0].nodes, axes[1].nodes))
     reach = kernels.shape[-1] // 2
     through = kernels.reshape(*grid, -1)
     for axis, one in enumerate(axes):
         first = np.moveaxis(through, axis, 0)
-        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1)).reshape(
-            first.shape
-        )
-        through = np.moveaxis(solved, 0, axis)
+        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1))
+        through = np.moveaxis(solved.reshape(first.shape), 0, axis)
     kernels = through.reshape(kernels.shape)
     along_y, along_x = (one.at(np.arange(size))[1] for one, size in zip(axes, shape, strict=True))
     terms = along_y.shape[1] * along_x.shape[1]
@@ -182,20 +172,11 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
     wrong = 0.0
     if flat:
-        wrong = flat.error(
-            kernels, _window_maps(*(one.dense(at) for one, at in zip(axes, flat.axes, strict=True)))
-        )
-    return FieldBlur(
-        "overlap-add",
-        partial(_window_maps, along_y, along_x),
-        kernels,
-        index,
-        edges,
-        image_error(mixed, wanted),
-        terms,
-        _cost(edges, reach, terms),
-        wrong,
-    )
+        rows, cols = (one.dense(at) for one, at in zip(axes, flat.axes, strict=True))
+        wrong = flat.error(kernels, _window_maps(rows, cols))
+    maps, error = partial(_window_maps, along_y, along_x), image_error(mixed, wanted)
+    cost = _cost(edges, reach, terms)
+    return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
 
 
 def _window_maps(along_y, along_x):
@@ -205,9 +186,8 @@ def _window_maps(along_y, along_x):
 
 def _eigen_maps(nodes, vectors, shape):
     """Coefficients of the mean kernel, 1, and of those that `vectors` weight at the nodes."""
-    return np.concatenate(
-        [np.ones((1, *shape)), _interpolate(nodes, vectors, *map(np.arange, shape))]
-    )
+    rest = _interpolate(nodes, vectors, *map(np.arange, shape))
+    return np.concatenate([np.ones((1, *shape)), rest])
 
 
 class _Window:
@@ -229,30 +209,22 @@ class _Window:
         elif self.degree == 3:  # "not a knot": the first and last two cells are one
             inner = self.nodes[2:-2]
         self.knots = np.array([self.nodes[0], *inner, self.nodes[-1]])
-        self._padded = np.pad(self.knots, self.degree, mode="edge")
-        self.collocation = scipy.interpolate.BSpline.design_matrix(
-            self.nodes, self._padded, self.degree
-        ).toarray()
+        self.collocation = self._basis(self.nodes)
+
+    def _basis(self, at):
+        """B-splines of the knots at places, (places, splines)."""
+        knots = np.pad(self.knots, self.degree, mode="edge")
+        return scipy.interpolate.BSpline.design_matrix(at, knots, self.degree).toarray()
 
     def at(self, pixels):
         """Cell of each pixel, and the weights of its degree + 1 kernels, which sum to one."""
-        cell = np.clip(
-            np.searchsorted(self.knots, pixels, side="right") - 1, 0, len(self.knots) - 2
-        )
+        cell = np.searchsorted(self.knots, pixels, side="right") - 1
+        cell = np.clip(cell, 0, len(self.knots) - 2)
         if self.cosine:
-            part = (
-                np.sin(
-                    np.pi
-                    / 2
-                    * np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)
-                )
-                ** 2
-            )
+            place = np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)
+            part = np.sin(np.pi / 2 * place) ** 2
             return cell, np.stack([1 - part, part], axis=1)
-        inside = np.clip(pixels, self.knots[0], self.knots[-1])
-        basis = scipy.interpolate.BSpline.design_matrix(
-            inside.astype(np.float64), self._padded, self.degree
-        ).toarray()
+        basis = self._basis(np.clip(pixels, self.knots[0], self.knots[-1]).astype(np.float64))
         return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
 
     def dense(self, pixels):
@@ -300,24 +272,20 @@ def eigen_kernels(
     basis = np.einsum("nk,npij->kpij", vectors, differences)
 
     def error(count):
-        return image_error(
-            mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted
-        )
+        rest = np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1])
+        return image_error(mean + rest, wanted)
 
     between = _interpolate(nodes, vectors, *flat.axes) if flat else None
 
     def flat_error(count):
         if flat is None:
             return 0.0
-        return flat.error(
-            np.concatenate([mean[None], basis[: count - 1]]),
-            np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]]),
-        )
+        weights = np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]])
+        return flat.error(np.concatenate([mean[None], basis[: count - 1]]), weights)
 
     def is_enough(count):
-        return error(count)[0] <= tolerance and (
-            flat is None or flat_error(count) <= flat.tolerance
-        )
+        is_sharp = error(count)[0] <= tolerance
+        return is_sharp and (flat is None or flat_error(count) <= flat.tolerance)
 
     most = vectors.shape[1] + 1
     if terms is None:
@@ -331,17 +299,9 @@ def eigen_kernels(
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
-    return FieldBlur(
-        "eigen-kernels",
-        maps,
-        np.concatenate([mean[None], basis[: terms - 1]]),
-        np.arange(terms)[None],
-        edges,
-        error(terms),
-        terms,
-        _cost(edges, reach, terms),
-        flat_error(terms),
-    )
+    kernels, index = np.concatenate([mean[None], basis[: terms - 1]]), np.arange(terms)[None]
+    figures = error(terms), terms, _cost(edges, reach, terms), flat_error(terms)
+    return FieldBlur("eigen-kernels", maps, kernels, index, edges, *figures)
 
 
 def _sample_places(shape, samples=SAMPLES):
@@ -350,7 +310,12 @@ def _sample_places(shape, samples=SAMPLES):
         np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
         for size, count in zip(shape, samples, strict=True)
     ]
-    return nodes, np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return nodes, _mesh(*nodes)
+
+
+def _mesh(rows, cols):
+    """All pairs of rows and columns, (n, 2)."""
+    return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 class FlatField:
@@ -375,9 +340,8 @@ class FlatField:
             for size, at in zip(shape, nodes, strict=True)
         ]
         moments = _moments(_kernels(lens, places))
-        self.moments = _interpolate(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
-            *moments.shape[1:], *map(len, self.axes)
-        )
+        between = _interpolate(nodes, moments.reshape(len(places), -1), *self.axes)
+        self.moments = between.reshape(*moments.shape[1:], *map(len, self.axes))
 
     def error(self, kernels, coefficients) -> float:
         """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
@@ -398,9 +362,8 @@ class FlatField:
 def _moments(kernels):
     """First and second moments (y, x, y y, x x, y x) of kernels (n, planes, m, m) [pixel], shape (n, planes, 5)."""
     at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2.0
-    weights = np.stack(
-        np.broadcast_arrays(at[:, None], at, at[:, None] ** 2, at**2, at[:, None] * at)
-    )
+    y, x = np.meshgrid(at, at, indexing="ij")
+    weights = np.stack([y, x, y**2, x**2, y * x])
     return np.tensordot(kernels, weights, ((2, 3), (1, 2)))
 
 
@@ -423,11 +386,8 @@ def natural_difference() -> float:
     weight = 1 / np.maximum(np.hypot(f[:, None], f), 0.5 / PERIOD) ** 2
     weight[0, 0] = 0
     slope = 4 * np.sin(np.pi * f) ** 2
-    return float(
-        CONTRAST
-        / np.sqrt(1 + CONTRAST**2)
-        * np.sqrt((weight * (slope[:, None] + slope)).sum() / weight.sum())
-    )
+    mean = (weight * (slope[:, None] + slope)).sum() / weight.sum()
+    return float(CONTRAST / np.sqrt(1 + CONTRAST**2) * np.sqrt(mean))
 
 
 def _weigh(kernels, size=0):
@@ -437,10 +397,8 @@ def _weigh(kernels, size=0):
     fy, fx = np.fft.fftfreq(period)[:, None], np.fft.rfftfreq(period)
     weight = 1 / np.maximum(np.hypot(fy, fx), 0.5 / period)
     weight[0, 0] = 0
-    twice = np.where((fx > 0) & (fx < 0.5), np.sqrt(2), 1.0)  # columns that stand for two
-    return np.concatenate(
-        [spectra.real * (weight * twice), spectra.imag * (weight * twice)], axis=-1
-    )
+    weight = weight * np.where((fx > 0) & (fx < 0.5), np.sqrt(2), 1.0)  # columns that stand for two
+    return np.concatenate([spectra.real * weight, spectra.imag * weight], axis=-1)
 
 
 def _kernels(lens, places):
@@ -485,22 +443,19 @@ def _probes(shape):
 
 def _interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
-    counts = [len(node) for node in nodes]
+    counts = len(nodes[0]), len(nodes[1])
     shape = (len(rows), len(cols)) if grid else (len(rows),)
+    degrees = {"kx": min(3, counts[0] - 1), "ky": min(3, counts[1] - 1)}
     out = np.empty((vectors.shape[1], *shape))
     for k, values in enumerate(vectors.T):
-        if min(counts) == 1:
-            out[k] = (
-                values[0]
-                if max(counts) == 1
-                else np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
-            )
-            continue
-        degrees = [min(3, count - 1) for count in counts]
-        spline = scipy.interpolate.RectBivariateSpline(
-            *nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1]
-        )
-        out[k] = spline(rows, cols, grid=grid)
+        if max(counts) == 1:
+            out[k] = values[0]
+        elif min(counts) == 1:
+            out[k] = np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
+        else:
+            given = *nodes, values.reshape(counts)
+            spline = scipy.interpolate.RectBivariateSpline(*given, **degrees)
+            out[k] = spline(rows, cols, grid=grid)
     return out
 
 
@@ -545,13 +500,11 @@ class Differences:
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
         kernels = np.empty((len(places), len(self.mix), self.size, self.size))
-        for kernel, (y, x) in zip(
-            kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True
-        ):
+        places = (np.asarray(places, np.float64) - self.middle) / self.corner
+        for kernel, (y, x) in zip(kernels, places, strict=True):
             if self.lens.symmetry.is_mirrored:  # the other quadrants are mirror images
-                kernel[:] = self._at(abs(y), abs(x))[
-                    :, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1
-                ]
+                down, across = -1 if y < 0 else 1, -1 if x < 0 else 1
+                kernel[:] = self._at(abs(y), abs(x))[:, ::down, ::across]
             else:
                 kernel[:] = self._at(y, x)
         return kernels
@@ -560,22 +513,19 @@ class Differences:
         key = round(y, 9), round(x, 9)
         if key not in self._known:
             kernels = self.lens.kernels(self.nodes, (y, x), self.size)
-            self._known[key] = np.tensordot(
-                self.mix, self._whole(_with_zero_sum(kernels - self._axis), (y, x)), 1
-            )
+            differences = self._whole(_with_zero_sum(kernels - self._axis), (y, x))
+            self._known[key] = np.tensordot(self.mix, differences, 1)
         return self._known[key]
 
     def _whole(self, differences, place):
         """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
         if self.lens.tail is None:
             return differences  # the kernels hold all light
-        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(
-            self.nodes, (0.0, 0.0)
-        )
+        axis = self.lens.centroids(self.nodes, (0.0, 0.0))
+        wanted = self.lens.centroids(self.nodes, place) - axis
         at = np.arange(self.size) - self.size // 2
-        left = wanted - np.stack(
-            [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1
-        )
+        moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
+        left = wanted - np.stack(moments, axis=1)
         y, x = left.T[..., None, None] / (self.size * (at @ at))
         return differences + y * at[:, None] + x * at
 
@@ -583,22 +533,17 @@ class Differences:
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
         corner = farthest_corner(self.shape, self.middle) / self.corner
-        shift = (
-            np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
-            * self.corner
-            * np.hypot(*corner)
-        )
+        colour = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
+        shift = colour * self.corner * np.hypot(*corner)
         if shift > WIDEST_SHIFT:
             raise OutOfRange(
                 "optics.lateral_color",
                 f"{shift:.3g} pixels at the frame's corner",
                 f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
             )
-        middle = [self.nodes[len(self.nodes) // 2]]
-        whole, axis = (
-            self.lens.kernels(middle, place, max(SIZES[-1], least))
-            for place in (corner, (0.0, 0.0))
-        )
+        middle, size = [self.nodes[len(self.nodes) // 2]], max(SIZES[-1], least)
+        whole = self.lens.kernels(middle, corner, size)
+        axis = self.lens.kernels(middle, (0.0, 0.0), size)
         for size in SIZES:
             if size >= least:
                 cut = _with_zero_sum(whole - axis)[None]

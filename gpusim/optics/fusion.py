@@ -12,6 +12,7 @@ Both give flat fields of any spectrum exactly.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -65,24 +66,16 @@ class Response:
         fx = np.arange(cols) / period
         fy = fx if rows == cols else np.fft.fftfreq(rows)
         # where only one half is stored, each also stands for its negative
-        twice_y, twice_x = (
-            np.where((f == 0) | (f == 0.5), 1, 2) if len(f) == cols else np.ones(len(f))
-            for f in (fy, fx)
-        )
+        twice_x = np.where((fx == 0) | (fx == 0.5), 1, 2)
+        twice_y = twice_x if rows == cols else np.ones(rows)
         power = 4 * np.sin(np.pi * fy[:, None]) ** 2 + 4 * np.sin(np.pi * fx) ** 2
         power[0, 0] = np.inf  # flat fields are exact, whatever their power
         count = np.multiply.outer(twice_y, twice_x) / places
         power = count / power / period**2
         share = np.bincount(np.ravel(cfa), minlength=len(weights)) / np.size(cfa)
         tables = tables.reshape(len(tables), -1)
-        return cls(
-            weights,
-            weights * np.real(tables[:, :1].T),
-            share,
-            tables,
-            np.tile(power.ravel(), places),
-            np.tile(count.ravel(), places),
-        )
+        power, count = np.tile(power.ravel(), places), np.tile(count.ravel(), places)
+        return cls(weights, weights * np.real(tables[:, :1].T), share, tables, power, count)
 
     def channel(self, c) -> "Response":
         """Return the response of channel c only."""
@@ -97,18 +90,20 @@ class Response:
         """
         return np.real((self.tables * self.power) @ self.tables.conj().T)
 
+    def excess(self, table, transfers) -> np.ndarray:
+        """Return the excess weight of each O_l for each wavelength, (C, L, L); see `error`."""
+        exact = self.weights[:, :, None] * np.eye(table.shape[1])
+        return np.einsum("ckl,km->clm", transfers, table) - exact
+
     def error(self, table, transfers, spectra: "Spectra") -> float:
         """Relative root mean square error of the mosaic's electrons for content with these moments.
 
         table: planes from spectra, shape (planes, L). transfers: weight of O_l in the transfer function of each plane
         in each channel, shape (C, planes, L).
         """
-        wrong = np.einsum("ckl,km->clm", transfers, table) - self.weights[:, :, None] * np.eye(
-            len(table.T)
-        )
-        error = np.einsum(
-            "clm,ln,cno,mo->c", wrong, self.optical, wrong, spectra.differences, optimize=True
-        )
+        wrong, differences = self.excess(table, transfers), spectra.differences
+        terms = wrong, self.optical, wrong, differences
+        error = np.einsum("clm,ln,cno,mo->c", *terms, optimize=True)
         signal = np.einsum("cl,lm,cm->c", self.flat, spectra.values, self.flat)
         total = self.share @ signal
         return float(np.sqrt(max(self.share @ error, 0.0) / total)) if total > 0 else 0.0
@@ -146,27 +141,20 @@ class Spectra:
         if pairs.labels is not None:  # of the materials that are there
             there = np.bincount(pairs.labels.ravel().astype(int)) > 0
             used, ids = np.flatnonzero(there), np.take(np.cumsum(there) - 1, pairs.labels)
-            if len(used) > MOST_ENTRIES:
-                pairs, entries = (
-                    Cube(pairs.wavelengths, pairs.bands_at(slice(None))),
-                    np.eye(len(pairs.wavelengths)),
-                )
-            else:
-                labelled = ids, np.asarray(pairs.planes, np.float64)
-                return cls(*_labelled_moments(*labelled, entries[used], weight))
+            if len(used) <= MOST_ENTRIES:
+                return cls(*_labelled_moments(ids, pairs.planes, entries[used], weight))
+            pairs = Cube(pairs.wavelengths, pairs.bands_at(slice(None)))
+            entries = np.eye(len(pairs.wavelengths))
         # float32 sums of a cube's rows, a tenth of a plan's time in float64; differences of neighbours are exact
-        lines = pairs.planes.swapaxes(0, 1).astype(
-            np.float32 if pairs.is_spectral else np.float64, copy=False
-        )
-        lines, power = in_range(lines)
+        kind = np.float32 if pairs.is_spectral else np.float64
+        lines, power = in_range(pairs.planes.swapaxes(0, 1).astype(kind, copy=False))
         cols, (values, differences) = pairs.shape[1], np.zeros((2, len(entries), len(entries)))
         for upper, lower, part in zip(lines[::2], lines[1::2], weight, strict=True):
             across, down = np.diff(upper), lower - upper
             values += part * (upper @ upper.T / cols)
             differences += part * (across @ across.T / max(cols - 1, 1) + down @ down.T / cols)
-        values, differences = (
-            np.ldexp(2 / len(lines) * sums, 2 * power) for sums in (values, differences)
-        )
+        values = np.ldexp(2 / len(lines) * values, 2 * power)
+        differences = np.ldexp(2 / len(lines) * differences, 2 * power)
         if pairs.is_spectral:
             return cls(values, differences)
         return cls(entries.T @ values @ entries, entries.T @ differences @ entries)
@@ -177,26 +165,21 @@ def _labelled_moments(ids, shading, entries, weight):
 
     weight: of each pair, 1 in the mean.
     """
+    shading, count = np.asarray(shading, np.float64), len(entries)
 
     def products(a, b):
-        """Sums of products of two entries at two places."""
-        (ida, sa), (idb, sb) = a, b
-        count = len(entries)
-        sums = np.bincount(
-            (ida * count + idb).ravel(), (weight[:, None] * (sa * sb)).ravel(), count**2
-        )
-        return sums.reshape(count, count) / ida.size
+        """Sums of products of two entries at two places: slices of rows and columns."""
+        both, values = ids[a] * count + ids[b], weight[:, None] * (shading[a] * shading[b])
+        sums = np.bincount(both.ravel(), values.ravel(), count**2)
+        return sums.reshape(count, count) / both.size
 
-    def differences(a, b):
-        both = products(a, b)
-        return products(a, a) + products(b, b) - both - both.T
-
-    upper, lower = (ids[::2], shading[::2]), (ids[1::2], shading[1::2])
-    total = differences(upper, lower)
+    upper, total = np.s_[::2], np.zeros((count, count))
+    neighbours: list[Any] = [(upper, np.s_[1::2])]
     if ids.shape[1] > 1:
-        total = total + differences(
-            *(tuple(part[:, cut] for part in upper) for cut in (np.s_[:-1], np.s_[1:]))
-        )
+        neighbours.append((np.s_[::2, :-1], np.s_[::2, 1:]))
+    for a, b in neighbours:
+        both = products(a, b)
+        total = total + (products(a, a) + products(b, b) - both - both.T)
     return entries.T @ products(upper, upper) @ entries, entries.T @ total @ entries
 
 

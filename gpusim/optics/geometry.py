@@ -85,14 +85,9 @@ def distortion_grid(
         a, b, c, d = distortion.derivative(u, v)
         flux = 1 / (a * d - b * c)
         back = distortion.radius / source_pitch
-        values = np.stack(
-            [
-                v * back + (source_shape[0] - 1) / 2 - rows[:, None],
-                u * back + (source_shape[1] - 1) / 2 - cols,
-                flux,
-            ],
-            axis=-1,
-        )
+        down = v * back + (source_shape[0] - 1) / 2 - rows[:, None]
+        across = u * back + (source_shape[1] - 1) / 2 - cols
+        values = np.stack([down, across, flux], axis=-1)
         # singular values s1 >= s2 of the 2 x 2 derivative, from s1 s2 = det and s1^2 + s2^2 = sum of squares
         squares, twice = a * a + b * b + c * c + d * d, 2 / flux
         s1 = (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
@@ -102,7 +97,7 @@ def distortion_grid(
 
     for step in STEPS:
         cells = [max(3, -(-n // step)) for n in shape]
-        edges = [np.linspace(0, n, count + 1) - 0.5 for n, count in zip(shape, cells, strict=True)]
+        edges = _edges(shape, np.add(cells, 1))
         values, ratio = places(*edges)
         # about where cubics err most
         between, _ = places(*((edge[1:] + edge[:-1]) / 2 for edge in edges))
@@ -124,6 +119,12 @@ def distortion_grid(
     return DistortionGrid(values, error, typical, ratio, float(reach))
 
 
+def _edges(shape, nodes):
+    """Places of a grid's nodes along both axes, from edge to edge of a frame [pixel]."""
+    (rows, cols), (down, across) = shape, nodes
+    return np.linspace(0, rows, down) - 0.5, np.linspace(0, cols, across) - 0.5
+
+
 def view_nodes(
     view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float
 ) -> np.ndarray:
@@ -143,10 +144,8 @@ def view_nodes(
         nodes[..., 2] = 1
     else:
         nodes = distortion.nodes.copy()
-    edges = [
-        np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)
-    ]
-    own, its = ((np.array(one) - 1) / 2 for one in (shape, source_shape))
+    edges = _edges(shape, nodes.shape[:2])
+    own, its = (np.array(shape) - 1) / 2, (np.array(source_shape) - 1) / 2
     middle = its if distortion is not None else own  # from the nodes so far
     y, x = (nodes[..., axis] + place - middle[axis] for axis, place in enumerate(np.ix_(*edges)))
     y, x = view.place(y, x, ratio)
@@ -175,12 +174,10 @@ def interpolation_error(
     """
     phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
-    square = np.einsum(
-        "ab,af,bg->fg", phases, np.abs(along_y) ** 2, np.abs(along_x) ** 2, optimize=True
-    )
-    return np.maximum(
-        square - 2 * np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True).real + 1, 0
-    )
+    powers = np.abs(along_y) ** 2, np.abs(along_x) ** 2
+    square = np.einsum("ab,af,bg->fg", phases, *powers, optimize=True)
+    mean = np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True)
+    return np.maximum(square - 2 * mean.real + 1, 0)
 
 
 def interpolated_share(light: np.ndarray) -> np.ndarray:
@@ -195,12 +192,10 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
     for plane in light:
         cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4)).reshape(-1, 16)
         rough = np.flatnonzero(cells.max(axis=1) > LEAST_LOBES * cells.min(axis=1))
-        above, below = (
-            cells[rough] @ np.maximum(sign * both, 0).astype(np.float32) for sign in (1, -1)
-        )
-        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(
-            axis=1, initial=1.0
-        )
+        above = cells[rough] @ np.maximum(both, 0).astype(np.float32)
+        below = cells[rough] @ np.maximum(-both, 0).astype(np.float32)
+        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above))
+        ratio = ratio.min(axis=1, initial=1.0)
         room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
     share = np.ones(light.shape[1:], np.float32)
     inside = share[3:-3, 3:-3]
@@ -226,9 +221,8 @@ def _interpolated_waves(f, width):
         weights = _cubic_weights(apart)
     else:
         weights = np.clip((1 + width) / 2 - np.abs(apart), 0, min(1.0, width)) / width
-    return np.einsum(
-        "pk,pkf->pf", weights, np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f))
-    )
+    waves = np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f))
+    return np.einsum("pk,pkf->pf", weights, waves)
 
 
 def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndarray]:
@@ -238,27 +232,21 @@ def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndar
     columns; places in between count for both neighbours, linearly. The worst of PARTS x PARTS parts is the one whose
     waves of a fifth of a cycle per sample err the most.
     """
-    edges = [
-        np.linspace(0, n, count) - 0.5
-        for n, count in zip(shape, distortion.nodes.shape[:2], strict=True)
-    ]
     pixels = [np.unique(np.linspace(0, n - 1, min(n, MOST_PLACES)).astype(int)) for n in shape]
-    at = [
-        scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])(*pixels)
-        % 1
-        * PHASES
-        for axis in (0, 1)
+    edges = _edges(shape, distortion.nodes.shape[:2])
+    at = []
+    for axis in (0, 1):
+        places = scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])
+        at.append(places(*pixels) % 1 * PHASES)
+    down, across = at
+    parts = [
+        _shares(down[rows, cols], across[rows, cols])
+        for cols in _parts(len(pixels[1]))
+        for rows in _parts(len(pixels[0]))
     ]
-    parts = np.array(
-        [
-            _shares(*(one[rows, cols] for one in at))
-            for cols in _parts(len(pixels[1]))
-            for rows in _parts(len(pixels[0]))
-        ]
-    )
     wrong = np.abs(_interpolated_waves([0.2], None)[:, 0] - 1) ** 2
-    worst = parts[np.argmax(np.einsum("nab,ab->n", parts, wrong[:, None] + wrong))]
-    return _shares(*at), worst
+    errors = np.einsum("nab,ab->n", np.array(parts), wrong[:, None] + wrong)
+    return _shares(down, across), parts[np.argmax(errors)]
 
 
 def _parts(count):
@@ -283,9 +271,8 @@ def _half_way(cells):
     for cell in range(cells):
         first = min(max(cell - 1, 0), cells - 3)
         for a in range(4):
-            weights[cell, first + a] = np.prod(
-                [(cell + 0.5 - first - b) / (a - b) for b in range(4) if b != a]
-            )
+            factors = [(cell + 0.5 - first - b) / (a - b) for b in range(4) if b != a]
+            weights[cell, first + a] = np.prod(factors)
     return weights
 
 
@@ -303,9 +290,8 @@ def relative_illumination(
     r = _heights(shape, displacement) * pitch
     if isinstance(model, str):
         if model != "cos4":
-            raise OutOfRange(
-                "relative_illumination", repr(model), '"cos4", coefficients or a table'
-            )
+            known = '"cos4", coefficients or a table'
+            raise OutOfRange("relative_illumination", repr(model), known)
         return (1 + (r / image_distance) ** 2) ** -2
     h = r / (radius or pitch * np.hypot(*shape) / 2)
     if len(model) == 2 and np.ndim(model[0]) == 1:
@@ -323,7 +309,11 @@ def relative_illumination(
         gain = np.interp(h, heights, values) / values[0]
     else:
         gain = np.polynomial.polynomial.polyval(h, (1.0, *model))
-    return _check_gain("relative illumination", gain)
+    if not (np.isfinite(gain).all() and gain.min() >= 0):
+        worst = np.unravel_index(np.argmin(gain), gain.shape)
+        found = f"{gain[worst]:.6g} at pixel {tuple(map(int, worst))}"
+        raise OutOfRange("relative illumination", found, "0 <= gain < inf")
+    return gain
 
 
 def microlens_gain(
@@ -352,11 +342,9 @@ def vignetting_gain(responses, shape, displacement=(0.0, 0.0)) -> np.ndarray:
     responses: shape (ny, nx), at places even from edge to edge of the frame; bilinear between them, constant beyond.
     displacement: of the grid of pixels, (rows, cols) [pixel].
     """
-    along_y, along_x = (
-        _hats(count, pixels, move)
-        for count, pixels, move in zip(np.shape(responses), shape, displacement, strict=True)
-    )
-    return along_y @ np.asarray(responses, np.float64) @ along_x.T
+    responses = np.asarray(responses, np.float64)
+    (high, wide), (rows, cols), (down, across) = responses.shape, shape, displacement
+    return _hats(high, rows, down) @ responses @ _hats(wide, cols, across).T
 
 
 def _hats(count, pixels, displacement):
@@ -369,12 +357,3 @@ def _heights(shape, displacement):
     """Distance of every pixel's middle from the axis [pixel]."""
     y, x = (np.arange(n) - (n - 1) / 2 + move for n, move in zip(shape, displacement, strict=True))
     return np.hypot(y[:, None], x)
-
-
-def _check_gain(what, gain):
-    if not (np.isfinite(gain).all() and gain.min() >= 0):
-        worst = np.unravel_index(np.argmin(gain), gain.shape)
-        raise OutOfRange(
-            what, f"{gain[worst]:.6g} at pixel {tuple(map(int, worst))}", "0 <= gain < inf"
-        )
-    return gain

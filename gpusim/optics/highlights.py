@@ -48,7 +48,12 @@ def unsplit_error(brightness) -> float:
     median = median_of(brightness)
     if not 0 < THRESHOLD * median < brightness.max():
         return 0.0
-    return TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / median
+    return _transform_error(brightness, median)
+
+
+def _transform_error(brightness, median):
+    rms = float(np.sqrt(np.square(brightness, dtype=np.float64).mean()))
+    return TRANSFORM_ERROR * rms / median
 
 
 def median_of(brightness) -> float:
@@ -75,16 +80,13 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     bright = np.flatnonzero(brightness > THRESHOLD * median)
     rows, cols = np.unravel_index(bright, brightness.shape)
     single = np.ones(len(bright), bool)
+    high, wide = brightness.shape
     if border == "edge":
-        single = np.logical_and.reduce(
-            [(0 < at) & (at < n - 1) for at, n in zip((rows, cols), brightness.shape, strict=True)]
-        )
-    elif (
-        border == "reflect"
-        and MOST * np.prod([2 * (max(brightness.shape) // n) + 1 for n in brightness.shape])
-        > MOST_IMAGES
-    ):
-        single[:] = False  # a narrow strip between two mirrors
+        single = (0 < rows) & (rows < high - 1) & (0 < cols) & (cols < wide - 1)
+    elif border == "reflect":
+        longest = max(high, wide)
+        images = MOST * (2 * (longest // high) + 1) * (2 * (longest // wide) + 1)
+        single[:] = images <= MOST_IMAGES  # no narrow strip between two mirrors
     chosen = bright[single]
     chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:MOST]]
     if not len(chosen):
@@ -100,38 +102,25 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     planes[..., rows, cols] *= keep
     # exactly what was taken away, the rounding of the stored remainder included
     left = planes[..., rows, cols] / np.where(stored == 0, 1, stored)
-    strength = strength * (
-        1 - (left if left.ndim == 1 else np.where(stored == 0, 0, left).max(axis=0))
-    )
-    shape, brightness[rows, cols] = brightness.shape, median
-    residue = 0.0
+    if left.ndim > 1:
+        left = np.where(stored == 0, 0, left).max(axis=0)
+    strength = strength * (1 - left)
+    brightness[rows, cols], residue = median, 0.0
     if len(bright) > len(chosen):
-        residue = (
-            TRANSFORM_ERROR
-            * float(np.sqrt(np.square(brightness, dtype=np.float64).mean()))
-            / max(median, 1e-38)
-        )
+        residue = _transform_error(brightness, max(median, 1e-38))
     # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
-    reach = np.minimum(np.maximum(reach, CORE), max(shape)).astype(np.int32)
+    reach = np.minimum(np.maximum(reach, CORE), max(high, wide)).astype(np.int32)
     places, image, missing = np.stack([rows, cols], axis=1), np.arange(len(rows)), 0.0
     if border == "reflect":
         # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
-        missing = float(
-            q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size
-        )
-        for axis, n in enumerate(shape):
+        beyond = q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum()
+        missing = float(beyond / brightness.size)
+        for axis, n in enumerate((high, wide)):
             places, image = _mirror(places, image, axis, n, reach)
-    return rest, Highlights(
-        places - margin,
-        light[image].astype(np.int32),
-        strength[image],
-        spectra,
-        reach[image],
-        residue,
-        missing,
-    )
+    points = places - margin, light[image].astype(np.int32), strength[image]
+    return rest, Highlights(*points, spectra, reach[image], residue, missing)
 
 
 def _mirror(places, image, axis, n, reach):

@@ -19,7 +19,6 @@ from math import gamma, log, pi
 import numpy as np
 from numpy.polynomial.polynomial import polyvander
 
-from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
 
 RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
@@ -28,7 +27,7 @@ REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what i
 WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
 POWERS = (3, 5, 7)  # of the tail
 # powers of sigma with which a Gaussian approaches its limit
-LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf}
+LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf, None: np.inf}
 
 
 def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:
@@ -54,24 +53,18 @@ def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
             infinity; None: all of it goes to the infinite Gaussian, as in a transfer function.
     """
     finite, ratio = sigmas[:-1], sigmas[1] / sigmas[0]
-    each = np.stack(
-        [
-            2 ** (1 - p / 2) / gamma(p / 2) * log(ratio) * 2 * pi * finite ** (2.0 - p)
-            for p in POWERS
-        ]
-    )
+    each, more, near = np.empty((3, len(finite))), np.empty(3), np.empty(3)
+    for k, p in enumerate(POWERS):
+        part = 2 ** (1 - p / 2) / gamma(p / 2) * log(ratio)
+        each[k] = part * 2 * pi * finite ** (2.0 - p)
+        # sums of all wider Gaussians' energies, over the last one's, and of their share in it
+        more[k] = 1 / (ratio ** (p - 2) - 1)
+        near[k] = 1 / (ratio ** (p - 2 + LIMITS[border]) - 1)
     found = np.append(tails @ each, np.zeros((*tails.shape[:-1], 1)), axis=-1)
     last = tails * each[:, -1]
-    rest = last @ [_sum(ratio, p - 2) for p in POWERS]
-    near = 0.0 if border is None else last @ [_sum(ratio, p - 2 + LIMITS[border]) for p in POWERS]
-    found[..., -2] += near
-    found[..., -1] = rest - near
+    found[..., -2] += last @ near
+    found[..., -1] = last @ more - last @ near
     return found
-
-
-def _sum(ratio, power):
-    """Sum of ratio^-power, its square and so on."""
-    return 1 / (ratio**power - 1)
 
 
 def edge_tail(pupil: Pupil) -> float:
@@ -80,7 +73,7 @@ def edge_tail(pupil: Pupil) -> float:
     return float(edges / (np.pi * pupil.area) / (2 * np.pi**3))
 
 
-def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
+def tail(pupil: Pupil, q, waves, variance: float) -> np.ndarray:
     """Return t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
 
     t_3 is q times `edge_tail`. Each point of the pupil's rim spreads its light about the place
@@ -92,41 +85,28 @@ def tail(pupil: Pupil, q, waves, aperture) -> np.ndarray:
         pupil: The pupil.
         q: Wavelength times f-number over the distance of samples, shape (L,).
         waves: Wavefronts of the wavelengths, see `Optics.waves`.
-        aperture: Variances along both axes of everything that spreads light a little
-            [sample^2], see `variance`.
+        variance: Sum along both axes of the variances of everything that spreads light a little:
+            the samples' aperture, a low-pass filter's spots and a diffuser [sample^2].
     """
     q, inner = np.asarray(q, np.float64), pupil.obscuration
     cusp = edge_tail(pupil) * q
-    rims = (1.0, inner) if inner else (1.0,)  # radii; their lengths weigh them
-    squares = np.tensordot(
-        [_squares(waves, q, rim) for rim in rims], [rim / (1 + inner) for rim in rims], (0, 0)
-    )
-    spread = 9 / 4 * sum(aperture)
+    squares = _squares(waves, q, 1.0)
+    if inner:  # the rims' lengths weigh them
+        both = squares, _squares(waves, q, inner)
+        squares = np.tensordot(both, (1 / (1 + inner), inner / (1 + inner)), (0, 0))
+    spread = 9 / 4 * variance
     # factor of |s|^3 in the transfer function of a round pupil in focus
     cubic = 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
     third = 9 / (16 * pi**4) * cubic * q**3
-    return np.stack(
-        [cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1
-    )
-
-
-def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
-    """How much samples of an aperture, a low-pass filter's spots and a diffuser spread light down and across.
-
-    pitch: of samples [m]. aperture: height and width over it. Returns [sample^2].
-    """
-    first, second = (
-        side**2 / 12 + (spots / pitch / 2) ** 2 + (optics.diffuser / pitch) ** 2
-        for side, spots in zip(aperture, optics.birefringence, strict=True)
-    )
-    return first, second
+    fifth = cusp * (3 * squares[:, 0] + spread) + third
+    return np.stack([cusp, fifth, 5 * cusp * squares[:, 1]], axis=1)
 
 
 def _squares(waves, q, radius):
     """Means of b^2 and b^4, b how far from the image the rays through a rim land [sample], shape (L, 2)."""
     angle = np.linspace(0, 2 * pi, 64, endpoint=False)
-    x, y = (polyvander(radius * at, waves.shape[1] - 1) for at in (np.cos(angle), np.sin(angle)))
-    by = np.arange(1, waves.shape[1])
+    order, by = waves.shape[1] - 1, np.arange(1, waves.shape[1])
+    x, y = polyvander(radius * np.cos(angle), order), polyvander(radius * np.sin(angle), order)
     along = np.einsum("lij,ai,aj->la", waves[:, 1:] * by[:, None], x[:, :-1], y, optimize=True)
     across = np.einsum("lij,ai,aj->la", waves[:, :, 1:] * by, x, y[:, :-1], optimize=True)
     square = (2 * q[:, None]) ** 2 * (along**2 + across**2)

@@ -1,24 +1,19 @@
 """Lengths of transforms: of whole frames, into which a mosaic may fold, and of tiles that overlap."""
 
+from bisect import bisect_left
 from dataclasses import dataclass
-from math import prod
+from itertools import product
+from math import lcm
 
-LENGTHS = tuple(
-    sorted(
-        2**a * 3**b * 5**c
-        for a in range(16)
-        for b in range(10)
-        for c in range(7)
-        if 2**a * 3**b * 5**c <= 2**15
-    )
-)
+_PRODUCTS = {2**a * 3**b * 5**c for a, b, c in product(range(16), range(10), range(7))}
+LENGTHS = tuple(sorted(length for length in _PRODUCTS if length <= 2**15))
 LONGEST = 64  # samples along a side: 33 KB, which local memory holds
 LANES = 8  # lines that a CPU transforms at once
 
 
 def fft_length(minimum: int) -> int:
     """Return the smallest length not below `minimum` that is a product of 2, 3 and 5 (up to 32768)."""
-    return next(length for length in LENGTHS if length >= minimum)
+    return LENGTHS[bisect_left(LENGTHS, minimum)]
 
 
 def transform_lengths(minimum, cfa_shape):
@@ -32,13 +27,18 @@ def transform_lengths(minimum, cfa_shape):
         cfa_shape: Rows and columns of the mosaic's period.
     """
     for period, folds in ((cfa_shape, True), ((1, 1), False)):
-        found = tuple(
-            next((length for length in LENGTHS if length >= size and length % multiple == 0), None)
-            for size, multiple in zip(minimum, period, strict=True)
-        )
-        if None not in found:
-            return found, folds
-    return found, False
+        rows, cols = _fitting_length(minimum[0], period[0]), _fitting_length(minimum[1], period[1])
+        if rows and cols:
+            return (rows, cols), folds
+    return (rows, cols), False
+
+
+def _fitting_length(minimum, multiple):
+    """The smallest of LENGTHS that is a multiple, not below `minimum`; None if even the largest is too short."""
+    for length in LENGTHS:
+        if length >= minimum and length % multiple == 0:
+            return length
+    return None
 
 
 @dataclass(frozen=True)
@@ -55,21 +55,17 @@ class Tiling:
 
     def suits(self, period) -> bool:
         """Whether a mosaic of this period, rows and columns, folds into its transforms, and any has such."""
-        rest = self.side
-        for radix in (2, 3):
-            while rest > 0 and rest % radix == 0:
-                rest //= radix
+        both = lcm(*period)
         return (
-            rest == 1
-            and self.side <= LONGEST
-            and self.overlap >= 0
-            and self.valid > 0
-            and all(self.side % (LANES * n) == 0 == self.valid % n for n in period)
+            0 < self.valid <= self.side <= LONGEST
+            and 6**6 % self.side == 0  # a product of 2 and 3
+            and self.side % (LANES * both) == 0 == self.valid % both
         )
 
     def samples(self, shape) -> int:
         """Samples of all tiles that make a result of `shape`."""
-        return self.side**2 * prod(-(-n // self.valid) for n in shape)
+        rows, cols = shape
+        return self.side**2 * -(-rows // self.valid) * -(-cols // self.valid)
 
 
 def tiling(overlap: int, period) -> tuple[Tiling, bool]:

@@ -8,7 +8,7 @@ A field point is (y, x), 1 the distance of the frame's corner from the axis, in 
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,12 +20,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.optics import ladder
 from gpusim.optics.otf import transfer
-from gpusim.optics.psf import psf_tables, spread_at
+from gpusim.optics.psf import mean_slopes, psf_tables, pupil_kernel, spread_at, steepest_slope
 
-# Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
-QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
-SAMPLES_PER_CYCLE = 6  # of the pupil's phase, at the edge of the kernel
-CELLS = 128  # along the pupil, for mean slopes of the wavefront
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
@@ -86,77 +82,62 @@ class Lens(Protocol):
     @property
     def optics(self) -> Optics:
         """The camera's settings."""
-        ...
 
     @property
     def pitch(self) -> float:
         """Distance of the samples [m]."""
-        ...
 
     @property
     def aperture(self) -> tuple[float, float]:
         """Height and width over which each sample is integrated [sample]."""
-        ...
 
     @property
     def displacement(self) -> tuple[float, float]:
         """Displacement of the apertures from the samples, (rows, cols) [sample]."""
-        ...
 
     @property
     def axis(self) -> tuple[float, float]:
         """Where the optical axis meets the frame, from the frame's middle, (rows, cols) [sample]."""
-        ...
 
     @property
     def least_size(self) -> int:
         """Least side of kernels that hold a point's spread [sample]."""
-        ...
 
     @property
     def wavelengths(self) -> tuple[float, float]:
         """Shortest and longest wavelength for which the blur is known [nm]."""
-        ...
 
     @property
     def is_pointlike(self) -> bool:
         """Whether the lens does not blur."""
-        ...
 
     @property
     def is_uniform(self) -> bool:
         """Whether the blur is the same all over the field."""
-        ...
 
     @property
     def is_airy(self) -> bool:
         """Whether on the axis nothing blurs but diffraction at a clear circular pupil."""
-        ...
 
     @property
     def is_adjustable(self) -> bool:
         """Whether f-number and focus may be changed."""
-        ...
 
     @property
     def fixed_distance(self) -> str:
         """Why the blur does not follow the distance of objects, in words; "" if it does."""
-        ...
 
     @property
     def symmetry(self) -> Symmetry:
         """Symmetries of the blur."""
-        ...
 
     @property
     def tail(self) -> Tail | None:
         """Decay of light far from a point; None if the kernels hold all of it."""
-        ...
 
     @property
     def words(self) -> str:
         """Description of the blur; for a lens that does not blur, the effects it leaves out."""
-        ...
 
     def kernels(self, wavelengths, place, size: int, distance: float | None = None) -> np.ndarray:
         """Return the energy of every pixel around a point's image.
@@ -170,11 +151,9 @@ class Lens(Protocol):
         Returns:
             Kernels, float64 (L, size, size), of energy 1 in all the image.
         """
-        ...
 
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
-        ...
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
         """Return the optical transfer function around a point's image, without the pixels, complex (L, F).
@@ -188,7 +167,6 @@ class Lens(Protocol):
             place: Field point (y, x).
             distance: Distance of the object [m]; None: the plane in focus.
         """
-        ...
 
     def tables(self, q, rows: int, cols: int, stages: Stages, distance: float | None = None):
         """Return transfer tables on the axis at all frequencies of a period, integrated over the samples.
@@ -204,11 +182,9 @@ class Lens(Protocol):
             Real quarters (L, rows // 2 + 1, cols // 2 + 1) if the blur is round and the apertures are not displaced,
             else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
         """
-        ...
 
     def tails(self, wavelengths) -> np.ndarray:
         """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.ladder.tail`."""
-        ...
 
     def spread(self, wavelengths, height: float = 0.0, distance: float | None = None) -> float:
         """Return the radius within which the rays of a point meet the image, or its spread ends [sample].
@@ -218,11 +194,9 @@ class Lens(Protocol):
             height: Field height, 0 on the axis, 1 in the corner.
             distance: Distance of the object [m]; None: the plane in focus.
         """
-        ...
 
     def cutoff(self, wavelength: float) -> float:
         """Return the frequency beyond which nothing is transferred at `wavelength` [nm], [cycle/m]."""
-        ...
 
     def sampled_spread(self, wavelengths, place, reach: float, count: int):
         """Return a picture of the point spread without the pixels, and the distance of its samples [m].
@@ -236,14 +210,12 @@ class Lens(Protocol):
         Returns:
             Energies (L, rows, cols) and the distance of their samples [m].
         """
-        ...
 
     def describe(self, by_depth: bool) -> tuple[str, str]:
         """Return the stage that makes the tables, and the blur in words.
 
         by_depth: if it follows the distance.
         """
-        ...
 
 
 class _OnGrid:
@@ -318,9 +290,8 @@ class PupilLens(_OnGrid):
     @cached_property
     def symmetry(self) -> Symmetry:
         """See `Lens`."""
-        return Symmetry(
-            self.optics.is_symmetric, self.optics.has_mirror and not any(self.displacement)
-        )
+        is_mirrored = self.optics.has_mirror and not any(self.displacement)
+        return Symmetry(self.optics.is_symmetric, is_mirrored)
 
     @cached_property
     def tail(self) -> Tail:
@@ -332,16 +303,19 @@ class PupilLens(_OnGrid):
 
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
-        spread = ladder.variance(self.optics, self.pitch, self.aperture)
-        waves = self.optics.waves(wavelengths)
-        return ladder.tail(self.optics.pupil, self._q(wavelengths), waves, spread)
+        optics, (down, across) = self.optics, self.optics.birefringence
+        soft = (optics.diffuser / self.pitch) ** 2
+        rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
+        cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
+        waves = optics.waves(wavelengths)
+        return ladder.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
         waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
         for q, wave in zip(self._q(wavelengths), waves, strict=True):
             if wave.any():
-                radius = max(radius, 2 * q * _steepest(wave))
+                radius = max(radius, 2 * q * steepest_slope(wave))
         return radius
 
     def cutoff(self, wavelength) -> float:
@@ -356,20 +330,13 @@ class PupilLens(_OnGrid):
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
-        optics = self.optics
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        return stages.pupil(
-            optics.pupil,
-            optics.waves(self.nanometres(q), distance=distance),
-            q,
-            self.aperture,
-            rows,
-            cols,
-            spots=tuple(length / self.pitch for length in optics.birefringence),
-            diffuser=optics.diffuser / self.pitch,
-            displacement=self.displacement,
-        )
+        optics, (down, across) = self.optics, self.optics.birefringence
+        waves = optics.waves(self.nanometres(q), distance=distance)
+        spots, diffuser = (down / self.pitch, across / self.pitch), optics.diffuser / self.pitch
+        softened = {"spots": spots, "diffuser": diffuser, "displacement": self.displacement}
+        return stages.pupil(optics.pupil, waves, q, self.aperture, rows, cols, **softened)
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
@@ -377,18 +344,12 @@ class PupilLens(_OnGrid):
         optics = self.optics
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
-        found = np.stack(
-            [
-                transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
-                for wave, one in zip(waves, cut, strict=True)
-            ]
-        )
+        found = np.empty((len(waves), fx.size), complex)
+        for own, wave, one in zip(found, waves, cut, strict=True):
+            own[:] = transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
         down, across = optics.birefringence
-        return found * (
-            np.cos(np.pi * down * fy)
-            * np.cos(np.pi * across * fx)
-            * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2))
-        )
+        spots = np.cos(np.pi * down * fy) * np.cos(np.pi * across * fx)
+        return found * (spots * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2)))
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
@@ -401,110 +362,30 @@ class PupilLens(_OnGrid):
         return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
 
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
-        """See `Lens`.
-
-        The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
-        Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
-        gaps, or overlap, share the light as if they tiled the image.
-        """
-        optics, (y, x) = self.optics, place
-        wavelengths = np.asarray(wavelengths, np.float64)
+        """See `Lens`."""
+        optics, q = self.optics, self._q(wavelengths)
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        # shift per unit of field height [pixel]
-        colour = optics.lateral_color_at(wavelengths) * self.corner
-        out = np.empty((len(wavelengths), size, size))
-        for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
-            kernel[:] = self._kernel(
-                wavelength * 1e-9 * optics.working_f_number / self.pitch,
-                wave,
-                size,
-                (shift * y - self.displacement[0], shift * x - self.displacement[1]),
-            )
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        out = np.empty((len(q), size, size))
+        down, across = optics.birefringence
+        samples = size, self.aperture, (down / self.pitch / 2, across / self.pitch / 2)
+        for kernel, one_q, wave, shift in zip(out, q, waves, shifts, strict=True):
+            kernel[:] = pupil_kernel(optics.pupil, wave, one_q, shift, *samples)
             if optics.diffuser:
-                spectrum = scipy.ndimage.fourier_gaussian(
-                    np.fft.fft2(kernel), optics.diffuser / self.pitch
-                )
-                kernel[:] = np.fft.ifft2(spectrum).real
+                softness, spectrum = optics.diffuser / self.pitch, np.fft.fft2(kernel)
+                kernel[:] = np.fft.ifft2(scipy.ndimage.fourier_gaussian(spectrum, softness)).real
         return out
+
+    def _colour_shifts(self, wavelengths, place):
+        """Displacement of a point's image by lateral colour, (L, 2) [sample]."""
+        colour = self.optics.lateral_color_at(np.asarray(wavelengths, np.float64)) * self.corner
+        return colour[:, None] * np.array(place, np.float64)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        optics, (y, x) = self.optics, place
-        wavelengths = np.asarray(wavelengths, np.float64)
-        q = wavelengths * 1e-9 * optics.working_f_number / self.pitch
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
-        means = _mean_powers(optics.pupil, waves.shape[1])
-        slopes = [
-            [
-                np.vdot(slope, means[: slope.shape[0], : slope.shape[1]])
-                for slope in (np.polynomial.polynomial.polyder(wave, axis=axis) for axis in (1, 0))
-            ]
-            for wave in waves
-        ]
-        colour = optics.lateral_color_at(wavelengths) * self.corner
-        return (
-            -2 * q[:, None] * np.array(slopes)
-            + colour[:, None] * np.array([y, x])
-            - np.array(self.displacement)
-        )
-
-    def _kernel(self, q, wave, size, shift):
-        points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
-        # cycles of the phase per radius: x / 2 q for the image at x, and the wavefront's own
-        fastest = (size / 2 + max(map(abs, shift))) / (2 * q) + _steepest(wave)
-        count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
-        u = (np.arange(count) + 0.5) / count * 2 - 1
-        path = np.polynomial.polynomial.polygrid2d(u, u, wave).T  # [y, x]
-        aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(
-            np.complex64
-        )
-        mass = np.polynomial.legendre.leggauss(points)[1] / 2
-        energies = []
-        spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
-        for a in {-spots[0], spots[0]}:
-            for b in {-spots[1], spots[1]}:
-                left, right = (
-                    _waves_to(size, points, width, move, count, q)
-                    for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True)
-                )
-                field_ = left @ aperture @ right.T
-                energies.append(field_.real**2 + field_.imag**2)
-        energy = sum(energies).reshape(size, points, size, points)
-        energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
-        inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(aperture).sum()
-        if q < 1 and any(width != 1 for width in self.aperture):
-            # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
-            whole = inside + whole * _energy_beyond(self.tail, q, wave, size)
-        return energy / whole
-
-
-def _energy_beyond(tail, q, wave, size):
-    """Share of the light outside a kernel of this size, if that is beyond most rays.
-
-    It is q tail / r^3, or if the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 -
-    b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
-    """
-    radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    slopes = [
-        np.polynomial.polynomial.polyval2d(
-            np.cos(angle), np.sin(angle), np.polynomial.polynomial.polyder(wave, axis=axis)
-        )
-        for axis in (0, 1)
-    ]
-    near = min(np.mean(4 * q * q * (slopes[0] ** 2 + slopes[1] ** 2)) / radius**2, 0.8)
-    return 2 * np.pi * tail.strength * q / radius / (1 - near)
-
-
-@lru_cache(maxsize=32)
-def _waves_to(size, points, aperture, shift, count, q):
-    """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
-
-    A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
-    """
-    u = (np.arange(count) + 0.5) / count * 2 - 1
-    nodes = np.polynomial.legendre.leggauss(points)[0] / 2
-    pixels = ((np.arange(size) - size // 2)[:, None] + aperture * nodes).ravel() - shift
-    return np.exp(2j * np.pi * np.outer(pixels, u) / (2 * q)).astype(np.complex64)
+        waves = self.optics.waves(wavelengths, *_polar(place), distance=distance)
+        rays = -2 * self._q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
+        return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,22 +429,10 @@ class MeasuredLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`. Raises OutOfRange if the spread is larger than `size` samples, or a distance is given."""
         _require_no_distance(distance)
-        place = tuple(
-            float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True)
-        )
-        tables = psf_tables(
-            self.spread_data,
-            np.asarray(wavelengths, np.float64),
-            self.pitch,
-            self.aperture,
-            size,
-            size,
-            place=place,
-            displacement=self.displacement,
-        )
-        kernels = np.fft.fftshift(
-            np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2)
-        )
+        place = tuple(np.clip(place, np.negative(self.corner), self.corner).tolist())
+        tables = self._tables(wavelengths, size, size, place=place)
+        kernels = np.fft.irfft2(tables.view(np.complex128), (size, size))
+        kernels = np.fft.fftshift(kernels, axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
@@ -581,29 +450,23 @@ class MeasuredLens(_OnGrid):
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
         _require_no_distance(distance)
-        return stages.given(
-            psf_tables(
-                self.spread_data,
-                self.nanometres(q),
-                self.pitch,
-                self.aperture,
-                rows,
-                cols,
-                finest=float(q.min()) * self.pitch / 2 if stages.whole else 0.0,
-                whole=stages.whole,
-                displacement=self.displacement,
-            )
-        )
+        finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
+        fit = {"finest": finest, "whole": stages.whole}
+        return stages.given(self._tables(self.nanometres(q), rows, cols, **fit))
+
+    def _tables(self, wavelengths, rows, cols, **how):
+        """Transfer tables of the point spreads, see `psf_tables`."""
+        grid, displaced = (self.pitch, self.aperture, rows, cols), self.displacement
+        return psf_tables(self.spread_data, wavelengths, *grid, displacement=displaced, **how)
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""
         _require_no_distance(distance)
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         values = spread_at(self.spread_data, wavelengths, place)
-        left, right = (
-            np.exp(-2j * np.pi * self.spread_data.spacing * np.outer(f, np.arange(n) - (n - 1) / 2))
-            for f, n in zip((fy, fx), values.shape[1:], strict=True)
-        )
+        spacing, (rows, cols) = self.spread_data.spacing, values.shape[1:]
+        left = np.exp(-2j * np.pi * spacing * np.outer(fy, np.arange(rows) - (rows - 1) / 2))
+        right = np.exp(-2j * np.pi * spacing * np.outer(fx, np.arange(cols) - (cols - 1) / 2))
         return np.einsum("fy,lyx,fx->lf", left, values, right, optimize=True)
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
@@ -720,8 +583,8 @@ def _polar(place) -> tuple[float, float]:
 
 def _checked_frequencies(wavelengths, fy, fx):
     """Wavelengths (L,) and frequencies (F,), (F,) as arrays."""
-    fy, fx = (np.atleast_1d(np.asarray(f, np.float64)) for f in np.broadcast_arrays(fy, fx))
-    return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy, fx
+    fy, fx = np.broadcast_arrays(*np.atleast_1d(fy, fx))
+    return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy.astype(float), fx.astype(float)
 
 
 def wavelength_nodes(wavelengths, count: int = NODES):
@@ -731,44 +594,3 @@ def wavelength_nodes(wavelengths, count: int = NODES):
         return wavelengths, np.eye(len(wavelengths))
     nodes = np.linspace(wavelengths[0], wavelengths[-1], count)
     return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(count))(wavelengths)
-
-
-def _steepest(wave):
-    """Largest slope of the wavefront in the pupil [waves per radius]."""
-    u = np.linspace(-1, 1, 17)
-    slopes = [
-        np.abs(
-            np.polynomial.polynomial.polygrid2d(
-                u, u, np.polynomial.polynomial.polyder(wave, axis=axis)
-            )
-        )
-        for axis in (0, 1)
-    ]
-    return float(np.hypot(*slopes)[u[:, None] ** 2 + u**2 <= 1].max())
-
-
-@lru_cache(maxsize=32)
-def _mean_powers(pupil, count):
-    """Means of x^i y^j over the open pupil, shape (count, count)."""
-    u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
-    powers, open_ = u ** np.arange(count)[:, None], _coverage(pupil, CELLS)  # [y, x]
-    return powers @ open_.T @ powers.T / open_.sum()
-
-
-@lru_cache(maxsize=32)
-def _coverage(pupil, count):
-    """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
-    u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
-    y, x = u[:, None], u
-    radius = np.hypot(y, x)
-    inside = 1 - radius
-    if pupil.sides.size:
-        inside = np.minimum.reduce(
-            [pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle) for angle in pupil.sides]
-        )
-    open_ = np.clip(inside / step + 0.5, 0, 1)
-    return (
-        open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
-        if pupil.obscuration
-        else open_
-    )

@@ -45,11 +45,8 @@ def hopkins(s, waves, nodes=None):
     end = np.arccos(s)[..., None]
     t = end * (x + 1) / 2
     half = np.maximum(np.cos(t) - s[..., None], 0)
-    return (
-        (2 / np.pi)
-        * (end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t))
-        @ weights
-    )
+    values = end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t)
+    return (2 / np.pi) * values @ weights
 
 
 def defocus_only(pupil: Pupil, waves) -> bool:
@@ -93,11 +90,10 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         """Frequencies at which the phase turns most, along and across, and some others; more if rims touch."""
         if not fast or len(part) <= PROBES:
             return part
-        few = [
-            np.argsort(turn)[-PROBES // 2 :] for turn in steepest_turns(s[part], angle[part], form)
-        ]
-        few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
-        return part[np.unique(np.concatenate(few))]
+        turns = steepest_turns(s[part], angle[part], form)
+        few = np.argsort(turns, axis=1)[:, -PROBES // 2 :].ravel()
+        others = _spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)
+        return part[np.union1d(few, others)]
 
     def integral(part, along, across, fast=False):
         rows = _rows(pupil, s[part], angle[part], across)
@@ -110,14 +106,12 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
             LEAST[fast] + int(degree(turn.max(), form) / 2)
             for turn in steepest_turns(s[few], angle[few], form)
         )
+        count: float = 1
         if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
-            across = LEAST[fast] + int(
-                (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
-            )
-            budget.need(len(part) * along * across * np.count_nonzero(panels > 1e-13) / len(few))
-        else:
-            budget.need(len(part) * along * across)
+            more = (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
+            across, count = LEAST[fast] + int(more), np.count_nonzero(panels > 1e-13) / len(few)
+        budget.need(len(part) * along * across * count)
         return few, (along, across)
 
     def settle(part, known):
@@ -132,11 +126,9 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
 def _spread(length, count):
     """At most `count` of 0 .. length - 1, spread without a period."""
-    return (
-        np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count])
-        if (count < length)
-        else np.arange(length)
-    )
+    if count >= length:
+        return np.arange(length)
+    return np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count])
 
 
 def _converge(integral, nodes, error):
@@ -146,16 +138,12 @@ def _converge(integral, nodes, error):
     while True:
         more = along + along // 4 + 2, across + across // 4 + 2
         value = integral(along, across)
-        rest = [
-            np.abs(other - value).max()
-            for other in (integral(more[0], across), integral(along, more[1]))
-        ]
-        if max(rest) < error:
+        rest_along = np.abs(integral(more[0], across) - value).max()
+        rest_across = np.abs(integral(along, more[1]) - value).max()
+        if max(rest_along, rest_across) < error:
             return (along, across), value
-        along, across = (
-            after if left >= error else now
-            for now, after, left in zip((along, across), more, rest, strict=True)
-        )
+        along = more[0] if rest_along >= error else along
+        across = more[1] if rest_across >= error else across
 
 
 def _integral(rows, s, angle, form, nodes, fast):
@@ -171,7 +159,8 @@ def _integral(rows, s, angle, form, nodes, fast):
     width, height = 1 - s, np.sqrt(1 - s * s)
     # a piece has rows of whole frequencies or of parts of them; pieces are summed
     size = max(1, min(CHUNK // nodes, UNTHREADED // (len(few) * nodes)))
-    for piece in (slice(k, k + size) for k in range(0, len(index), size)):
+    for k in range(0, len(index), size):
+        piece = slice(k, k + size)
         i, h = index[piece], half[piece]
         row = np.einsum("rfij,fj->irf", box[:, i], chebvander(v[piece] / height[i], len(few) - 1))
         u = (middle[piece, None] + h[:, None] * few) / width[i, None]
@@ -217,27 +206,13 @@ def _rows(pupil, s, angle, nodes):
     left, right = left + shift, right - shift
     if pupil.obscuration:
         reach = np.sqrt(np.maximum(pupil.obscuration**2 - v * v, 0))
-        pieces = (
-            (left, np.minimum(right, -shift - reach)),
-            (np.maximum(left, reach - shift), np.minimum(right, shift - reach)),
-            (np.maximum(left, shift + reach), right),
-        )
-    else:
-        pieces = ((left, right),)
-    index = np.broadcast_to(index[:, None], v.shape)
-    found = [
-        np.concatenate(column)
-        for column in zip(
-            *(
-                (index[keep], v[keep], weight[keep], start[keep], end[keep])
-                for start, end in pieces
-                for keep in [end > start]
-            ),
-            strict=True,
-        )
-    ]
-    order = np.argsort(found[0], kind="stable")
-    return [column[order] for column in found]
+        starts = left, np.maximum(left, reach - shift), np.maximum(left, shift + reach)
+        ends = np.minimum(right, -shift - reach), np.minimum(right, shift - reach), right
+        left, right = np.stack(starts), np.stack(ends)
+    columns = np.broadcast_arrays(index[:, None], v, weight, left, right)
+    keep = columns[4] > columns[3]
+    order = np.argsort(columns[0][keep], kind="stable")
+    return [column[keep][order] for column in columns]
 
 
 def _faces(pupil, angle):
@@ -255,10 +230,8 @@ def _chord(faces, index, v, t):
     nu, nv, inner = faces[0][index][:, None, :], faces[1][index][:, None, :], faces[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         cut = (inner - nv * v[..., None]) / nu
-    return (
-        np.where(nu < -1e-12, cut, -np.inf).max(axis=-1),
-        np.where(nu > 1e-12, cut, np.inf).min(axis=-1),
-    )
+    first = np.where(nu < -1e-12, cut, -np.inf).max(axis=-1)
+    return first, np.where(nu > 1e-12, cut, np.inf).min(axis=-1)
 
 
 def _panels(pupil, s, angle, faces):
@@ -278,9 +251,8 @@ def _panels(pupil, s, angle, faces):
         width = right - left - 2 * column  # linear between the corners
         with np.errstate(divide="ignore", invalid="ignore"):
             share = width[:, :-1] / (width[:, :-1] - width[:, 1:])
-            roots = np.where(
-                (share > 0) & (share < 1), corners[:, :-1] + share * np.diff(corners), np.nan
-            )
+            roots = corners[:, :-1] + share * np.diff(corners)
+            roots[~((share > 0) & (share < 1))] = np.nan
         kinks = [corners, roots]
         if hole:
             nu, nv, inner = faces
@@ -330,9 +302,8 @@ def separate(waves):
     waves[:, 0, 0] = 0
     used = np.flatnonzero(waves.any(axis=(0, 1)) | waves.any(axis=(0, 2)))
     order = 1 + used.max(initial=0)
-    u, sizes, shapes = np.linalg.svd(
-        waves[:, :order, :order].reshape(len(waves), -1), full_matrices=False
-    )
+    flat = waves[:, :order, :order].reshape(len(waves), -1)
+    u, sizes, shapes = np.linalg.svd(flat, full_matrices=False)
     rank = np.count_nonzero(sizes > 1e-14 * sizes.max(initial=0))
     return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
 
@@ -373,12 +344,9 @@ def phases(s, angle, form, steps):
 
 def difference(shapes, s, angle, u, v):
     """W(r + s) - W(r - s) [waves] of every shape at u along s and v across it; shape (R, *u.shape)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    plus, minus = (
-        _wavefronts(shapes, cos * along - sin * v, sin * along + cos * v)
-        for along in (u + s, u - s)
-    )
-    return plus - minus
+    cos, sin, plus, minus = np.cos(angle), np.sin(angle), u + s, u - s
+    first = _wavefronts(shapes, cos * plus - sin * v, sin * plus + cos * v)
+    return first - _wavefronts(shapes, cos * minus - sin * v, sin * minus + cos * v)
 
 
 def _wavefronts(shapes, x, y):
@@ -386,7 +354,8 @@ def _wavefronts(shapes, x, y):
     order, shape, x, y = shapes.shape[-1], x.shape, x.ravel(), y.ravel()
     out = np.empty((len(shapes), len(x)))
     size = UNTHREADED // (max(len(shapes), 1) * order**2)
-    for piece in (slice(k, k + size) for k in range(0, len(x), size)):
+    for k in range(0, len(x), size):
+        piece = slice(k, k + size)
         powers = np.ones((order, len(x[piece])))
         for k in range(1, order):
             np.multiply(powers[k - 1], y[piece], out=powers[k])

@@ -96,46 +96,38 @@ def unseen_light(
     """
     powers = POWERS[border]
     times = times[-len(powers) - 1 :]
-    cells = [max(1, round(length / cell)) for length in period]
-    steps = [length / count for length, count in zip(period, cells, strict=True)]
-
-    widest = max(times)
-    down, across = (
-        _means(n, length, count, border, widest, image.dtype)
-        for n, length, count in zip(image.shape, period, cells, strict=True)
-    )
-    world = (across @ (down @ image).T).T
-
-    def blurred(wide):
-        """Middle period of a world that repeats itself after `wide` periods."""
-        around, middle = (
-            [periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide)
-        )
-        part = world[
-            tuple(
-                slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True)
-            )
-        ]
-        kernel = _kernel(
-            tuple(wide * count for count in cells),
-            tuple(steps),
-            tail,
-            disc,
-            soft * max(steps),
-            rays,
-            straight,
-        )
+    high, wide = _cells(period, cell)
+    steps = period[0] / high, period[1] / wide
+    widest, soft = max(times), soft * max(steps)
+    world = _coarse(image, period, (high, wide), border, widest)
+    worlds = {}  # middle periods of worlds that repeat themselves after `count` periods
+    for count in {1, *times}:
+        around, middle = (widest - count + 1) // 2, count // 2
+        rows = slice(around * high, (around + count) * high)
+        part = world[rows, around * wide : (around + count) * wide]
+        kernel = _kernel((count * high, count * wide), steps, tail, disc, soft, rays, straight)
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
-        y, x = middle
-        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not needed
-        return scipy.fft.irfft(rows, part.shape[1])[:, x : x + cells[1]]
-
-    worlds = {wide: blurred(wide) for wide in {1, *times}}
+        # the other rows are not needed
+        rows = scipy.fft.ifft(spectrum, axis=0)[middle * high : (middle + 1) * high]
+        part = scipy.fft.irfft(rows, part.shape[1])
+        worlds[count] = part[:, middle * wide : (middle + 1) * wide]
     columns = np.array(times, float)[:, None] ** -np.array((0.0, *powers))
     weights = np.linalg.solve(columns.T, np.eye(len(times))[0])
-    return (
-        sum(weight * worlds[wide] for weight, wide in zip(weights, times, strict=True)) - worlds[1]
-    )
+    endless = sum(weight * worlds[count] for weight, count in zip(weights, times, strict=True))
+    return endless - worlds[1]
+
+
+def _cells(shape, cell):
+    """Rows and columns of a grid over `shape` samples with cells of about this side."""
+    return max(1, round(shape[0] / cell)), max(1, round(shape[1] / cell))
+
+
+def _coarse(image, period, cells, border, wide):
+    """Means over the cells of a world of `wide` periods, (rows, cols)."""
+    kind = border, wide, image.dtype
+    down = _means(image.shape[0], period[0], cells[0], *kind)
+    across = _means(image.shape[1], period[1], cells[1], *kind)
+    return (across @ (down @ image).T).T
 
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
@@ -151,17 +143,9 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
 def _spline_weights(count, places):
     """Weights of the coefficients of a periodic cubic spline through `count` cells, at places."""
     places = np.frombuffer(places)[None]
-    return scipy.sparse.csr_array(
-        np.stack(
-            [
-                scipy.ndimage.map_coordinates(
-                    cell, places, order=3, mode="grid-wrap", prefilter=False
-                )
-                for cell in np.eye(count)
-            ],
-            axis=1,
-        )
-    )
+    cells, how = np.eye(count), {"order": 3, "mode": "grid-wrap", "prefilter": False}
+    found = [scipy.ndimage.map_coordinates(cell, places, **how) for cell in cells]
+    return scipy.sparse.csr_array(np.stack(found, axis=1))
 
 
 def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
@@ -186,11 +170,11 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
 
 def _likeness(image):
     """Mean product of neighbours along some rows and columns, over the mean square; the smaller of the two."""
-    some = image[:: image.shape[0] // PROBED + 1], image.T[:: image.shape[1] // PROBED + 1]
-    return min(
-        float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300))
-        for lines in some
-    )
+    found = []
+    for whole in (image, image.T):
+        some = whole[:: len(whole) // PROBED + 1]
+        found.append(np.vdot(some[:, 1:], some[:, :-1]) / max(np.vdot(some, some), 1e-300))
+    return float(min(found))
 
 
 def _blur_to_pixels(image, deviation, mode):
@@ -202,9 +186,8 @@ def _blur_to_pixels(image, deviation, mode):
     inside = scipy.special.erf(edges / (sqrt(2) * deviation))
     half = np.diff(inside) / 2
     weights = np.concatenate([half[::-1], inside[:1], half]) / inside[-1]
-    return scipy.ndimage.correlate1d(
-        scipy.ndimage.correlate1d(image, weights, 0, mode=mode), weights, 1, mode=mode
-    )
+    down = scipy.ndimage.correlate1d(image, weights, 0, mode=mode)
+    return scipy.ndimage.correlate1d(down, weights, 1, mode=mode)
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
@@ -220,22 +203,18 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
     Returns:
         Light on a coarse grid.
     """
-    cell, reach = distance / CELLS, int(FARTHEST * CELLS)
+    reach, (rows, cols) = int(FARTHEST * CELLS), image.shape
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
-    cells = [max(1, round(n / cell)) for n in image.shape]
-    down, across = (
-        _means(n, n, count, "edge", 1, image.dtype)
-        for n, count in zip(image.shape, cells, strict=True)
-    )
-    coarse = (across @ (down @ image).T).T.astype(np.float64)
+    high, wide = _cells(image.shape, distance / CELLS)
+    coarse = _coarse(image, image.shape, (high, wide), "edge", 1).astype(np.float64)
     world = np.pad(coarse, reach, mode=modes[border])
     at = np.arange(-reach, reach + 1)
-    radius = np.hypot(at[:, None] * image.shape[0] / cells[0], at * image.shape[1] / cells[1])
-    area = prod(image.shape) / prod(cells)
+    radius = np.hypot(at[:, None] * rows / high, at * cols / wide)
+    area = rows * cols / (high * wide)
     kernel = np.where(radius > distance, tail * area / np.maximum(radius, distance) ** 3, 0)
     light = scipy.signal.oaconvolve(world, kernel, "valid") - kernel.sum() * coarse
-    rows, cols = (round(margin / n * count) for n, count in zip(image.shape, cells, strict=True))
-    return light[rows : cells[0] - rows, cols : cells[1] - cols]
+    above, left = round(margin / rows * high), round(margin / cols * wide)
+    return light[above : high - above, left : wide - left]
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,9 +251,7 @@ class Outside:
     straight: float = 0.0
     deviation: float = 0.0
     is_moved: bool = False
-    _windows: dict[int, tuple[Windows, np.ndarray]] = field(
-        init=False, repr=False, default_factory=dict
-    )
+    _windows: dict = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -298,43 +275,28 @@ class Outside:
         """
         if not (self.level > 0 and self.tail):
             return 0.0, 0.0, 0.0
-        light = self.image
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
-        coarse = unseen_light(
-            light,
-            period,
-            rule_of(self.border),
-            cell,
-            self.tail * (1 + near) / (1 - near) ** 2,
-            disc,
-            rays=self.rays,
-            straight=self.straight,
-        )
+        rule, tail = rule_of(self.border), self.tail * (1 + near) / (1 - near) ** 2
+        lines: Any = {"rays": self.rays, "straight": self.straight}
+        coarse = unseen_light(self.image, period, rule, cell, tail, disc, **lines)
         rows, cols, sigma = self._probes
-        error = (
-            np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
-        )
-        sigmas = error / sigma
-        return (
-            float(np.sqrt((error**2).mean())),
-            float(np.quantile(sigmas, 0.999)),
-            float(sigmas.max()),
-        )
+        lost = at_samples(coarse, self.image.shape, period, rows, cols) + self.missing
+        error = np.abs(lost) / self.level
+        rms, sigmas = float(np.sqrt((error**2).mean())), error / sigma
+        return rms, float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
     def brighter(self, period) -> float:
         """Return the root mean square of a transform's input of this period over the frame's, at least 1."""
         if self.border == "zero" or not self.level > 0:
             return 1.0
-        rows, cols = (
-            np.bincount(
-                border_indices(np.arange(length) - (length - n) // 2, n, rule_of(self.border)),
-                minlength=n,
-            )
-            for n, length in zip(self.image.shape, period, strict=True)
-        )
-        return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
+        counts = []  # of the places of a period that show each row, and each column
+        for n, length in zip(self.image.shape, period, strict=True):
+            at = np.arange(length) - (length - n) // 2
+            counts.append(np.bincount(border_indices(at, n, rule_of(self.border)), minlength=n))
+        whole = counts[0] @ self._squares @ counts[1]
+        return max(sqrt(whole / prod(period)) / self.level, 1.0)
 
     def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
         """Return windows of the frame and their light, float32 (n, WINDOW, WINDOW), a dark world included.
@@ -343,23 +305,11 @@ class Outside:
         """
         if inner in self._windows:
             return self._windows[inner]
-        windows = Windows.of(
-            self.image,
-            self.margin,
-            self.border,
-            WINDOWS,
-            side=WINDOW,
-            rim=(WINDOW - inner) // 2,
-            beside=1,
-        )
-        rows, cols = self.image.shape
-        y, x = (
-            border_indices(at, n, rule_of(self.border))
-            for at, n in ((windows.rows, rows), (windows.cols, cols))
-        )
-        light = np.stack([self.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(
-            np.float32
-        )
+        how = {"side": WINDOW, "rim": (WINDOW - inner) // 2, "beside": 1}
+        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, **how)
+        (rows, cols), rule = self.image.shape, rule_of(self.border)
+        y, x = border_indices(windows.rows, rows, rule), border_indices(windows.cols, cols, rule)
+        light = self.image[y[:, :, None], x[:, None, :]].astype(np.float32)
         if self.border == "zero":
             light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
         self._windows[inner] = windows, light
@@ -397,32 +347,23 @@ class Outside:
     @cached_property
     def _probes(self):
         """Rows and columns where the error is computed, and the root of light and noise over the level there."""
-        light, margin = self.image, self.margin
-        rows, cols = (
-            np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
-            for n in light.shape
-        )
-        beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
-        y, x = (
-            np.clip(at[:, None] + beside, 0, n - 1)
-            for at, n in zip((rows, cols), light.shape, strict=True)
-        )
-        local = light[y].mean(axis=1)[:, x].mean(axis=2)
+        (y, rows, inner_y), (x, cols, inner_x) = map(self._probes_along, self.image.shape)
+        local = self.image[rows].mean(axis=1)[:, cols].mean(axis=2)
         if self.border == "zero" and self.is_moved:
             local = local * 0
         elif self.border == "zero" and self.deviation:  # a lens mixes the black world in
-            local = local * np.multiply.outer(
-                *(
-                    _inner_share(at, n, self.deviation)
-                    for at, n in zip((rows, cols), light.shape, strict=True)
-                )
-            )
-        return rows, cols, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
+            local = local * np.multiply.outer(inner_y, inner_x)
+        return y, x, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
 
-
-def _inner_share(at, n, deviation):
-    """Part of a Gaussian about each place that lies within n samples."""
-    return np.diff(scipy.special.ndtr((np.array([[-0.5], [n - 0.5]]) - at) / deviation), axis=0)[0]
+    def _probes_along(self, n):
+        """Places along an axis of n samples, those around each, and the part of the lens's light from the frame."""
+        count = min(n - 2 * self.margin, PROBED)
+        at = np.unique(np.linspace(self.margin, n - self.margin - 1, count).astype(int))
+        around = np.clip(at[:, None] + np.arange(-self.around, self.around + 1), 0, n - 1)
+        if not self.deviation:
+            return at, around, 1.0
+        ends = (np.array([[-0.5], [n - 0.5]]) - at) / self.deviation
+        return at, around, np.diff(scipy.special.ndtr(ends), axis=0)[0]
 
 
 def most_reach(shape, longest: int) -> int:
@@ -432,13 +373,8 @@ def most_reach(shape, longest: int) -> int:
     """
     rows, cols = shape
     samples = max(MOST_SAMPLES, MOST_TIMES * rows * cols)
-    return max(
-        0,
-        min(
-            int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4),
-            (longest - max(shape)) // 2,
-        ),
-    )
+    by_samples = int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4)
+    return max(0, min(by_samples, (longest - max(shape)) // 2))
 
 
 def _inside(image, margin):
@@ -456,10 +392,8 @@ def _means(n, period, cells, border, wide, dtype):
     first = np.minimum((start * (1 + 1e-12)).astype(int), wide * cells - 1)
     share = np.clip((first + 1 - start) * step, 0, 1)
     entries = np.concatenate([light * share, light * (1 - share)]) / step
-    places = (
-        np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]),
-        np.concatenate([source, source]),
-    )
+    cell = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)])
+    places = cell, np.concatenate([source, source])
     return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
 
 
@@ -472,12 +406,7 @@ def _kernel(cells, steps, tail, disc, soft, rays, straight):
     the frequency along it, softened in the same way. All lines together have the energy of the tail
     beyond any r.
     """
-    fy, fx = (
-        frequencies(count) / step
-        for frequencies, count, step in zip(
-            (np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True
-        )
-    )
+    fy, fx = np.fft.fftfreq(cells[0]) / steps[0], np.fft.rfftfreq(cells[1]) / steps[1]
     f = np.hypot(fy[:, None], fx)
     kernel = tail * (1 - straight) * 2 * np.pi * _soften(soft, f)
     for angle in rays:

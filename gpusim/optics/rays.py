@@ -49,20 +49,14 @@ def polar_table(outline: Pupil, waves, error=None):
     default CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
     range_, scaled, to_bands = scales(waves)
-    table, first, sectors = _rays(
-        outline,
-        scaled.tobytes(),
-        scaled.shape,
-        range_,
-        error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR),
-    )
+    error = error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR)
+    table, first, sectors = _rays(outline, scaled.tobytes(), scaled.shape, range_, error)
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
 
 
-@lru_cache(
-    maxsize=2
-)  # a plan takes few wavelengths and a frame all of them, by the same wavefronts
+# a plan takes few wavelengths and a frame all of them, by the same wavefronts
+@lru_cache(maxsize=2)
 def _rays(outline, values, shape, range_, error):
     """The same for the wavefronts that are integrated, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)
@@ -80,18 +74,15 @@ def _rays(outline, values, shape, range_, error):
             require_memory("transfer tables", 32 * len(scaled) * sectors * per_sector * length)
             turn = np.linspace(0, np.pi, sectors * per_sector + 1)
             s = 1 - np.linspace(1, 0, length) ** 2
-            table = (
-                series(s, turn[:-1], wanted)
-                if series
-                else _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector)
-            )
+            if series:
+                table = series(s, turn[:-1], wanted)
+            else:
+                table = _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector)
             table[:, :, 0] = 1
             table = np.concatenate([table, table[:, :1].conj()], axis=1)
-            along = cubic_error(table)
-            across = max(
-                cubic_error(np.moveaxis(table[:, k * per_sector : (k + 1) * per_sector + 1], 1, -1))
-                for k in range(sectors)
-            )
+            along, across, turned = cubic_error(table), 0.0, np.moveaxis(table, 1, -1)
+            for k in range(0, sectors * per_sector, per_sector):
+                across = max(across, cubic_error(turned[..., k : k + per_sector + 1]))
             if max(along, across) <= error:
                 break
             order = 2.5 if sides else 4
@@ -112,14 +103,8 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
     own = np.arange(rays.max() + 1)
     require_points(outline, waves, len(own) * len(s))
     radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
-    found = transfer(
-        outline,
-        waves,
-        (radius * np.cos(angle)).ravel(),
-        (radius * np.sin(angle)).ravel(),
-        error=FAST,
-        fast=True,
-    )
+    sx, sy = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    found = transfer(outline, waves, sx, sy, error=FAST, fast=True)
     return found.reshape(len(waves), *radius.shape)[:, rays]
 
 
@@ -135,8 +120,6 @@ def cubic_error(table) -> float:
 
 def _finer(count, rest, error, order=4.0):
     """Nodes with which an error of this order falls to `error`."""
-    return (
-        count
-        if rest <= error
-        else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
-    )
+    if rest <= error:
+        return count
+    return ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))

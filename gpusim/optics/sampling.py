@@ -8,8 +8,9 @@ full fill share an edge, so light that one loses the other gains. If edges fall 
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -113,10 +114,8 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
 
     taps: pair of `Taps` (rows, columns). Returns shape (Y, X).
     """
-    along_y, along_x = (
-        np.sqrt(_mean_response(one, f)[1]) for one, f in zip(taps, (fy, fx), strict=True)
-    )
-    return along_y[:, None] * along_x
+    rows, cols = taps
+    return np.sqrt(_mean_response(rows, fy)[1])[:, None] * np.sqrt(_mean_response(cols, fx)[1])
 
 
 def sampling_error(
@@ -154,24 +153,21 @@ def sampling_error(
     """
     if not share @ channels.squares > 0:
         return 0.0
-    waves = _Waves.of(2.0 if tables is None else float(q.min()))
-    optical = (
-        [None] * len(share)
-        if tables is None
-        else _channel_optics(waves, weights * channels.means, q, ratio, tables)
-    )
-    one = np.ones(waves.all.shape)
-    responses = (
-        [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
-    )
+    waves, optical = _Waves(2.0 if tables is None else float(q.min())), [None] * len(share)
+    if tables is not None:
+        optical = _channel_optics(waves, weights * channels.means, q, ratio, tables)
+    mean = square = np.ones((len(waves.all), len(waves.all)))
+    if taps is not None:
+        rows, cols = taps
+        mean_y, square_y = _mean_response(rows, waves.all)
+        mean_x, square_x = _mean_response(cols, waves.all)
+        mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
     error = 0.0
+    how = ratio, aperture, mean, square, displacement
     for channel, part in enumerate(share):
-        per_jump, per_change = _unit_errors(
-            optical[channel], waves, ratio, aperture, responses, displacement
-        )
-        error += part * (
-            per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
-        )
+        per_jump, per_change = _unit_errors(optical[channel], waves, *how)
+        own = per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
+        error += part * own
     return float(np.sqrt(error / (share @ channels.squares)))
 
 
@@ -197,16 +193,14 @@ def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
     if weight is not None:
         seen = seen * np.sqrt(np.repeat(weight, 2))[:, None]
     upper, lower, ids = seen[:, ::2], seen[:, 1::2], pairs.labels
+    down: Any = False if ids is None else ids[::2] != ids[1::2]
+    across: Any = False if ids is None else ids[::2, 1:] != ids[::2, :-1]
     jumps = changes = np.zeros(len(seen))
-    for step, jumped in (
-        (lower - upper, None if ids is None else ids[::2] != ids[1::2]),
-        (np.diff(upper, axis=2), None if ids is None else ids[::2, 1:] != ids[::2, :-1]),
-    ):
+    for step, jumped in ((lower - upper, down), (np.diff(upper, axis=2), across)):
         if step.size:
-            changed = step if jumped is None else np.where(jumped, 0, step)
-            part = _mean_squares(changed)
-            jumps = jumps + (0 if jumped is None else _mean_squares(step - changed))
-            changes = changes + part
+            changed = np.where(jumped, 0, step)
+            changes = changes + _mean_squares(changed)
+            jumps = jumps + _mean_squares(step - changed)
     used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
     return Moments(np.maximum(used, 0) / upper[0].size, _mean_squares(upper), jumps, changes)
 
@@ -215,35 +209,23 @@ def _mean_squares(planes):
     return np.einsum("cyx,cyx->c", planes, planes) / planes[0].size
 
 
-@dataclass(frozen=True, eq=False)
 class _Waves:
     """Frequencies at which samples and pixels are followed: places + replicas, equal on both axes [cycle/sample].
 
     places: in -1/2 .. 1/2, within the cut-off 1 / q. replicas: whole numbers. step: between the
-    places.
+    places. all: every frequency, replica by replica. power: of a scene with edges, of these
+    frequencies along both axes.
     """
 
-    replicas: np.ndarray
-    places: np.ndarray
-    step: float
-
-    @classmethod
-    def of(cls, q) -> "_Waves":
+    def __init__(self, q):
         """For optics of wavelength times f-number over sample distance `q`, the smallest."""
         steps = RESOLUTION * max(1, ceil(q / 2))
         places = np.arange(-(steps // 2), (steps + 1) // 2) / steps
         widest = max(4, min(ceil(1 / q), WIDEST))
-        return cls(np.arange(-widest, widest + 1), places[np.abs(places) <= 1 / q], 1 / steps)
-
-    @cached_property
-    def all(self) -> np.ndarray:
-        """Every frequency, replica by replica."""
-        return (self.replicas[:, None] + self.places).ravel()
-
-    @cached_property
-    def power(self) -> np.ndarray:
-        """Of a scene with edges, of these frequencies along both axes."""
-        return _porod(self.all)
+        self.replicas = np.arange(-widest, widest + 1)
+        self.places, self.step = places[np.abs(places) <= 1 / q], 1 / steps
+        self.all = (self.replicas[:, None] + self.places).ravel()
+        self.power = _porod(self.all)
 
     def fold(self, transfer) -> np.ndarray:
         """The sum over waves whole cycles per sample apart, which give the same samples, at each of them."""
@@ -293,24 +275,22 @@ def _difference_power(means: bool) -> float:
     """Mean square difference of neighbouring samples, summed over both directions, of a scene of power |f|^-3."""
     f = (np.arange(9 * 96) + 0.5) / 96 - 4.5
     slope = 4 * np.sin(np.pi * f) ** 2
-    return float(
-        (_porod(f) * (_box(f) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2
-    )
+    power = _porod(f) * (_box(f) ** 2 if means else 1.0)
+    return float((power * (slope[:, None] + slope)).sum() / 96**2)
 
 
-def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
+def _unit_errors(optical, waves, ratio, aperture, mean, square, displacement):
     """Mean square errors where samples differ by 1 in the mean square: points, means.
 
-    optical: (F, F), or None without blur. responses: of pixels from samples along both axes, see `_mean_response`.
+    optical: (F, F), or None without blur. mean, square: of the responses of pixels, see `_mean_response`, (F, F).
     """
     f = waves.all
     flat = np.flatnonzero(f == 0)[0], np.flatnonzero(f == 0)[0]
-    (mean_y, square_y), (mean_x, square_x) = responses
-    mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
-    true = _box(f, *(ratio * side for side in aperture))
+    true = _box(f, ratio * aperture[0], ratio * aperture[1])
     if any(displacement):
-        down, across = (np.exp(2j * np.pi * move * f) for move in displacement)
-        true = true * (down[:, None] * across)
+        down, across = displacement
+        turn = np.exp(2j * np.pi * down * f)[:, None] * np.exp(2j * np.pi * across * f)
+        true = true * turn
     seen = np.ones_like(true)  # without blur
     if optical is not None:
         true = optical * true
@@ -319,26 +299,18 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     errors = []
     for means in (False, True):
         got = seen * (_box(f) if means else 1.0)
-        error = (
-            np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
-        )
+        both = np.real(got * mean * np.conj(true))
+        error = np.abs(got) ** 2 * square - 2 * both + np.abs(true) ** 2
         errors.append(float((waves.power * error).sum() * waves.step**2) / _difference_power(means))
     return errors
 
 
 def _mean_response(taps, f):
     """Mean over pixels, and mean of the square, of the transfer from samples to a pixel, about the pixel's centre."""
-    chosen = np.unique(
-        np.linspace(len(taps.start) / 4, 3 * len(taps.start) / 4, SAMPLED_PIXELS).astype(int)
-    )
-    chosen = chosen[chosen < len(taps.start)]
-    place = (
-        taps.start[chosen, None]
-        + np.arange(taps.weights.shape[1])
-        + 0.5
-        - taps.centres[chosen, None]
-    )
-    response = np.einsum(
-        "it,itf->if", taps.weights[chosen], np.exp(2j * np.pi * place[..., None] * f)
-    )
+    pixels, count = taps.weights.shape
+    chosen = np.unique(np.linspace(pixels / 4, 3 * pixels / 4, SAMPLED_PIXELS).astype(int))
+    chosen = chosen[chosen < pixels]
+    place = taps.start[chosen, None] + np.arange(count) + 0.5 - taps.centres[chosen, None]
+    waves = np.exp(2j * np.pi * place[..., None] * f)
+    response = np.einsum("it,itf->if", taps.weights[chosen], waves)
     return response.mean(axis=0), (np.abs(response) ** 2).mean(axis=0)

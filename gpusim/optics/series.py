@@ -91,9 +91,8 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
 
 def require_points(pupil: Pupil, waves, frequencies):
     """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
-    Budget(len(waves)).need(
-        frequencies * _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
-    )
+    nodes = _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
+    Budget(len(waves)).need(frequencies * nodes)
 
 
 def _strongest(waves):
@@ -166,9 +165,8 @@ def _series(pupil, waves, edges, count, rays, error):
 
 def _integrals(pupil, waves, sx, sy, fast):
     if defocus_only(pupil, waves):
-        return hopkins(
-            np.hypot(sx, sy), waves[:, 2, :1] if waves.shape[-1] > 2 else 0.0 * waves[:, 0, :1]
-        )
+        defocus = waves[:, 2, :1] if waves.shape[-1] > 2 else 0.0 * waves[:, 0, :1]
+        return hopkins(np.hypot(sx, sy), defocus)
     return transfer(pupil, waves, sx, sy, error=FAST if fast else EXACT, fast=fast)
 
 

@@ -23,12 +23,8 @@ def shutter_weights(
     the exposure of all rows.
     """
     times = np.asarray(times, np.float64)
-    if (
-        times.ndim != 1
-        or not times.size
-        or not np.isfinite(times).all()
-        or (np.diff(times) <= 0).any()
-    ):
+    is_series = times.ndim == 1 and times.size and np.isfinite(times).all()
+    if not is_series or (np.diff(times) <= 0).any():
         raise BadData(
             f"times: shape {times.shape}; wanted one or more finite instants in seconds, rising"
         )
@@ -47,12 +43,10 @@ def shutter_weights(
     if len(times) == 1:
         if flicker is None:
             return np.full((rows, 1), float(exposure_time))
-        return (
-            flicker.since(start).integrals(closes)[0] - flicker.since(start).integrals(opens)[0]
-        )[:, None]
-    rounding = 1e-9 * exposure_time + 4 * np.finfo(float).eps * max(
-        abs(start), *np.abs(times[[0, -1]])
-    )
+        light = flicker.since(start)
+        return (light.integrals(closes)[0] - light.integrals(opens)[0])[:, None]
+    latest = max(abs(start), *np.abs(times[[0, -1]]))
+    rounding = 1e-9 * exposure_time + 4 * np.finfo(float).eps * latest
     times = times - start
     if times[0] > rounding or times[-1] < closes[-1] - rounding:
         raise OutOfRange(
@@ -65,9 +59,9 @@ def shutter_weights(
     low, high = np.maximum(before, opens[:, None]), np.minimum(after, closes[:, None])
     weights = np.zeros((rows, len(times)))
     if flicker is not None:
-        (from_low, moment_low), (from_high, moment_high) = map(
-            flicker.since(start).integrals, (low, np.maximum(high, low))
-        )
+        own = flicker.since(start)
+        from_low, moment_low = own.integrals(low)
+        from_high, moment_high = own.integrals(np.maximum(high, low))
         light = from_high - from_low  # between two instants, and of the later one: linear in time
         later = ((moment_high - moment_low) - light * before) / (after - before)
         weights[:, :-1] += light - later

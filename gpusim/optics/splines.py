@@ -26,7 +26,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 COARSER = 4  # times a level's spacing is the next one's
 MANY = 48  # spacings of both axes from which on there are three levels, and not two
 SPACINGS = 2.8  # of the first level in the standard deviation of the narrowest Gaussian, by default: to 1e-7 of a scene
-LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
+LEAST_SPACINGS = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
 # of a level's splines in the splines of the level before
 MASK = np.convolve(TWICE, np.insert(TWICE, slice(1, None), 0))
@@ -61,9 +61,8 @@ class Bands:
         for number, matrix in enumerate(map(csr_array, matrices)):
             matrix.sum_duplicates()  # and sorts them
             row, size = np.repeat(np.arange(rows), np.diff(matrix.indptr)), abs(matrix)
-            is_entry = (
-                size.data > SMALLEST * np.maximum(size.max(axis=1).toarray().ravel(), 1e-300)[row]
-            )
+            largest = np.maximum(size.max(axis=1).toarray().ravel(), 1e-300)
+            is_entry = size.data > SMALLEST * largest[row]
             row, column, value = row[is_entry], matrix.indices[is_entry], matrix.data[is_entry]
             ends = np.searchsorted(row, np.arange(rows + 1))
             there = ends[1:] > ends[:-1]
@@ -156,13 +155,8 @@ class Axis:
     def analysis(self) -> Bands:
         """Return the map to the first level: the first sample, d_-1 .. of the axis, the last sample."""
         first, last = (csr_array(([1.0], ([0], [at])), shape=(1, self.n)) for at in (0, self.n - 1))
-        return Bands.of(
-            [
-                vstack(
-                    [first, diags_array(1 / self._sums) @ self._splines(np.arange(self.n)).T, last]
-                )
-            ]
-        )
+        inner = diags_array(1 / self._sums) @ self._splines(np.arange(self.n)).T
+        return Bands.of([vstack([first, inner, last])])
 
     def synthesis(self, margin: int = 0) -> Bands:
         """From the coefficients c_-2 .. of the first level to samples, without `margin` of them on each side.
@@ -173,17 +167,18 @@ class Axis:
 
     def restriction(self, level: int) -> Bands:
         """From what a level has, see `_world`, to d_-2 .. of the next one, of the world without end."""
-        world, count = self._world(level, 4 * COARSER), self.size(level + 1) + 5
-        at = 4 * COARSER + COARSER * np.arange(-2, count - 2)
-        return Bands.of(
-            [_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world]
-        )
+        world = self._world(level, 4 * COARSER)
+        return Bands.of([self._coarser(level, 4 * COARSER - 6, world.shape[0]) @ world])
 
     def prolongation(self, level: int) -> Bands:
         """From the next level's coefficients c_-2 .. to a level's."""
-        count, splines = self.size(level + 1) + 5, self.size(level) + 5
-        at = COARSER * np.arange(-2, count - 2) + 2
-        return Bands.of([_band_matrix(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
+        return Bands.of([self._coarser(level, -4, self.splines(level)).T])
+
+    def _coarser(self, level, first, columns):
+        """The next level's splines from a level's, whose `first` is the one below the middle one, sparse."""
+        count = self.splines(level + 1)
+        at = COARSER * np.arange(-2, count - 2) + first
+        return _band_matrix(at, np.broadcast_to(MASK, (count, len(MASK))), columns)
 
     def filters(self, level: int) -> Bands:
         """Return the maps from a level's values to the coefficients c_-2 .. of its Gaussians."""
@@ -194,37 +189,22 @@ class Axis:
                 continue
             taps = _taps(sigma / step) / step
             world = self._world(level, len(taps) // 2 + 2)
-            found.append(
-                _band_matrix(
-                    np.arange(size + 5),
-                    np.broadcast_to(taps, (size + 5, len(taps))),
-                    world.shape[0],
-                )
-                @ world
-            )
+            rows = np.broadcast_to(taps, (size + 5, len(taps)))
+            found.append(_band_matrix(np.arange(size + 5), rows, world.shape[0]) @ world)
         return Bands.of(found)
 
     def _splines(self, at, more=1):
         """Splines -more .. fine + more of the first level at samples, sparse (samples, fine + 2 more + 1)."""
         place = (np.asarray(at) + 0.5) / self.step + more
         first = np.floor(place).astype(int) - 1
-        return _band_matrix(
-            first,
-            _cubic(place[:, None] - first[:, None] - np.arange(4)),
-            self.size(0) + 2 * more + 1,
-        )
+        values = _cubic(place[:, None] - first[:, None] - np.arange(4))
+        return _band_matrix(first, values, self.size(0) + 2 * more + 1)
 
     @cached_property
     def _sums(self):
         """Of each spline over all samples of the world, over the spacing: 1 but for a few 1e-5."""
-        return (
-            self._splines(
-                np.arange(
-                    -4 * int(np.ceil(self.step)) - 4, self.n + 4 * int(np.ceil(self.step)) + 4
-                )
-            ).sum(axis=0)
-            / self.step
-        )
+        beyond = 4 * int(np.ceil(self.step)) + 4
+        return self._splines(np.arange(-beyond, self.n + beyond)).sum(axis=0) / self.step
 
     def _world(self, level, more):
         """d_i of the endless world, i = -more .. size + more, from a level's values, sparse.
@@ -239,32 +219,23 @@ class Axis:
                 i = abs((i + size) % (2 * size) - size)
             return csr_array((np.ones(len(i)), (rows, np.clip(i, -2, size + 2) + 2)), shape=shape)
         if self.border == "reflect":
-            images = np.concatenate(
-                [
-                    i % (2 * size),
-                    i % (2 * size) - 2 * size,
-                    -i % (2 * size),
-                    -i % (2 * size) - 2 * size,
-                ]
-            )
+            period = 2 * size
+            images = [i % period, i % period - period, -i % period, -i % period - period]
+            images, rows = np.concatenate(images), np.tile(rows, 4)
             there = (images >= -1) & (images <= size + 1)
-            return csr_array(
-                (np.ones(there.sum()), (np.tile(rows, 4)[there], images[there] + 2)), shape=shape
-            )
+            entries = np.ones(there.sum()), (rows[there], images[there] + 2)
+            return csr_array(entries, shape=shape)
         there = (i >= -1) & (i <= size + 1)
         entries = [(np.ones(there.sum()), rows[there], i[there] + 2)]
         if self.border == "edge":
             beyond = int(np.ceil(3 * self.step)) + 1
-            near = slice(more - 1, more + size + 2)
-            for column, at, far in (
-                (0, np.arange(-beyond, 0), rows[: more - 1]),
-                (size + 4, np.arange(self.n, self.n + beyond), rows[more + size + 2 :]),
-            ):
-                for values, of in (
-                    (self._splines(at).sum(axis=0) / self._sums, rows[near]),
-                    (np.full(len(far), self.step), far),
-                ):
-                    entries.append((values, of, np.full(len(of), column)))
+            near = rows[more - 1 : more + size + 2]
+            before = 0, np.arange(-beyond, 0), rows[: more - 1]
+            after = size + 4, np.arange(self.n, self.n + beyond), rows[more + size + 2 :]
+            for column, at, far in (before, after):
+                inside = self._splines(at).sum(axis=0) / self._sums
+                entries.append((inside, near, np.full(len(near), column)))
+                entries.append((np.full(len(far), self.step), far, np.full(len(far), column)))
         values, row, column = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_array((values, (row, column)), shape=shape)
 
@@ -273,13 +244,12 @@ class Axis:
         size = self.size(level)
         if self.border == "zero":
             return np.zeros(size + 5)
+        # without an end, or a period of the mirrored world twice, but its ends
+        world = self._world(level, size + 8 if self.border == "edge" else 0)
+        ends = (world[[0]] + world[[-1]]).toarray().ravel()
         if self.border == "edge":
-            world = self._world(level, size + 8)
-            return (world[[0]] + world[[-1]]).toarray().ravel() / (2 * step)
-        world = self._world(level, 0)  # a period of the mirrored world twice, but its ends
-        return (world.sum(axis=0) - (world[[0]] + world[[-1]]).toarray().ravel() / 2) / (
-            size * step
-        )
+            return ends / (2 * step)
+        return (world.sum(axis=0) - ends / 2) / (size * step)
 
 
 def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
@@ -289,16 +259,13 @@ def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
     """
     levels = 3 if min(shape) * spacings >= MANY * sigmas[0] else 2
     least = COARSER ** (levels - 1)
-    coarse = [max(1, int(np.ceil(n * spacings / (least * sigmas[0])))) for n in shape]
-    widest = max(n / one for n, one in zip(shape, coarse, strict=True)) / least
-    ends = [
-        int(np.searchsorted(sigmas, LEAST * spacings * widest * COARSER**level))
-        for level in range(1, levels)
-    ]
-    return [
-        Axis(n, one, tuple(sigmas), (*ends, len(sigmas)), border)
-        for n, one in zip(shape, coarse, strict=True)
-    ]
+    coarse = np.maximum(np.ceil(np.multiply(shape, spacings) / (least * sigmas[0])), 1).astype(int)
+    widest = np.divide(shape, coarse).max() / least
+    limits = LEAST_SPACINGS * spacings * widest * COARSER ** np.arange(1, levels)
+    ends = *np.searchsorted(sigmas, limits).tolist(), len(sigmas)
+    (rows, cols), (down, across) = shape, coarse.tolist()
+    rest = tuple(sigmas), ends, border
+    return [Axis(rows, down, *rest), Axis(cols, across, *rest)]
 
 
 @lru_cache(maxsize=512)
@@ -340,10 +307,8 @@ def _cubic(x):
 def response(sigma: float, frequency) -> np.ndarray:
     """Transfer function of the filter that makes a Gaussian of this sigma [spacing], at frequencies [1/spacing]."""
     taps = _taps(sigma)[int(np.ceil(SPREAD * sigma)) :]
-    return (
-        taps[0]
-        + 2 * np.cos(2 * np.pi * np.multiply.outer(frequency, np.arange(1, len(taps)))) @ taps[1:]
-    )
+    phases = 2 * np.pi * np.multiply.outer(frequency, np.arange(1, len(taps)))
+    return taps[0] + 2 * np.cos(phases) @ taps[1:]
 
 
 def _taps(sigma):
@@ -354,9 +319,8 @@ def _taps(sigma):
     half = int(np.ceil(SPREAD * sigma))
     length = 1 << int(np.ceil(np.log2(2 * half + 64)))
     frequency = np.fft.rfftfreq(length)
-    taps = np.fft.irfft(
-        np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8, length
-    )
+    transfer = np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8
+    taps = np.fft.irfft(transfer, length)
     taps = taps[abs(np.arange(-half, half + 1))]
     return taps / taps.sum()
 
@@ -372,9 +336,7 @@ def misses(shape: tuple[int, int], sigmas, energies, spacings: float, down, acro
         each = energies[:, part, None]
         there = np.multiply.outer(y.there, x.there)  # and back as the same wave
         back = np.multiply.outer(y.back, x.back) - there**2
-        wanted, filtered = (
-            first.T @ (each * second) for first, second in ((y.wanted, x.wanted), (y.taps, x.taps))
-        )
+        wanted, filtered = y.wanted.T @ (each * x.wanted), y.taps.T @ (each * x.taps)
         found += there**2 * filtered**2 * back + (there**2 * filtered - wanted) ** 2
     return found
 
@@ -400,18 +362,12 @@ class _Waves:
 @lru_cache(maxsize=64)
 def _levels(shape, sigmas, spacings, down, across):
     """Which Gaussians are of each level that has any, and the waves of both axes there."""
-    both, found = axes(shape, sigmas, "edge", spacings), []
-    for level in range(both[0].levels):
-        part = np.arange(len(sigmas))[both[0].of_level(level)]
-        part = part[np.take(sigmas, part) < WIDE * min(axis.n / axis.size(level) for axis in both)]
+    (y, x), found = axes(shape, sigmas, "edge", spacings), []
+    for level in range(y.levels):
+        part = np.arange(len(sigmas))[y.of_level(level)]
+        part = part[np.take(sigmas, part) < WIDE * min(y.n / y.size(level), x.n / x.size(level))]
+        own = np.take(sigmas, part)
         if len(part):
-            found.append(
-                (
-                    part,
-                    *(
-                        _Waves(axis, level, np.take(sigmas, part), np.array(at))
-                        for axis, at in zip(both, (down, across), strict=True)
-                    ),
-                )
-            )
+            rows = _Waves(y, level, own, np.array(down))
+            found.append((part, rows, _Waves(x, level, own, np.array(across))))
     return found

@@ -61,18 +61,9 @@ class _OnHost:
 
     def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
         """See `Stages`."""
-        even = symmetric(outline, waves)
-        return _fold(
-            _along_rays(outline, waves, even),
-            even,
-            np.asarray(q, np.float32),
-            aperture,
-            rows,
-            cols,
-            spots,
-            diffuser,
-            displacement,
-        )
+        even, softened = symmetric(outline, waves), (spots, diffuser, displacement)
+        otfs = _along_rays(outline, waves, even)
+        return _fold(otfs, even, np.asarray(q, np.float32), aperture, rows, cols, *softened)
 
     def given(self, tables):
         """See `Stages`."""
@@ -119,35 +110,23 @@ class Tables:
             finer: Samples per pixel.
             displacement: Displacement of the apertures from the samples [sample].
         """
-        return self._cache(
-            f"sampled {rows}x{cols} {finer:g}",
-            sample_lens,
-            self._optics,
-            self._pitch / finer,
-            q,
-            aperture,
-            rows,
-            cols,
-            displacement,
-        )
+        lens, grid = (self._optics, self._pitch / finer), (q, aperture, rows, cols, displacement)
+        return self._cache(f"sampled {rows}x{cols} {finer:g}", sample_lens, *lens, *grid)
 
     def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
         """Return tables of a square period: real quarters, or complex halves (L, period, period // 2 + 1)."""
         tables = self.of(q, aperture, period, period, finer, displacement)
-        return (
-            tables
-            if tables.shape[-1] == period // 2 + 1
-            else np.ascontiguousarray(tables).view(complex)
-        )
+        if tables.shape[-1] == period // 2 + 1:
+            return tables
+        return np.ascontiguousarray(tables).view(complex)
 
 
 def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
     """Return transfer tables of a lens at places of the field, of a square period, as `Response.of` takes them."""
     chosen, between = wavelength_nodes(wavelengths)
     size = max(period - 1, lens.least_size)
-    kernels = np.stack(
-        [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1
-    )
+    own = [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places]
+    kernels = np.stack(own, axis=1)
     kernels /= kernels.sum(axis=(2, 3), keepdims=True)
     whole = np.zeros((*kernels.shape[:-2], period, period))  # kernels are wrapped into the period
     at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % period
@@ -189,22 +168,12 @@ def pupil(
 ):
     """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)
-    even = symmetric(outline, waves)
-    few = (
-        len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
-    )
+    even, softened = symmetric(outline, waves), (spots, diffuser, displacement)
+    high = rows // 2 + 1 if even and not any(displacement) else rows
+    few = len(q) * high * (cols // 2 + 1) < FEW
     value = _integral if few else _spline_radial if even else _spline_polar
-    return _fold(
-        (value(outline, wave[None]) for wave in waves),
-        even,
-        q,
-        aperture,
-        rows,
-        cols,
-        spots,
-        diffuser,
-        displacement,
-    )
+    otfs = (value(outline, wave[None]) for wave in waves)
+    return _fold(otfs, even, q, aperture, rows, cols, *softened)
 
 
 class _Exact(_OnHost):
@@ -229,13 +198,12 @@ def _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
     for table, one_q, otf in zip(tables, np.asarray(q, np.float64), otfs, strict=True):
         reach = int(np.ceil(1 / one_q + 0.5))
         y, x = ((np.arange(-reach, reach + 1)[:, None] + f).ravel() for f in (fy, fx))
+        axes = zip((y, x), np.broadcast_to(aperture, 2), spots, displacement, strict=True)
         down, across = (
             np.sinc(width * f)
             * np.cos(np.pi * spot * f)
             * np.exp(-2 * (np.pi * diffuser * f) ** 2 + (0 if real else 2j * np.pi * move * f))
-            for f, width, spot, move in zip(
-                (y, x), np.broadcast_to(aperture, 2), spots, displacement, strict=True
-            )
+            for f, width, spot, move in axes
         )
         inside = np.nonzero(np.hypot(y[:, None], x) * one_q < 1)
         values = np.zeros((y.size, x.size), tables.dtype)
@@ -250,8 +218,8 @@ def _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
 def _along_rays(outline, waves, even):
     """Transfer functions of all wavelengths, by splines through the nodes that devices use: good to 4e-6."""
     if not even:
-        rays = polar_table(outline, waves)
-        return (_through_rays(outline, table, *rays[1:]) for table in rays[0])
+        tables, *rays = polar_table(outline, waves)
+        return (_through_rays(outline, table, *rays) for table in tables)
     tables = radial_table(outline, waves)
     nodes = np.linspace(0, 1, tables.shape[1])
 
@@ -263,9 +231,8 @@ def _along_rays(outline, waves, even):
 
 def _integral(outline, wave):
     if defocus_only(outline, wave):
-        return lambda sx, sy: hopkins(
-            np.hypot(sx, sy), wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0
-        )
+        defocus = wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0
+        return lambda sx, sy: hopkins(np.hypot(sx, sy), defocus)
     return lambda sx, sy: transfer(outline, wave, sx, sy)[0]
 
 
@@ -301,22 +268,19 @@ def _through_rays(outline, table, first, sectors):
     sides, inner = outline.cutoff
     size = (table.shape[0] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
-    parts = table.real, table.imag
-    splines = [
-        [scipy.interpolate.RectBivariateSpline(rays[own], nodes, part[own]) for part in parts]
-        for own in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))
-    ]
+    spline, splines = scipy.interpolate.RectBivariateSpline, []
+    for k in range(sectors):
+        own = slice(k * size, (k + 1) * size + 1)
+        real, imaginary = table.real[own], table.imag[own]
+        splines.append((spline(rays[own], nodes, real), spline(rays[own], nodes, imaginary)))
 
     def otf(sx, sy):
         s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi
         whole = np.floor(half_turns)
         turn = half_turns - whole
         if sides:
-            s = (
-                s
-                * np.cos(2 * np.pi / sides * (turn * sides / 2 - np.rint(turn * sides / 2)))
-                / inner
-            )
+            side = turn * sides / 2
+            s = s * np.cos(2 * np.pi / sides * (side - np.rint(side))) / inner
         out, place = np.zeros(s.shape, complex), 1 - np.sqrt(np.maximum(1 - s, 0))
         for k, (re, im) in enumerate(splines):
             here = (s < 1) & (np.minimum((turn * sectors).astype(int), sectors - 1) == k)

@@ -36,22 +36,17 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
                 f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
                 f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap"
             )
-    tables = [
-        nodes if len(nodes) > 1 else np.array(band),
-        *(factor.wavelengths for factor in factors),
-    ]
-    # beyond, a factor is zero
-    low, high = (max(table[0] for table in tables), min(table[-1] for table in tables))
+    tables, (low, high) = [nodes if len(nodes) > 1 else np.array(band)], band
+    for factor in factors:  # beyond, a factor is zero
+        low, high = max(low, factor.wavelengths[0]), min(high, factor.wavelengths[-1])
+        tables.append(factor.wavelengths)
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
     grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]
-    cardinal = (
-        np.ones_like
-        if len(nodes) == 1
-        else CubicSpline(
-            nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural"
-        )
-    )
+    cardinal = np.ones((len(grid), 1))
+    if len(nodes) > 1:
+        ends = "not-a-knot" if len(nodes) > 3 else "natural"
+        cardinal = CubicSpline(nodes, np.eye(len(nodes)), bc_type=ends)(grid)
     product = np.ones(len(grid))
     for factor in factors:
         product = product * factor.at(grid)
@@ -59,7 +54,7 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     trapezoid = np.zeros(len(grid))
     trapezoid[:-1] += steps / 2
     trapezoid[1:] += steps / 2
-    return (product * trapezoid) @ cardinal(grid).reshape(len(grid), -1)
+    return (product * trapezoid) @ cardinal
 
 
 def electrons_per_content(
@@ -73,13 +68,12 @@ def electrons_per_content(
     none of the light.
     """
     optics, sensor = camera.optics, camera.sensor
-    factors = [scene.illuminant, sensor.qe]
+    nodes, factors = scene.wavelengths, [scene.illuminant, sensor.qe]
     constant = prod(sensor.aperture) * optics.irradiance_factor
     if isinstance(optics.transmission, Spectrum):
         factors.append(optics.transmission)
     else:
         constant *= optics.transmission
-    nodes = scene.wavelengths
     try:
         weights = constant * cache("electrons", product_weights, nodes, *factors)
     except BadData as error:
@@ -97,26 +91,19 @@ def check_light(scene: Scene, content: Callable[[], Content], camera: Camera):
 
     content: gives the scene's content, in host memory, if it must be read.
     """
-    nodes = scene.wavelengths
-    qe = camera.sensor.qe
-    light = scene.illuminant
-    through = camera.optics.transmission
+    nodes, qe, through = scene.wavelengths, camera.sensor.qe, camera.optics.transmission
     known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
     if nodes[0] >= known[0] and nodes[-1] <= known[1]:
         return
-    factors = [light, *([through] if isinstance(through, Spectrum) else [])]
-    grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
-    grid = grid[
-        (grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
-        & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))
-    ]
-    lit = (
-        np.prod(
-            [np.interp(grid, nodes, content().lit), *(factor.at(grid) for factor in factors)],
-            axis=0,
-        )
-        > 0
-    )
+    factors = [scene.illuminant, *([through] if isinstance(through, Spectrum) else [])]
+    tables = [nodes, *(factor.wavelengths for factor in factors)]
+    grid = np.unique(np.concatenate(tables))
+    first, last = max(table[0] for table in tables), min(table[-1] for table in tables)
+    grid = grid[(grid >= first) & (grid <= last)]
+    light = np.interp(grid, nodes, content().lit)
+    for factor in factors:
+        light = light * factor.at(grid)
+    lit = light > 0
     lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
     if not lit.any():
         return

@@ -45,75 +45,53 @@ class Windows:
             beside: Neighbouring inner parts on each side whose edges count for an inner part,
                 too.
         """
-        inner = side - 2 * rim
-        starts, (energy, largest) = _edges(brightness, margin, border, inner)
+        starts, energy, largest = _edges(brightness, margin, border, side - 2 * rim)
         if beside:
-            grid = energy.reshape([len(first) for first in starts])
-            energy = scipy.ndimage.uniform_filter(grid, 2 * beside + 1, mode="constant").ravel()
-        drawn, weight = _draw(energy, count)
-        places = [(y, x) for y in starts[0] for x in starts[1]]
-        first = np.array([places[k] for k in drawn]) + margin - rim
-        seen = largest[drawn].max()
-        return cls(
-            first[:, :1] + np.arange(side),
-            first[:, 1:] + np.arange(side),
-            weight / weight.sum(),
-            float(largest.max() / seen) if seen > 0 else 1.0,
-        )
+            energy = scipy.ndimage.uniform_filter(energy, 2 * beside + 1, mode="constant")
+        drawn, weight = _draw(energy.ravel(), count)
+        y, x = np.unravel_index(drawn, energy.shape)
+        at, seen = margin - rim + np.arange(side), largest[y, x].max()
+        steepest = float(largest.max() / seen) if seen > 0 else 1.0
+        rows, cols = starts[0][y, None] + at, starts[1][x, None] + at
+        return cls(rows, cols, weight / weight.sum(), steepest)
 
 
 def _edges(brightness, margin, border, inner):
     """First samples of windows' inner parts along both axes; mean square and largest step to neighbours in each one.
 
-    By some of their rows; both are in one line, row by row. A dark world around the frame is a step, too.
+    By some of their rows; both have the shape (parts down, parts across). A dark world around the frame is a step, too.
     """
-    rows, cols = (n - 2 * margin for n in brightness.shape)
-    starts = [_starts(n, inner) for n in (rows, cols)]
-    stride, found = max(1, round(brightness.size / MOST_STEPS)), []
+    rows, cols = brightness.shape[0] - 2 * margin, brightness.shape[1] - 2 * margin
+    starts = _starts(rows, inner), _starts(cols, inner)
+    stride = max(1, round(brightness.size / MOST_STEPS))
     tops = brightness.max(axis=1) if stride > 1 else None
-    unit = _unit(brightness if tops is None else tops)
+    highest = brightness if tops is None else tops
+    # a power of two, in the type of the values, that scales the largest to at most 1: no square overflows
+    unit = brightness.dtype.type(2.0 ** -in_range(highest.ravel()[[highest.argmax()]])[1])
     ends = np.stack([starts[1], np.minimum(starts[1] + inner, cols)], axis=1)
-    for y in starts[0]:
-        at = margin + np.arange(y, min(y + inner, rows), stride)
-        if tops is not None:
-            at = _with_brightest(at, tops, margin + min(y + inner, rows))
-        line, below = (
-            brightness[each] * unit for each in (at, np.minimum(at + 1, len(brightness) - 1))
-        )
-        step = np.abs(below - line)
+    energy, largest = np.empty((2, len(starts[0]), len(starts[1])))
+    for number, y in enumerate(starts[0]):
+        end = margin + min(y + inner, rows)
+        at = np.arange(margin + y, end, stride)
+        if tops is not None:  # with the brightest row if it is more than twice as bright as these
+            most = at[0] + int(np.argmax(tops[at[0] : end]))
+            at = np.union1d(at, most) if tops[most] > 2 * tops[at].max() else at
+        line = brightness[at] * unit
+        step = np.abs(brightness[np.minimum(at + 1, len(brightness) - 1)] * unit - line)
         across = np.abs(np.diff(line, axis=1))
         np.maximum(step[:, :-1], across, out=step[:, :-1])
         np.maximum(step[:, 1:], across, out=step[:, 1:])
         step = step[:, margin : margin + cols]
         if border == "zero":
-            step[:, 0], step[:, -1] = (
-                np.maximum(step[:, 0], line[:, 0]),
-                np.maximum(step[:, -1], line[:, -1]),
-            )
+            step[:, [0, -1]] = np.maximum(step[:, [0, -1]], line[:, [0, -1]])
             for edge, row in ((0, 0), (rows - 1, -1)):
                 if y <= edge < y + inner:
                     step[row] = np.maximum(step[row], brightness[edge] * unit)
-        lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
+        mean = np.square(step).sum(axis=0, dtype=np.float64) / len(step)
         # from each start to its end, without the gaps; one more, since an end may not be beyond the last
-        found.append(
-            [
-                by.reduceat(np.append(line, 0), ends.ravel())[::2]
-                for by, line in zip((np.add, np.maximum), lines, strict=True)
-            ]
-        )
-    energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
-    return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
-
-
-def _unit(brightness):
-    """A power of two, in the type of the values, that scales the largest to at most 1: no square overflows."""
-    return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
-
-
-def _with_brightest(at, tops, end):
-    """Rows, up to `end`, with the brightest added if it is more than twice as bright as these. tops: of all rows."""
-    most = at[0] + int(np.argmax(tops[at[0] : end]))
-    return np.union1d(at, most) if tops[most] > 2 * tops[at].max() else at
+        energy[number] = np.add.reduceat(np.append(mean, 0), ends.ravel())[::2]
+        largest[number] = np.maximum.reduceat(np.append(step.max(axis=0), 0), ends.ravel())[::2]
+    return starts, energy / (ends[:, 1] - ends[:, 0]), largest
 
 
 def _starts(n, inner):
@@ -132,13 +110,10 @@ def _draw(energy, count):
         return np.arange(len(energy)), np.ones(len(energy))
     certain = np.zeros(len(energy), bool)
     while True:
-        others = np.where(certain, 0.0, energy)
-        chance = (1 - EDGES) / np.count_nonzero(~certain) + EDGES * others / max(
-            others.sum(), 1e-300
-        )
-        expected = np.where(
-            certain, 1.0, chance / chance[~certain].sum() * (count - np.count_nonzero(certain))
-        )
+        others, left = np.where(certain, 0.0, energy), np.count_nonzero(~certain)
+        chance = (1 - EDGES) / left + EDGES * others / max(others.sum(), 1e-300)
+        share = chance / chance[~certain].sum()
+        expected = np.where(certain, 1.0, share * (count - np.count_nonzero(certain)))
         if (expected <= 1).all():
             break
         certain |= expected > 1
@@ -153,18 +128,13 @@ def quantile(values, weight, part):
     """
     above = (1 - part) * weight.sum() * values[0, 0].size
     least = _level_above(values.max(axis=-1), weight[..., None], above)
-    some = values >= least
-    return float(
-        _level_above(
-            values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above
-        )
-    )
+    some, weight = values >= least, np.broadcast_to(weight[..., None, None], values.shape)
+    return float(_level_above(values[some], weight[some], above))
 
 
 def _level_above(values, weight, above):
     """The value down to which, from the largest on, the weights add up to `above`."""
     weight = np.broadcast_to(weight, values.shape).ravel()
     order = np.argsort(values, axis=None)[::-1]
-    return values.ravel()[
-        order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]
-    ]
+    last = min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)
+    return values.ravel()[order[last]]
