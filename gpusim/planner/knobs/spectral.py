@@ -225,44 +225,37 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
     """Return windows of the scene in which errors are computed."""
     scene = question.scene
-    flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
-    tables = np.ones((1, SIDE, SIDE // 2 + 1))
+    flat, tables = np.ones(len(question.q)), np.ones((1, SIDE, SIDE // 2 + 1))
     if question.is_blurred:
+        flat = _flat(question)
         tables = transfers_at(question, flat, SIDE)
         tables = tables[:, 0] if tables.ndim == 4 else tables  # on the axis
         if tables.shape[1] < SIDE:
             tables = tables[:, np.minimum(np.arange(SIDE), SIDE - np.arange(SIDE))]
     count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
     windows = Windows.of(picture.brightness, scene.margin, scene.border, count, SIDE, RIM)
-    tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
+    inner = min(scene.samples[0], INNER), min(scene.samples[1], INNER)
+    channels = None
+    if not question.sensor.stacked and question.ratio == 1:
+        cfa = question.sensor.cfa_indices
+        y = windows.rows[:, RIM : RIM + inner[0]] - scene.margin
+        x = windows.cols[:, RIM : RIM + inner[1]] - scene.margin
+        channels = cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]
     return Probes.of(
         question.facts,
         windows,
         scene.border,
-        tables=tables,
+        tables=np.broadcast_to(tables, (len(flat), *tables.shape[1:])),
         weights=question.weights,
         even=question.weights / flat,
         share=question.share,
         level=picture.level,
         seconds=operation.seconds,
         noise=operation.noise,
-        apart=picture.mosaic(question.weights, question.share),
-        **_inner_part(question, windows),
+        apart=picture.apart,
+        inner=inner,
+        channels=channels,
     )
-
-
-def _inner_part(question, windows):
-    """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
-    scene, sensor = question.scene, question.sensor
-    inner = tuple(min(n, INNER) for n in scene.samples)
-    if sensor.stacked or question.ratio != 1:
-        return {"inner": inner}
-    y, x = (
-        at[:, RIM : RIM + n] - scene.margin
-        for at, n in zip((windows.rows, windows.cols), inner, strict=True)
-    )
-    cfa = sensor.cfa_indices
-    return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
 
 def response_of(question: Question, even, flat) -> Response:
