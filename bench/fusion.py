@@ -21,6 +21,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.choices import Fusion
 
 RANKS = (3, 4, 6)
 
@@ -66,7 +67,7 @@ def _of_rank(camera, device, scene, rank):
             camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH
         )
         plan = simulator.plan(scene)
-        if plan.mix.shape[1] == rank and plan.transfers is not None:
+        if plan.count == rank and plan.find(Fusion) is not None:
             return simulator, plan
     raise OutOfRange("rank", rank, "one that some tolerance gives for this scene")
 

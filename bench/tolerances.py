@@ -24,6 +24,7 @@ import gpusim as gs
 from gpusim.domain.content import Cube
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import true_mean
+from gpusim.planner.choices import Blur
 
 CAMERAS = ("phone", "machine-vision", "mono", "figure8")
 CHARTS = ("deadleaves", "colorchecker", "slanted-edge")
@@ -113,7 +114,7 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
                 "error": rms(device.numpy(exposures[name].mean), truth),
                 "predicted": own.account.total.rms,
                 "met": own.verdict.is_met,
-                "planes": None if plan.mix is None else plan.mix.shape[1],
+                "planes": None if plan.find(Blur) is None else plan.count,
                 "period": plan.period,
             }
         )

@@ -30,6 +30,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import frame_ms
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.pipeline.report import Error
+from gpusim.planner.choices import Blur
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
 LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight
@@ -292,7 +293,7 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
         "models": plan.models,
         "left_out": plan.left_out,
         "expected_time": plan.account.seconds,
-        "planes": None if plan.mix is None else plan.mix.shape[1],
+        "planes": None if plan.find(Blur) is None else plan.count,
         "period": plan.period,
         "samples": plan.scene.content.shape,
         "q": [float(plan.q.min()), float(plan.q.max())],

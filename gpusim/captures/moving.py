@@ -22,6 +22,7 @@ from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numb
 from gpusim.pipeline.planning import adopt_plan, probes_for
 from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.choices import Goal
 from gpusim.planner.plan import Plan
 
 COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # instants; each set contains the one before
@@ -100,7 +101,7 @@ def expose_moving(
             f", light that flickers at {flicker.frequency:g} Hz" if flicker else ""
         )
         reported = dataclasses.replace(
-            _worst(plans, simulator.tolerance), models=plans[0].models | {"sensor.shutter": model}
+            _worst(plans), models=plans[0].models | {"sensor.shutter": model}
         )
         exposure = expose_mean(
             simulator, reported, device.reshape(mean, shape), exposure_time, gain
@@ -130,7 +131,7 @@ def _plans(simulator, scenes, plan, exposure_time):
     ]
 
 
-def _worst(plans, tolerance):
+def _worst(plans):
     """Return the first plan with the largest bound of each cause over all plans."""
     bounds: dict = {}
     for plan in plans:
@@ -140,16 +141,10 @@ def _worst(plans, tolerance):
     first = plans[0]
     doubt = next((plan.account.doubt for plan in plans if plan.account.doubt), "")
     account = dataclasses.replace(first.account, bounds=bounds, doubt=doubt)
-    remedy = next(
-        (plan.verdict.remedy for plan in plans if plan.verdict and plan.verdict.remedy), ""
-    )
+    goals = (plan.find(Goal) for plan in plans if plan.verdict and plan.verdict.remedy)
+    goal = next(goals, None)
     left_out = list(dict.fromkeys(line for plan in plans for line in plan.left_out))
-    return dataclasses.replace(
-        first,
-        account=account,
-        left_out=left_out,
-        verdict=tolerance and account.verdict(tolerance, remedy),
-    )
+    return first.exchange(*([goal] if goal else []), account=account, left_out=left_out)
 
 
 def expose_motion(
@@ -230,14 +225,7 @@ def expose_motion(
     bounds = {"view": probes.resampling_error(between, scene.samples_per_pixel), "shutter": wrong}
     plan_made = exposure.plan
     account = dataclasses.replace(plan_made.account, bounds=plan_made.account.bounds | bounds)
-    verdict = (
-        None
-        if tolerance is None
-        else account.verdict(tolerance, plan_made.verdict.remedy if plan_made.verdict else "")
-    )
-    return dataclasses.replace(
-        exposure, plan=dataclasses.replace(plan_made, account=account, verdict=verdict)
-    )
+    return dataclasses.replace(exposure, plan=dataclasses.replace(plan_made, account=account))
 
 
 def largest_step(scene, motion, times):

@@ -22,9 +22,12 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import require_truth, true_mean
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.choices import Blur, Falloff, Sampling
 
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, None)
 # stages that are not part of the mean electrons
@@ -142,12 +145,11 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
     """
     exact = Simulator(camera, device="numpy")
     plan = exact.plan(scene)
+    gains = plan.find(Falloff)
     if (
-        plan.mix is None
-        or plan.taps is not None
+        plan.find(Blur) is None
         or camera.sensor.stacked
-        or plan.depth is not None
-        or plan.distortion
+        or any(plan.find(kind) for kind in (Sampling, DepthPlan, DistortionGrid))
     ):
         return {}
     cube = np.ascontiguousarray(
@@ -175,7 +177,7 @@ def _naive(camera, scene, seconds) -> dict[str, Callable[[], np.ndarray]]:
         y, x = np.indices(scene.shape)
         picked = np.take_along_axis(seen, cfa[y % cfa.shape[0], x % cfa.shape[1]][None], 0)[0]
         v, u = ((np.arange(n) - (n - 1) / 2) * plan.slope for n in scene.shape)
-        falls = (1 + v[:, None] ** 2 + u**2) ** -2 * (1.0 if plan.falloff is None else plan.falloff)
+        falls = (1 + v[:, None] ** 2 + u**2) ** -2 * (1.0 if gains is None else gains.gains)
         return np.maximum(picked, 0) * falls.astype(np.float32) * np.float32(seconds)
 
     def each_band():

@@ -7,7 +7,10 @@ import numpy as np
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
+from gpusim.optics.lengths import Tiling
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.choices import Blur, Fusion, Planes
+from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 from gpusim.planner.search import Candidate
 
@@ -101,8 +104,8 @@ class Forecast:
                 " (chosen)"
                 if option.words in " ".join(plan.models.values())
                 and (
-                    (option.period, option.tiling) == (plan.period, plan.tiling)
-                    and (option.far is None) is (plan.far is None)
+                    (option.period, option.tiling) == (plan.period, plan.find(Tiling))
+                    and (option.far is None) is (plan.find(FarField) is None)
                 )
                 else ""
             )
@@ -129,17 +132,14 @@ class Forecast:
 def _vary_plan(plan, option):
     """Return the plan with the cost-relevant fields of another option."""
     count, channels = option.planes, len(plan.weights)
-    table = (
-        None
-        if count == len(plan.content.entry_spectra) and plan.content.labels is None
-        else np.empty((count, 0))
+    is_made = count != len(plan.content.entry_spectra) or plan.content.labels is not None
+    choices = (
+        replace(plan.find(Blur), period=option.period, mix=np.empty((channels, count))),
+        Fusion(np.empty((channels, count, 0))),
+        option.tiling,
+        option.far,
+        Planes(np.empty((count, 0))) if is_made else None,
     )
-    return replace(
-        plan,
-        period=option.period,
-        tiling=option.tiling,
-        far=option.far,
-        table=table,
-        mix=np.empty((channels, count)),
-        transfers=np.empty((channels, count, 0)),
+    return plan.exchange(
+        *(choice for choice in choices if choice is not None), without=(Tiling, FarField, Planes)
     )

@@ -31,6 +31,7 @@ from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
 from gpusim.judge.truth_light import falloff_gain, pixel_places, placed_light, plain_rates
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
@@ -134,7 +135,7 @@ def _rates_by_depth(simulator, camera, scene, light):
     """Return electrons per second (C, rows, cols), with a depth plan of the reference."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))
-    reach = simulator(camera, device="numpy").plan(scene).depth.reach
+    reach = simulator(camera, device="numpy").plan(scene).find(DepthPlan).reach
     period = period_of(camera.optics, scene, pitch, reach, displaced)
     reference = simulator(camera, device="numpy", period=period)
     own = reference.plan(scene)

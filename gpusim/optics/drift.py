@@ -22,7 +22,7 @@ without moments.
 """
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -59,6 +59,7 @@ class Watch:
         falls: Part of the square of each row of B that remains with one plane more, two more
             and so on, shape (up to 15,) each.
         scale: Scales of the content and of its projections, for `spectral.survey`.
+        limit: Relative RMS error up to which the plan serves other contents.
     """
 
     flat: np.ndarray
@@ -72,6 +73,7 @@ class Watch:
     factor: float = 1.0
     falls: tuple = ()
     scale: tuple[float, float] = (1.0, 1.0)
+    limit: float = inf
 
     @classmethod
     def of(cls, response: Response, table, transfers, content: Content, shape=None) -> "Watch":
@@ -183,8 +185,8 @@ class Watch:
             np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
         )
 
-    def count_missing_planes(self, survey, limit: float) -> int:
-        """Return the number of additional planes with which the error of a content is at most `limit`.
+    def count_missing_planes(self, survey) -> int:
+        """Return the number of additional planes with which the error of a content is within the limit.
 
         It is one more than `falls` covers if none of those is enough. This is a guess, which the
         next survey checks: differences are taken as independent along the rows of B, and the rest
@@ -192,7 +194,7 @@ class Watch:
         """
         values, across, down = self._in_content_units(survey).mean(0)
         signals, differences = len(self.flat), across + down
-        allowed = (limit / self.factor) ** 2 * values[:signals].sum()
+        allowed = (self.limit / self.factor) ** 2 * values[:signals].sum()
         return 1 + next(
             (
                 more

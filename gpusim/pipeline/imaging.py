@@ -26,14 +26,19 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.geometry import view_nodes
-from gpusim.optics.highlights import point_kernels
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.field import FieldBlur
+from gpusim.optics.geometry import DistortionGrid, view_nodes
+from gpusim.optics.highlights import Highlights, point_kernels
+from gpusim.optics.lengths import Tiling
 from gpusim.optics.lens import lens_of
 from gpusim.optics.splines import axes, multiplications
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.reading import WHOLE, planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
+from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sampling
+from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 BY_SCIPY = "on a CPU SciPy's transforms are faster than the kernels'"
@@ -93,7 +98,7 @@ class Imaging:
         light = planes(self.device, table, content)
         if not plan.is_placed:
             return light
-        view, grid = plan.scene.view, plan.distortion
+        view, grid = plan.scene.view, plan.find(DistortionGrid)
         nodes = place_samples(view, **_placing_constants(plan), device=self.device)
         by_area = grid is not None and grid.method == "area"
         return place_planes(
@@ -116,7 +121,16 @@ class _Steps:
         self.device, self.sensor = imaging.device, imaging.camera.sensor
         self.samples, self.pixels = prod(plan.content.shape), prod(plan.scene.shape)
         self.seen, self.channels = prod(plan.scene.samples), len(plan.weights)
-        self.count = len(plan.content.entry_spectra) if plan.table is None else len(plan.table)
+        self.blur, self.tiling, self.far = plan.find(Blur), plan.find(Tiling), plan.find(FarField)
+        self.varying, self.depth = plan.find(FieldBlur), plan.find(DepthPlan)
+        self.lights = plan.find(Highlights)
+        self.grid, self.taps = plan.find(DistortionGrid), plan.find(Sampling)
+        planes, fusion, falloff = plan.find(Planes), plan.find(Fusion), plan.find(Falloff)
+        self.table = None if planes is None else planes.table
+        self.transfers = None if fusion is None else fusion.transfers
+        self.gains = None if falloff is None else falloff.gains
+        self.folded = self.blur is not None and self.blur.folded
+        self.count = len(plan.content.entry_spectra if self.table is None else self.table)
 
     def words(self, stage):
         return self.plan.models.get(stage, "")
@@ -141,12 +155,12 @@ class _Steps:
     def planes(self) -> list[Step]:
         """Return the steps from "entries" to "planes", the planes before the blur, and to the blur's tables."""
         plan, prefix = self.plan, self.prefix
-        has_table = plan.table is not None
+        has_table = self.table is not None
         stage = "spectral.integrate" if plan.content.labels is None else "spectral.materials"
         chain = Chain("entries", f"{prefix}planes", Rate.SCENE, self.device)
         chain.add(
             stage,
-            {"table": plan.table},
+            {"table": self.table},
             run=make_planes,
             words=self.words(stage),
             nbytes=4 * self.count * self.samples * has_table,
@@ -154,13 +168,13 @@ class _Steps:
         )
         steps = []
         if plan.is_placed:
-            by_area = plan.distortion is not None and plan.distortion.method == "area"
+            by_area = self.grid is not None and self.grid.method == "area"
             channels = {
                 "weights": plan.weights,
-                "table": plan.table,
+                "table": self.table,
                 "spectra": plan.content.entry_spectra,
             }
-            mixed = plan.mix is not None and not by_area
+            mixed = self.blur is not None and not by_area
             steps = [
                 Step(
                     f"{prefix}lights",
@@ -184,7 +198,7 @@ class _Steps:
                 ),
             ]
             # the channels' light, without and with their surroundings
-            light = 1 if plan.mix is None else 2
+            light = 1 if self.blur is None else 2
             chain.add(
                 "optics.distort",
                 {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
@@ -198,12 +212,12 @@ class _Steps:
                 work=float((self.count + self.channels) * self.samples),
             )
         steps = [*steps, *chain.end()]
-        if plan.mix is not None and plan.depth is None:
+        if self.blur is not None and self.depth is None:
             host = "tables of another plan need a few numbers per wavelength"
             steps.append(
                 Step(
                     f"{prefix}transfer",
-                    "optics.near" if plan.far is not None else "",
+                    "optics.near" if self.far is not None else "",
                     (),
                     {"plan": plan, "tables": self.imaging.tables},
                     words=self.words("optics.near"),
@@ -218,12 +232,12 @@ class _Steps:
     def rates(self) -> tuple[list[Step], np.ndarray]:
         """Return the steps to "rates", electrons per second (1 or C, rows, cols), and the mosaic of these planes."""
         plan, cfa = self.plan, self.sensor.cfa_indices
-        if plan.mix is None or (
-            not plan.folded and (plan.highlights is None or plan.taps is not None)
+        if self.blur is None or (
+            not self.folded and (self.lights is None or self.taps is not None)
         ):
             return self.channels_to("rates"), cfa
         chain = Chain("planes", "rates", Rate.SCENE, self.device)
-        if plan.folded:
+        if self.folded:
             self._add_uniform_blur(chain, cfa, plan.scene.margin)
         else:
             self._add_blur(chain)  # the mosaic, for one second
@@ -232,7 +246,7 @@ class _Steps:
                 {"cfa": cfa, "exposure_time": 1.0, "slope": 0.0},
                 nbytes=4 * self.pixels,
             )
-        if plan.highlights is not None:
+        if self.lights is not None:
             self._add_highlights(chain, cfa)
         chain.add("", {}, run=as_one_plane)
         return chain.end(), PLAIN_MOSAIC
@@ -241,7 +255,7 @@ class _Steps:
         """Return the steps from planes to the rates of each pixel in each channel, without fall-off."""
         plan = self.plan
         chain = Chain(f"{self.prefix}planes", name, Rate.SCENE, self.device)
-        if plan.mix is None:
+        if self.blur is None:
             if plan.scene.margin and not plan.is_placed:
                 chain.add(
                     "",
@@ -250,10 +264,10 @@ class _Steps:
                 )
         else:
             self._add_blur(chain)
-            if plan.highlights is not None:
+            if self.lights is not None:
                 self._add_highlights(chain, None)
-        if plan.taps is not None:
-            rows, cols = plan.taps
+        if self.taps is not None:
+            rows, cols = self.taps.rows, self.taps.cols
             chain.add(
                 "optics.sample",
                 {
@@ -274,14 +288,14 @@ class _Steps:
         """Add the blur to channels at the scene's samples, with spare samples around them if pixels need several."""
         plan = self.plan
         planes_ = chain.value
-        if plan.depth is not None:
-            per_layer = len(plan.depth.kernels) * plan.depth.layers
+        if self.depth is not None:
+            per_layer = len(self.depth.kernels) * self.depth.layers
             nbytes = 16 * self.channels * self.samples * per_layer
-            if plan.transfers is not None:  # every kernel's tables, of the planes and of white
+            if self.transfers is not None:  # every kernel's tables, of the planes and of white
                 nbytes += (
                     self._bytes_of_table()
-                    * (prod(plan.transfers.shape[:2]) + self.channels)
-                    * len(plan.depth.kernels)
+                    * (prod(self.transfers.shape[:2]) + self.channels)
+                    * len(self.depth.kernels)
                 )
             chain.add(
                 "optics.composite",
@@ -295,8 +309,8 @@ class _Steps:
             )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            self._add_uniform_blur(chain, None, plan.scene.margin - plan.spare)
-        if plan.varying is not None:
+            self._add_uniform_blur(chain, None, plan.scene.margin - self.blur.spare)
+        if self.varying is not None:
             tables = f"{self.prefix}field tables of {chain.value}"
             chain.steps.insert(
                 0,
@@ -304,7 +318,7 @@ class _Steps:
                     tables,
                     "",
                     (),
-                    {"varying": plan.varying, "device": self.device},
+                    {"varying": self.varying, "device": self.device},
                     rate=Rate.CAMERA,
                     run=make_field_tables,
                 ),
@@ -312,29 +326,29 @@ class _Steps:
             chain.add(
                 "optics.field",
                 {
-                    "mix": plan.mix,
+                    "mix": self.blur.mix,
                     "border": _border(plan),
-                    "margin": plan.scene.margin - plan.spare,
+                    "margin": plan.scene.margin - self.blur.spare,
                 },
                 planes_,
                 tables,
                 run=add_field,
                 words=self.words("optics.field"),
                 # maps in float64 and float32, planes times maps, spectra
-                nbytes=20 * self.samples * plan.varying.convolutions
-                + plan.varying.bytes_of_tiles(self.channels)
+                nbytes=20 * self.samples * self.varying.convolutions
+                + self.varying.bytes_of_tiles(self.channels)
                 + 4 * self.samples * self.channels,
-                work=float(self.count * plan.varying.cost),
+                work=float(self.count * self.varying.cost),
                 host="if the blur varies, highlights are mixed on the host; on CPUs SciPy transforms the tiles",
             )
 
     def _add_uniform_blur(self, chain, cfa, margin):
         """Add a blur that is the same all over the frame: to the mosaic, or to channels if `cfa` is None."""
         plan, planes_ = self.plan, chain.value
-        constants = {"mix": plan.mix, "border": _border(plan), "margin": margin}
-        if plan.tiling is not None:
+        constants = {"mix": self.blur.mix, "border": _border(plan), "margin": margin}
+        if self.tiling is not None:
             stage = "optics.tiles"
-            constants |= {"cfa": cfa, "side": plan.tiling.side, "overlap": plan.tiling.overlap}
+            constants |= {"cfa": cfa, "side": self.tiling.side, "overlap": self.tiling.overlap}
         elif cfa is not None:
             stage = "optics.mosaic"
             constants |= {"cfa": cfa, "period": plan.period}
@@ -350,13 +364,13 @@ class _Steps:
             work=self._work_of_blur(stage, cfa),
             host=BY_SCIPY if self.device.on_host else "",
         )
-        if plan.far is not None:
+        if self.far is not None:
             chain.add(
                 "optics.far",
                 {
-                    "model": plan.far,
-                    "mix": plan.mix,
-                    "transfers": plan.transfers,
+                    "model": self.far,
+                    "mix": self.blur.mix,
+                    "transfers": self.transfers,
                     "cfa": cfa,
                     "margin": margin,
                 },
@@ -368,15 +382,15 @@ class _Steps:
                     plan.content.shape,
                     self.count,
                     self.channels,
-                    tuple(plan.far.sigmas),
-                    plan.far.spacings,
+                    tuple(self.far.sigmas),
+                    self.far.spacings,
                 ),
             )
 
     def _add_highlights(self, chain, cfa):
         """Add the plan's highlights to the mosaic, or to each channel of the samples if `cfa` is None."""
         plan = self.plan
-        lights = plan.highlights
+        lights = self.lights
         assert lights is not None
         across = np.minimum(2 * lights.reach, max(plan.content.shape))
         # only plans for square pixels have highlights
@@ -395,7 +409,7 @@ class _Steps:
             "optics.splat",
             {
                 "lights": lights,
-                "spare": plan.spare,
+                "spare": self.blur.spare,
                 "weights": plan.weights / plan.flat,
                 "cfa": cfa,
             },
@@ -404,7 +418,7 @@ class _Steps:
             words=self.words("optics.splat"),
             nbytes=4 * (self.seen if cfa is not None else self.channels * self.seen),
             work=float(np.square(across, dtype=np.float64).sum())
-            * (1 if plan.folded else self.channels),
+            * (1 if self.folded else self.channels),
         )
 
     def exposure(self, cfa: np.ndarray) -> list[Step]:
@@ -433,7 +447,7 @@ class _Steps:
         """
         plan = self.plan
         layers = self.channels if cfa is None else 1
-        is_folded = plan.folded and plan.mix is not None
+        is_folded = self.folded
         constants = {"slope": plan.slope}
         if cfa is not None:
             constants["cfa"] = cfa
@@ -452,10 +466,10 @@ class _Steps:
 
     def _add_falloff(self, chain):
         """Add the fall-off beyond the cos^4 law."""
-        if self.plan.falloff is not None:
+        if self.gains is not None:
             chain.add(
                 "optics.falloff",
-                {"gains": self.plan.falloff},
+                {"gains": self.gains},
                 run=dim_planes,
                 words=self.words("optics.falloff"),
                 nbytes=4 * self.channels * self.pixels,
@@ -476,8 +490,8 @@ class _Steps:
                 {
                     "shape": plan.scene.shape,
                     "slope": plan.slope,
-                    "falloff": plan.falloff,
-                    "nodes": None if plan.distortion is None else plan.distortion.nodes,
+                    "falloff": self.gains,
+                    "nodes": None if self.grid is None else self.grid.nodes,
                     "binning": sensor.binning,
                     "stride": stride,
                     "by_charge": sensor.binning_mode == "charge",
@@ -500,25 +514,25 @@ class _Steps:
     def _bytes_of_tables(self):
         """Return the memory of the transfer tables of wavelengths and planes [byte]."""
         plan = self.plan
-        combined = 0 if plan.transfers is None else prod(plan.transfers.shape[:2])
+        combined = 0 if self.transfers is None else prod(self.transfers.shape[:2])
         return self._bytes_of_table() * (len(plan.q) + combined)
 
     def _bytes_of_blur(self):
         """Return the memory of a blur: spectra, their sums and the result [byte]."""
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
         (rows, cols), (high, wide) = plan.content.shape, plan.period
-        if plan.tiling is not None:
+        if self.tiling is not None:
             return self._bytes_of_tiles()
         by_host = device.on_host or room(max(plan.period)) > device.local_bytes
         spectrum = 8 * high * pitch_of(device, wide)
         batches = [min(BATCH, count - first) for first in range(0, count, BATCH)]
         if by_host:  # planes with their borders, and SciPy's spectra of one batch at a time
             forward = 4 * high * wide * sum(batches) + spectrum * batches[0]
-        elif plan.folded:
+        elif self.folded:
             forward = 8 * batches[0] * (high // 2 + 1) * (cols + cols % 2)
         else:
             forward = sum(batches) * (8 * rows * pitch_of(device, wide) + spectrum)
-        if not plan.folded:
+        if not self.folded:
             return forward + channels * (spectrum + 4 * high * wide + 4 * self.seen)
         cfa = self.sensor.cfa_indices
         phases = (
@@ -535,15 +549,15 @@ class _Steps:
         That is the result, a tile's frequencies, and the spectra of all tiles if SciPy transforms them.
         """
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
-        side = plan.tiling.side
-        total = 4 * self.seen * (1 if plan.folded else channels)
+        side = self.tiling.side
+        total = 4 * self.seen * (1 if self.folded else channels)
         if device.on_host and device.kind == "opencl":
             total += 4 * side * (side // 2 + 1) * (count + count % 2) * channels
         elif device.on_host:
-            samples, half = plan.tiling.samples(plan.scene.samples), side // 2 + 1
-            phases = self.sensor.cfa_indices.shape if plan.folded else (1, 1)
+            samples, half = self.tiling.samples(plan.scene.samples), side // 2 + 1
+            phases = self.sensor.cfa_indices.shape if self.folded else (1, 1)
             high, wide = (side // n for n in phases)
-            outputs = prod(phases) if plan.folded else channels
+            outputs = prod(phases) if self.folded else channels
             of_tile = count * (4 * side**2 + 8 * side * half) + outputs * high * (
                 8 * (wide // 2 + 1) + 4 * wide
             )
@@ -554,13 +568,13 @@ class _Steps:
         """Return the memory of the far field: splines, tables without it, and rates with it [byte]."""
         plan, device, count, channels = self.plan, self.device, self.count, self.channels
         shape = plan.content.shape
-        down, across = axes(shape, plan.far.sigmas, plan.far.border, plan.far.spacings)
+        down, across = axes(shape, self.far.sigmas, self.far.border, self.far.spacings)
         last, values = down.levels - 1, 0
         for level in range(down.levels):  # splines of the planes and of the channels
             high, wide = (axis.splines(level) for axis in (down, across))
             values += (count + channels) * high * wide
             if device.on_host:  # results between the two axes
-                values += 2 * channels * high * wide * len(plan.far.sigmas[down.of_level(level)])
+                values += 2 * channels * high * wide * len(self.far.sigmas[down.of_level(level)])
             # intermediate results between two levels, both ways
             if device.on_host and level < last:
                 values += (count + channels) * high * across.splines(level + 1)
@@ -568,8 +582,8 @@ class _Steps:
             values += count * down.splines(0) * shape[1]
             values += channels * plan.scene.samples[0] * across.splines(0)
         quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
-        tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
-        return 4 * (values + tables * quarter + (1 if plan.folded else channels) * self.seen)
+        tables = len(plan.q) if self.transfers is None else prod(self.transfers.shape[:2])
+        return 4 * (values + tables * quarter + (1 if self.folded else channels) * self.seen)
 
     def _work_of_blur(self, stage, cfa):
         """Return the operations of the transforms and of the products of spectra."""
@@ -577,19 +591,19 @@ class _Steps:
         frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
         products = 4 * frequencies * count * channels
         if stage == "optics.tiles":
-            side, period = plan.tiling.side, self.sensor.cfa_indices.shape
+            side, period = self.tiling.side, self.sensor.cfa_indices.shape
             phases, size = (
                 (prod(period), [side // n for n in period])
-                if plan.folded
+                if self.folded
                 else (channels, (side, side))
             )
             one = count * fft.operations((side, side)) + products
-            tiles_ = plan.tiling.samples(plan.scene.samples) / side**2
+            tiles_ = self.tiling.samples(plan.scene.samples) / side**2
             return tiles_ * (one + phases * fft.operations(size))
         if stage == "optics.mosaic":
             parts = [length // n for length, n in zip(plan.period, cfa.shape, strict=True)]
             return count * fft.operations(plan.period) + products + cfa.size * fft.operations(parts)
-        tables = 1 if plan.transfers is None else len(plan.transfers)
+        tables = 1 if self.transfers is None else len(self.transfers)
         return (count + channels) * fft.operations(plan.period) + frequencies * count * (
             2 * tables + 4 * channels
         )
@@ -597,7 +611,8 @@ class _Steps:
 
 def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
     """Return a plan with one channel per wavelength, its irradiance [photon s-1 m-2 nm-1]. Raises BadData."""
-    if plan.varying is not None:
+    blur = plan.find(Blur)
+    if plan.find(FieldBlur):
         raise BadData(
             f"irradiance of {plan.scene.name}: the blur of {camera.name} varies over the field; "
             'use optics with the same blur in the whole frame, or the output "electrons"'
@@ -607,16 +622,14 @@ def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
         plan.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
     )
     table = None if plan.content.is_spectral else plan.content.entry_spectra.T
-    if plan.mix is None:
-        weighted = np.diag(scale) if table is None else scale[:, None] * table
-        return replace(plan, weights=np.diag(scale), table=weighted)
-    return replace(
-        plan,
+    if blur is None:
+        table = np.diag(scale) if table is None else scale[:, None] * table
+        return plan.exchange(Planes(table), weights=np.diag(scale))
+    return plan.exchange(
+        replace(blur, mix=np.diag(scale / plan.flat), folded=False),
+        *(() if table is None else (Planes(table),)),
+        without=(Planes, Fusion),
         weights=np.diag(scale),
-        mix=np.diag(scale / plan.flat),
-        table=table,
-        transfers=None,
-        folded=False,
     )
 
 
@@ -626,7 +639,7 @@ def _border(plan):
 
 def _visible_shape(plan):
     """Return the rows and columns that contribute: the frame, with its margin if there is a blur."""
-    return plan.scene.samples if plan.mix is None else plan.content.shape
+    return plan.content.shape if plan.find(Blur) else plan.scene.samples
 
 
 def _window(plan):
@@ -635,7 +648,7 @@ def _window(plan):
     # without blur or distortion nothing outside the frame is needed
     inside = (
         slice(margin, -margin)
-        if margin and plan.mix is None and not plan.is_placed
+        if margin and not plan.find(Blur) and not plan.is_placed
         else slice(None)
     )
     return inside, inside
@@ -644,7 +657,7 @@ def _window(plan):
 def _placing_constants(plan):
     """Return the constants of `place_samples`."""
     return {
-        "grid": plan.distortion,
+        "grid": plan.find(DistortionGrid),
         "seen": _visible_shape(plan),
         "shape": plan.content.shape,
         "ratio": plan.scene.samples_per_pixel,
@@ -761,24 +774,24 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
     A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
     continue outside the frame even if no light comes from there.
     """
-    depth, margin = plan.depth, plan.scene.margin - plan.spare
-    assert depth is not None
-    channels = len(plan.weights)
+    depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
+    assert depth is not None and form is not None
+    channels, margin = len(plan.weights), plan.scene.margin - form.spare
     lights, alphas, layers = [], [], []
     for layer in range(depth.layers):
         content, coverage, confusion = depth.sheet(layer, plan.content)
         own = planes_
         if content is not plan.content:
-            own = planes(device, plan.table, store(device, content))
+            own = planes(device, made and made.table, store(device, content))
         for kernel, share in depth.shares(coverage, confusion):
             of_planes, of_white = tables.at_distance(plan, kernel)
             share = device.array(share[None])
             light = blur(
                 falloff(own, share, device=device),
                 of_planes,
-                plan.mix,
+                form.mix,
                 border,
-                plan.period,
+                form.period,
                 margin=margin,
                 device=device,
             )
@@ -787,7 +800,7 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
                 of_white,
                 np.ones((channels, 1), np.float32),
                 "edge" if border == "zero" else border,
-                plan.period,
+                form.period,
                 margin=margin,
                 device=device,
             )

@@ -9,6 +9,7 @@ from gpusim.domain.exposure import AutoExposure, LightStatistics
 from gpusim.domain.sensor import Sensor
 from gpusim.kernels.sensor.meter import meter
 from gpusim.kernels.spectral.survey import survey
+from gpusim.optics.drift import Watch
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Rate, Step
 from gpusim.planner.plan import Plan
@@ -52,8 +53,7 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
             run=read_and_choose,
         ),
     ]
-    if plan.watch is not None:
-        watch = plan.watch
+    if watch := plan.find(Watch):
         entries = 1 if content.labels is not None else len(content.entry_spectra)
         steps.append(
             Step(

@@ -14,6 +14,7 @@ from gpusim.pipeline.cache import same
 from gpusim.pipeline.reading import Reading, bytes_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.after import probe_account
+from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts
 from gpusim.planner.given import judge_given, named_parts, plan_inputs
@@ -174,12 +175,8 @@ def predict_errors(
             "a plan for this scene only, made for another tolerance, exposure or device": UNKNOWN
         }
         account = replace(made.account, bounds=made.account.bounds | unknown)
-        made = replace(
-            made,
-            account=account,
-            tolerance=tolerance,
-            verdict=tolerance and account.verdict(tolerance),
-        )
+        goal = () if tolerance is None else (Goal(tolerance),)
+        made = made.exchange(*goal, without=(Goal,), account=account)
     elif not is_judged:
         question = Question.of(
             scene, simulator.camera, facts, tolerance or made.tolerance, **_plan_options(simulator)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gpusim.domain.account import Account
 from gpusim.domain.scene import Scene
+from gpusim.optics.drift import Watch
 from gpusim.planner.plan import Plan
 
 MOVED = 1.1  # times the largest value of the survey: the margin with which planes are chosen
@@ -79,7 +80,7 @@ class Probing:
 
     def is_due(self, plan: Plan, scene: Scene) -> bool:
         """Return True if a scene must be probed. Each scene counts once."""
-        if plan.watch is None or plan.tolerance is None or scene in (plan.scene, self._scene):
+        if plan.find(Watch) is None or plan.tolerance is None or scene in (plan.scene, self._scene):
             return False
         self._scene = scene
         self._since += 1

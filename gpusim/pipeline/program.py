@@ -12,6 +12,8 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
+from gpusim.optics.drift import Watch
+from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.frame import Exposure, Frame
@@ -269,7 +271,7 @@ class Program:
     def _content(self, plan):
         """Return the scene's content without the highlights that the plan adds separately."""
         scene = self.scene
-        return scene.content if plan.highlights is None and not scene.layers else plan.content
+        return scene.content if plan.find(Highlights) is None and not scene.layers else plan.content
 
     @property
     def exposure(self) -> Exposure:
@@ -371,7 +373,7 @@ class Program:
             return
         self.before.checked = plan, checked
         light = device.fetch(values["light"])
-        if plan.watch is not None and plan.scene is not self.scene and self._fixed_plan is None:
+        if plan.find(Watch) and plan.scene is not self.scene and self._fixed_plan is None:
             found = device.fetch(values["survey"])
         self._pending = _Check(self.scene, plan, light, found, prod(mean.shape), seconds)
 
@@ -406,7 +408,7 @@ class Program:
         plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
         if check.survey is not None:
             found = check.survey()
-            self._drift, steepest = plan.watch.errors(found)
+            self._drift, steepest = plan.find(Watch).errors(found)
             probing.add_survey(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
@@ -414,7 +416,7 @@ class Program:
                 probing.note_misfit(
                     plan,
                     scene,
-                    plan.watch.count_missing_planes(found, plan.limit),
+                    plan.find(Watch).count_missing_planes(found),
                     scene is self.scene,
                 )
 

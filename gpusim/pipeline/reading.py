@@ -15,6 +15,7 @@ from gpusim.kernels.spectral.illuminate import illuminate
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
+from gpusim.optics.drift import Watch
 from gpusim.optics.fusion import row_pairs
 from gpusim.planner.facts import OnHost
 from gpusim.planner.plan import Plan
@@ -55,7 +56,7 @@ def bytes_read_on_device(plan: Plan, device: Device) -> int:
     entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (
         rows * cols
     )
-    times = 1 if plan.watch is None else 2
+    times = 2 if plan.find(Watch) else 1
     return 4 * (rows * cols + entries * (times * windows + 2 * cols * len(row_pairs(rows, cols))))
 
 

@@ -302,7 +302,7 @@ class Shots:
         if plan.planned_for:
             notes.append(
                 f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
-                f"{'planes' if plan.mix is not None else 'blur left out'} are for that scene"
+                f"{plan.watched} are for that scene"
             )
         if plan.given_of:
             notes.append(

@@ -13,8 +13,11 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import open_lens, wavelength_nodes
 from gpusim.optics.tables import exact_tables, transfer_tables
+from gpusim.planner.choices import Blur, Fusion
+from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
@@ -82,13 +85,14 @@ class LensTables:
 
     def transfer(self, plan: Plan):
         """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
-        assert plan.mix is not None  # a plan with blur
-        made_of = self._made_of(plan), plan.period, plan.transfers
+        blur, fusion = plan.find(Blur), plan.find(Fusion)
+        assert blur is not None  # a plan with blur
+        made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
         if plan.is_draft and (short := self._short(plan)):
             return self._cache("drafted", widen_tables, *made_of, short, self.device)
         # tables of its wavelengths next to tables of a plan
-        name = f"transfer {plan.mix.shape}"
-        return self._cache(name, make_tables, *made_of, plan.far, self.device)
+        name = f"transfer {blur.mix.shape}"
+        return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device)
 
     def _made_of(self, plan) -> tuple:
         """Everything that tables of wavelengths depend on: lens, distance and size of samples, displacement, and q."""
@@ -105,8 +109,8 @@ class LensTables:
         if (
             self.device.is_gpu
             or (lens := self._lens(plan)).symmetry.is_round
-            or plan.far is not None
-            or plan.transfers is None
+            or plan.find(FarField)
+            or plan.find(Fusion) is None
         ):
             return 0
         wide = 4 * lens.spread(plan.scene.wavelengths)
@@ -135,23 +139,24 @@ class LensTables:
 
         Tables of planes are stored for the next frame; those for all wavelengths are too large.
         """
-        assert plan.depth is not None
+        blur, depth, fusion = plan.find(Blur), plan.find(DepthPlan), plan.find(Fusion)
+        assert blur is not None and depth is not None
         made_of = (
             self._made_of(plan),
-            plan.period,
-            plan.transfers,
-            plan.depth.distances[kernel],
+            blur.period,
+            fusion and fusion.transfers,
+            depth.distances[kernel],
             plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300),
             np.broadcast_to(plan.flat, plan.q.shape),
             self.device,
         )
-        if plan.transfers is None:
+        if fusion is None:
             return tables_at_distance(*made_of)
         return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
 
     def deviation(self, plan: Plan) -> float:
         """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""
-        if plan.mix is None:
+        if plan.find(Blur) is None:
             return 0.0
         sensor, ratio = self.camera.sensor, plan.scene.samples_per_pixel
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
+from gpusim.optics.drift import Watch
+from gpusim.planner.choices import Fusion
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.plan import Plan
@@ -21,7 +23,8 @@ def probe_account(plan: Plan, question: Question, seconds: float | None) -> Acco
         question: Of that scene.
         seconds: Exposure time [s]; None: the camera's choice.
     """
-    assert plan.watch is not None
+    watch, fusion = plan.find(Watch), plan.find(Fusion)
+    assert watch is not None
     picture = highlights.whole(question)
     operation = (
         picture.operation(question, None)
@@ -29,10 +32,10 @@ def probe_account(plan: Plan, question: Question, seconds: float | None) -> Acco
         else Operation(seconds, picture.level, float(question.sensor.read_sigma**2))
     )
     probes = spectral.probes_of(question, picture, operation)
-    if plan.transfers is None:
+    if fusion is None:
         bound = probes.without_blur
     else:
-        *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
+        *_, (_, bound) = probes.fused_bounds(watch.inputs, fusion.transfers)
     account = plan.account.at(operation.seconds)
     return replace(account, bounds=account.bounds | {plan.watched: bound})
 

@@ -7,7 +7,12 @@ import numpy as np
 
 from gpusim.domain.camera import Camera
 from gpusim.domain.pupil import Wavefront
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.field import FieldBlur
+from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import open_lens
+from gpusim.planner.choices import Blur
+from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 # largest ratio of blur widths, and an additional width [sample], at which tiles and planes still do
@@ -32,13 +37,14 @@ def draft_plan(plan: Plan, camera: Camera) -> Plan | None:
     camera: equals the plan's except for TURNED of its lens.
     """
     own, lens = (_lens_of(one, plan) for one in (plan.camera, camera))
+    blur = plan.find(Blur)
     if (
-        plan.mix is None
-        or plan.depth is not None
-        or plan.varying is not None
+        blur is None
+        or plan.find(DepthPlan) is not None
+        or plan.find(FieldBlur) is not None
         or not lens.is_uniform
         or lens.symmetry.is_round != own.symmetry.is_round
-        or (plan.highlights is not None and not lens.is_airy)
+        or (plan.find(Highlights) is not None and not lens.is_airy)
     ):
         return None
     wavelengths = plan.scene.wavelengths
@@ -46,22 +52,11 @@ def draft_plan(plan: Plan, camera: Camera) -> Plan | None:
     before, now = (_width(one, plan, each) for one, each in ((own, plan.q), (lens, q)))
     if now > WIDER * before + ROOM or before > WIDER * now + ROOM:
         return None
-    far = plan.far
-    if far is not None:
-        far = replace(far, tails=lens.tails(wavelengths))
     light = camera.optics.irradiance_factor / plan.camera.optics.irradiance_factor
-    white = None if plan.white_rate is None else light * plan.white_rate
-    return replace(
-        plan,
-        camera=camera,
-        q=q,
-        far=far,
-        weights=light * plan.weights,
-        white_rate=white,
-        mix=light * plan.mix,
-        verdict=None,
-        is_draft=True,
-    )
+    changed: list[Any] = [replace(blur, mix=light * blur.mix)]
+    if far := plan.find(FarField):
+        changed.append(replace(far, tails=lens.tails(wavelengths)))
+    return plan.exchange(*changed, camera=camera, q=q, weights=light * plan.weights, is_draft=True)
 
 
 def _lens_of(camera, plan):

@@ -1,6 +1,6 @@
 """Plans that the caller gives: whether they fit a camera, and their error in a scene of another plan."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 
 import numpy as np
@@ -9,8 +9,13 @@ from gpusim.domain.account import UNKNOWN, Account, Bound, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.drift import Watch
+from gpusim.optics.geometry import DistortionGrid
+from gpusim.optics.lengths import Tiling
+from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
@@ -76,14 +81,15 @@ def judge_given(
     """
     camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
     operation = picture.operation(question, exposure_time)
-    if plan.mix is not None and picture.is_spiky and highlights.can_be_split(question):
+    form, taps = plan.find(Blur), plan.find(Sampling)
+    if form and picture.is_spiky and highlights.can_be_split(question):
         notes.leave_out(
             "highlights, which a plan made for this scene would add exactly", UNKNOWN, "highlights"
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
         question = question.with_limit(probes)
-    if plan.mix is None and question.is_blurred:
+    if form is None and question.is_blurred:
         assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
         notes.leave_out("blur", total([probes.without_blur, afar]), "blur left out")
@@ -100,20 +106,20 @@ def judge_given(
     notes.bounds = rounding | notes.bounds
     _geometry(plan, placed, question, probes, notes)
     spectral.describe_unseen(question, notes)
-    sampling.describe(question, plan.taps, notes)
+    sampling.describe(question, taps and (taps.rows, taps.cols), notes)
     account = Account(
         {name: bound for name, bound in notes.bounds.items() if bound != Bound()},
         operation.seconds,
         doubt_of(question),
     )
-    return replace(
-        plan,
+    goal = () if asked is None else (Goal(asked, REMEDY),)
+    return plan.exchange(
+        *goal,
+        without=(Goal,),
         scene=question.scene,
         camera=camera,
         content=question.content,
         account=account,
-        verdict=None if asked is None else account.verdict(asked, REMEDY),
-        tolerance=asked,
         single=single,
         left_out=notes.left_out,
         beside=notes.beside,
@@ -133,8 +139,10 @@ def _blur(
     notes: Notes,
 ) -> dict[str, Bound]:
     """Predict the errors of planes and border. Returns the rounding of the transforms' input."""
+    form = plan.find(Blur)
+    assert form is not None
     around = border.surroundings_of(
-        question, picture, operation.level, plan.period, plan.far, plan.tiling
+        question, picture, operation.level, form.period, plan.find(FarField), plan.find(Tiling)
     )
     notes.bounds["planes"] = _planes(plan, probes)
     around.describe(question, notes)
@@ -150,9 +158,10 @@ def _planes(plan, probes):
     own = plan.account.bounds.get("planes", Bound())
     if probes is None:
         return own
-    if plan.watch is None or plan.transfers is None:
+    watch, fusion = plan.find(Watch), plan.find(Fusion)
+    if watch is None or fusion is None:
         return probes.local(own.rms)
-    *_, (_, bound) = probes.fused_bounds(plan.watch.inputs, plan.transfers)
+    *_, (_, bound) = probes.fused_bounds(watch.inputs, fusion.transfers)
     return bound
 
 
@@ -160,7 +169,7 @@ def _geometry(plan, made, question, probes, notes):
     """Predict what the plan leaves out of distortion, `made` for the scene, and of fall-off."""
     own = Notes()  # without probes nothing is left out
     geometry.choose_distortion(question, made, None, own)
-    if made is not None and plan.distortion is None and probes is not None:
+    if made is not None and plan.find(DistortionGrid) is None and probes is not None:
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
         notes.leave_out(
@@ -171,7 +180,7 @@ def _geometry(plan, made, question, probes, notes):
     geometry.describe_calibration(question, notes)
     gains, _ = falloff.falloff_of(question, None, own)
     notes.left_out += own.left_out
-    if gains is not None and plan.falloff is None and probes is not None:
+    if gains is not None and plan.find(Falloff) is None and probes is not None:
         most = float(np.abs(gains - 1).max())
         notes.leave_out(
             f"fall-off of up to {most:.2g}", probes.even_error(most), "fall-off left out"

@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.sampling import Taps
 from gpusim.optics.tables import Caching, call_always
+from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Planes, Sampling
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs import (
     blur,
@@ -50,6 +51,7 @@ from gpusim.planner.search import (
 # relative RMS of electrons stored as float32: evenly up to half of the last bit
 STORED = 2.0**-24 / 3**0.5
 LETTERS = 12  # of a plan's name
+Kind = TypeVar("Kind")
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
 
 
@@ -57,87 +59,95 @@ ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without 
 class Plan:
     """What a frame of `scene` by `camera` takes; every array is float64.
 
-    weights: electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
-    white_rate: electrons per second that a perfect white diffuser gives in each channel, on axis, shape (C,); None
-        when the scene's light is unknown.
+    scene, camera: what it is for. weights: electrons per second in each channel for content 1 at each of the scene's
+    wavelengths, shape (C, L).
     flat: what a flat field of each wavelength gives where every sample is a point of light of 1, shape (L,).
-    table: planes from content entries (bands, basis coefficients or materials), shape (planes, entries), or None where
-        the content's own planes are used.
-    mix: channels from blurred planes, shape (C, planes); without blur the planes are the channels and it is None.
-    transfers: weight of each wavelength's transfer function in that of a plane in a channel, shape (C, planes, L), or
-        None where each plane is one wavelength.
-    content: the scene's, without its highlights. highlights: these, or None.
-    varying: what the blur has more than that on the axis, where it varies over the field; else None. The planes are
-        then each one channel's, and transfers has the shape (1, planes, L).
-    depth: how the blur goes by the distance of things, where the scene tells it; else None.
-    distortion: where the lens puts the samples, None: where a pinhole would.
-    falloff: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
-    folded: whether the blur gives the mosaic at once, in transforms of its phases.
-    taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
-    spare: blurred samples around the scene's that they use.
+    content: the scene's, without its highlights.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
-    period: lengths of the transforms [sample]. tiling: of the frame into tiles of this period; None: it is one
-        transform. slope: tangent of the field angle per pixel.
+    slope: tangent of the field angle per pixel; 0 if the cos^4 law is not used.
+    choices: the parts that frames are made of, at most one of each kind: `Planes`, `Blur`, `Fusion`, `Sampling`,
+        `Falloff` and `Goal` of gpusim.planner.choices; Highlights that were split off the content; FieldBlur, what the
+        blur has more than that on the axis; DepthPlan, how the blur goes by distance; DistortionGrid; Tiling of the
+        frame into tiles of the blur's period; FarField, what the world beyond the blur's reach is left to; Watch, which
+        tells whether the fused planes still do for other contents. See `find`.
+    account: named errors of the scene as sampled.
+    models: stage -> what is modelled, and why; left_out: what is not. beside: named errors that are no part of the
+        account. tell_front: gives `front`.
     bytes_needed: device memory of a frame, where it was planned for a device; else 0.
-    watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
-        does. limit: relative RMS error up to which they do, SAFETY in it, None without a tolerance.
-    models: stage -> what is modelled, and why; left_out: what is not. account: named errors of the scene as sampled.
-    beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one.
-    tell_front: gives `front`.
-    far: what the world beyond the blur's reach is left to; None: it is not seen.
+    single: whether the account is that of float32.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then. probed: which scene's probes told the others, or why the plan was made anew.
     is_draft: whether it was made for another lens, see `gpusim.planner.draft`: the account is of that.
-    single: whether the account is that of float32.
     given_of: name of the scene that it was made for, if it was given for another, whose account it has.
     """
 
     scene: Scene
     camera: Camera
     weights: np.ndarray
-    white_rate: np.ndarray | None
     flat: np.ndarray
-    table: np.ndarray | None
-    mix: np.ndarray | None
-    transfers: np.ndarray | None
     content: Content
-    highlights: Highlights | None
-    varying: FieldBlur | None
-    depth: DepthPlan | None
-    distortion: DistortionGrid | None
-    falloff: np.ndarray | None
-    folded: bool
-    taps: tuple[Taps, Taps] | None
-    spare: int
     q: np.ndarray
-    period: tuple[int, int]
     slope: float
-    bytes_needed: int
-    watch: Watch | None = None
-    limit: float | None = None
+    choices: tuple
+    account: Account
     models: dict = field(default_factory=dict)
     left_out: list = field(default_factory=list)
-    account: Account = field(default_factory=Account)
     beside: dict = field(default_factory=dict)
-    verdict: Verdict | None = None
     tell_front: Callable[[], tuple[Candidate, ...]] = tuple
+    bytes_needed: int = 0
+    single: bool = True
     planned_for: str = ""
     probed: str = ""
-    tolerance: Tolerance | None = None
-    far: FarField | None = None
-    tiling: Tiling | None = None
     is_draft: bool = False
-    single: bool = True
     given_of: str = ""
 
     def __repr__(self):
         rows, cols = self.scene.shape
-        planes = len(self.weights if self.table is None else self.table)
+        planes, blur = self.find(Planes), self.find(Blur)
         return shorten_repr(
-            f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: {planes} planes"
-            f"{'' if self.mix is None else f', transforms of {self.period[1]}x{self.period[0]}'}, "
+            f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: "
+            f"{len(self.weights if planes is None else planes.table)} planes"
+            f"{'' if blur is None else f', transforms of {blur.period[1]}x{blur.period[0]}'}, "
             f"predicted rms {self.account.total.rms:.2g})"
         )
+
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """Return the choice of a kind, or None if frames do without that part."""
+        return next((choice for choice in self.choices if isinstance(choice, kind)), None)
+
+    def exchange(self, *choices, without: tuple[type, ...] = (), **changes) -> "Plan":
+        """Return the plan with other choices of their kinds, without some kinds, and with other fields."""
+        kinds = (*without, *map(type, choices))
+        rest = (choice for choice in self.choices if not isinstance(choice, kinds))
+        return replace(self, choices=(*rest, *choices), **changes)
+
+    @property
+    def period(self) -> tuple[int, int]:
+        """Lengths of the transforms [sample]; without blur, the samples."""
+        blur = self.find(Blur)
+        return self.content.shape if blur is None else blur.period
+
+    @property
+    def white_rate(self) -> np.ndarray | None:
+        """Electrons per second that a perfect white diffuser gives in each channel, on axis, shape (C,).
+
+        None if the scene's light is unknown.
+        """
+        return self.weights.sum(axis=1) if self.scene.light_is_known else None
+
+    @property
+    def tolerance(self) -> Tolerance | None:
+        """The tolerance that the plan is judged by, or None."""
+        goal = self.find(Goal)
+        return None if goal is None else goal.tolerance
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """Whether the tolerance is met; None without one, and for a draft."""
+        goal = self.find(Goal)
+        if goal is None or self.is_draft:
+            return None
+        return self.account.verdict(goal.tolerance, goal.remedy)
 
     @cached_property
     def front(self) -> tuple[Candidate, ...]:
@@ -158,32 +168,31 @@ class Plan:
         optics = self.camera.optics
         sensor = self.camera.sensor
         scene = self.scene
-        varying = self.varying
-        depth = self.depth
+        planes, blur, fusion = self.find(Planes), self.find(Blur), self.find(Fusion)
+        varying, depth, grid = self.find(FieldBlur), self.find(DepthPlan), self.find(DistortionGrid)
+        taps, gains, far = self.find(Sampling), self.find(Falloff), self.find(FarField)
         numbers = (
             self.weights,
             self.white_rate,
             self.flat,
-            self.table,
-            self.mix,
-            self.transfers,
-            self.falloff,
+            planes and planes.table,
+            blur and blur.mix,
+            fusion and fusion.transfers,
+            gains and gains.gains,
             self.q,
             self.slope,
-            self.taps and [(axis.start, axis.weights) for axis in self.taps],
-            self.far and (self.far.sigmas, self.far.tails, self.far.spacings),
-            self.distortion and self.distortion.nodes,
+            taps and [(axis.start, axis.weights) for axis in (taps.rows, taps.cols)],
+            far and (far.sigmas, far.tails, far.spacings),
+            grid and grid.nodes,
             varying and (varying.kernels, varying.edges),
             depth and (depth.distances, depth.kernels, depth.confusion),
         )
         choices = (
-            self.folded,
-            self.spare,
-            self.period,
-            self.tiling,
-            self.far and self.far.border,
-            self.highlights,
-            self.distortion and self.distortion.method,
+            *((blur.folded, blur.spare, blur.period) if blur else (False, 0, self.content.shape)),
+            self.find(Tiling),
+            far and far.border,
+            self.find(Highlights),
+            grid and grid.method,
             varying and (varying.method, varying.index),
             depth and (depth.layers, depth.layer),
         )
@@ -205,17 +214,18 @@ class Plan:
     @property
     def count(self) -> int:
         """Planes that are blurred."""
-        return 0 if self.mix is None else self.mix.shape[-1]
+        blur = self.find(Blur)
+        return 0 if blur is None else blur.mix.shape[-1]
 
     @property
     def is_placed(self) -> bool:
         """Whether samples are interpolated where the lens or the view puts them."""
-        return self.distortion is not None or not self.scene.view.is_plain
+        return not self.scene.view.is_plain or self.find(DistortionGrid) is not None
 
     @property
     def watched(self) -> str:
-        """Name of the error that `watch` tells of."""
-        return "blur left out" if self.mix is None else "planes"
+        """Name of the error that the watch predicts."""
+        return "planes" if self.find(Blur) else "blur left out"
 
     def serves(self, scene: Scene) -> bool:
         """Whether it also says how to make a frame of another scene: of the same kind, and nothing here is of pixels.
@@ -228,8 +238,8 @@ class Plan:
         """Why it does not say how to make a frame of another scene, in words; "" if it does."""
         own = self.scene
         for part, why in (
-            (self.highlights, "it has split off the highlights of its own scene"),
-            (self.varying, "its blur varies over the field, by its own scene's light"),
+            (self.find(Highlights), "it has split off the highlights of its own scene"),
+            (self.find(FieldBlur), "its blur varies over the field, by its own scene's light"),
             (own.depth, "its blur goes by its own scene's depth"),
             (scene.depth, "that scene has depth"),
         ):
@@ -265,7 +275,8 @@ class Plan:
         if (
             exposure_time in (None, self.account.seconds)
             or self.tolerance is None
-            or (self.verdict is None or not self.verdict.is_met)
+            or self.verdict is None
+            or not self.verdict.is_met
         ):
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).is_met
@@ -273,14 +284,15 @@ class Plan:
     def fits(self, light, drift: float | None) -> bool:
         """Whether it is as right for a scene that it serves as it was to be for its own.
 
-        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what `watch` says of it, or
+        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what the watch says of it, or
         None. What is up to THRESHOLD times the mean is no highlight: the transforms' error beside it is below 10 of
         TRANSFORM_ERROR times the mean.
         """
         highest, mean = light[:2]
-        if self.mix is not None and highest > THRESHOLD * mean:
+        if self.find(Blur) and highest > THRESHOLD * mean:
             return False
-        return drift is None or drift <= (np.inf if self.limit is None else self.limit)
+        watch = self.find(Watch)
+        return drift is None or watch is None or drift <= watch.limit
 
     def of(self, scene: Scene, drift: float | None, account: Account | None = None) -> "Plan":
         """The same as that of another scene that it serves.
@@ -292,12 +304,7 @@ class Plan:
             if drift is not None and bounds.get(name, Bound()).rms:
                 bounds = bounds | {name: bounds[name].times(drift / bounds[name].rms)}
             account = replace(self.account, bounds=bounds)
-        verdict = None
-        if self.tolerance is not None and self.verdict is not None:
-            verdict = account.verdict(self.tolerance, self.verdict.remedy)
-        return replace(
-            self, scene=scene, planned_for=self.scene.name, account=account, verdict=verdict
-        )
+        return replace(self, scene=scene, planned_for=self.scene.name, account=account)
 
 
 def plan(
@@ -370,45 +377,37 @@ def plan(
     distortion = geometry.choose_distortion(question, placed, probes, notes)
     geometry.describe_calibration(question, notes)
     gains, slope = falloff.falloff_of(question, probes, notes)
-    if seen.around:
-        seen.around.describe(question, notes)
+    around = seen.around
+    if around:
+        around.describe(question, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, taps, notes)
-    weights, planes = question.weights, seen.planes
-    account = Account(notes.bounds, operation.seconds, doubt_of(question))
+    choices = (
+        *seen.way.choices,
+        around and Blur(seen.way.mix, around.period, seen.folded, spare),
+        around and around.tiling,
+        around and around.far,
+        picture.highlights,
+        by_depth,
+        distortion,
+        taps and Sampling(*taps),
+        None if gains is None else Falloff(gains),
+        tolerance and Goal(tolerance, seen.remedy),
+    )
     return Plan(
         scene,
         camera,
-        weights,
-        weights.sum(axis=1) if scene.light_is_known else None,
-        planes.flat,
-        planes.table,
-        planes.mix,
-        planes.transfers,
+        question.weights,
+        seen.way.flat,
         question.content,
-        picture.highlights,
-        planes.varying,
-        by_depth,
-        distortion,
-        gains,
-        seen.folded,
-        taps,
-        spare,
         question.q,
-        seen.around.period if seen.around else question.size,
         slope,
-        0,
-        planes.watch,
-        seen.limit,
+        tuple(choice for choice in choices if choice is not None),
+        Account(notes.bounds, operation.seconds, doubt_of(question)),
         notes.models,
         notes.left_out,
-        account,
         notes.beside,
-        None if tolerance is None else account.verdict(tolerance, seen.remedy),
         seen.tell_front,
-        tolerance=tolerance,
-        far=seen.around.far if seen.around else None,
-        tiling=seen.around.tiling if seen.around else None,
         single=single,
     )
 
@@ -430,12 +429,11 @@ def _as_float32(value):
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """How a scene is seen: its planes, and what the blur is made of. limit: relative RMS error that they keep."""
+    """How a scene is seen: its planes, and what the blur is made of."""
 
-    planes: spectral.Planes
+    way: spectral.Fused
     around: border.Surroundings | None = None
     folded: bool = False
-    limit: float | None = None
     tell_front: Callable[[], tuple[Candidate, ...]] = tuple
     remedy: str = ""
 
@@ -443,13 +441,14 @@ class _Seen:
 def _plain(question, blurred, fixed, notes):
     """Without blur. blurred: the question before one was left out, if it was."""
     notes.bounds |= fixed
-    planes, limit = spectral.planes_without_blur(question, notes), None
+    way = spectral.planes_without_blur(question, notes)
     if blurred.is_blurred:
         bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
-        planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
-        limit = max(blurred.limit, HEADROOM * bound.rms)
+        watch = spectral.watch_of_no_blur(blurred, bound)
+        watch = replace(watch, limit=max(blurred.limit, HEADROOM * bound.rms))
+        way = replace(way, choices=(*way.choices, watch))
     by = max(notes.bounds, key=lambda name: notes.bounds[name].rms)
-    return _Seen(planes, limit=limit, remedy=REMEDIES.get(by, "a larger tolerance would be met"))
+    return _Seen(way, remedy=REMEDIES.get(by, "a larger tolerance would be met"))
 
 
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):
@@ -467,22 +466,21 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     option, needed = choose_option(found, tolerance), remedy(question, found, arounds, fixed)
     form, folded = blur.form_of(question, option.around, by_depth)
     notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
-    planes = option.way.make()
-    picture.describe_unsplit(notes)
-    planes.describe(question, notes)
-    blur.describe(question, form, option.way.words, by_depth is not None, notes)
-    planes.describe_tables(question, notes)
-    limit = None
+    limit = np.inf
     if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
         # what is missed already may be missed as much
         own = HEADROOM * total((Bound(rest), option.way.bound)).rms
         limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
+    way = option.way.make(limit)
+    picture.describe_unsplit(notes)
+    way.describe(question, notes)
+    blur.describe(question, form, option.way.words, by_depth is not None, notes)
+    way.describe_tables(question, notes)
     return _Seen(
-        planes,
+        way,
         option.around,
         folded,
-        limit,
         tuple if tolerance is None else lambda: front(found, tolerance),
         needed,
     )

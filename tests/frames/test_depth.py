@@ -22,7 +22,7 @@ from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.optics.depth import circle_of_confusion, distance_of, plan_depth
+from gpusim.optics.depth import DepthPlan, circle_of_confusion, distance_of, plan_depth
 from gpusim.pipeline.simulator import Simulator
 
 PITCH = 2e-6
@@ -315,7 +315,7 @@ def test_layers_that_a_scene_gives(device):
     simulator = Simulator(cam, device=device)
     result = simulator.expose(scene, 1.0)
     plan = result.plan
-    assert plan.depth.layers == 2 and "given" in plan.models["optics.composite"]
+    assert plan.find(DepthPlan).layers == 2 and "given" in plan.models["optics.composite"]
     layer, weights = scene.layers[0], plan.weights[0]
     alpha, total = layer.alpha.astype(float), 0.0
     for band, weight, q in zip(range(3), weights, plan.q, strict=True):

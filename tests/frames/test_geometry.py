@@ -16,7 +16,12 @@ from gpusim.domain.sensor import Microlens
 from gpusim.io.camera.cameras import open_camera
 from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
-from gpusim.optics.geometry import distortion_grid, microlens_gain, relative_illumination
+from gpusim.optics.geometry import (
+    DistortionGrid,
+    distortion_grid,
+    microlens_gain,
+    relative_illumination,
+)
 from gpusim.pipeline.simulator import Simulator
 
 PITCH = 1.4e-6
@@ -257,7 +262,7 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     simulate = Simulator(replace(camera, optics=optics), device=device)
     mean = np.array(simulate.device.numpy(simulate.expose(scene, 0.01).mean))
     plan = simulate.plan(scene)
-    assert plan.distortion.method == "cubic"
+    assert plan.find(DistortionGrid).method == "cubic"
     before = np.array(simulate.device.numpy(simulate.imaging.light(plan)))
     assert before.min() >= -1e-6 * before.max()
     assert mean.min() >= 0

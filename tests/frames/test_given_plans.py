@@ -18,6 +18,10 @@ from gpusim.apps.pairs.variety import Variety
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, NotMet
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.field import FieldBlur
+from gpusim.optics.highlights import Highlights
+from gpusim.planner.choices import Blur
 
 SIZE, COUNT, SEED = (48, 32), 3, 4
 MONO = gs.open_camera("mono")
@@ -195,7 +199,7 @@ def test_a_plan_that_does_not_do_is_not_met():
     )
     simulator = gs.Simulator(PHONE, device="numpy", tolerance="video")
     plan = simulator.plan(calm)
-    assert plan.verdict.is_met and plan.mix is None
+    assert plan.verdict.is_met and plan.find(Blur) is None
     report = simulator(steep, verify=True, plan=plan).report
     assert report.verdict.state == "not met" and not report.meets_tolerance, str(report)
     program = simulator.program(calm, plan=plan)
@@ -222,7 +226,7 @@ def test_highlights_that_a_plan_does_not_split_cannot_be_judged():
         for one in (values, bright)
     )
     plan = simulator.plan(calm)
-    assert simulator.plan(spiky).highlights is not None
+    assert simulator.plan(spiky).find(Highlights) is not None
     verdict = simulator(spiky, plan=plan).report.verdict
     assert not verdict.is_met and (verdict.state == "not met" or "highlights" in verdict.unknown), (
         str(verdict)
@@ -284,15 +288,15 @@ def test_other_plans_are_refused():
 
 
 @pytest.mark.parametrize(
-    "what", ["depth", "highlights", pytest.param("varying", marks=pytest.mark.slow)]
+    "what", [DepthPlan, Highlights, pytest.param(FieldBlur, marks=pytest.mark.slow)]
 )
 def test_plans_of_one_scene_alone(what):
     """Depth, highlights and a varying blur serve their own scene, as the same object or with the same values."""
     scene = leaves()[0]
     camera = PHONE
-    if what == "depth":
+    if what is DepthPlan:
         scene = replace(scene, depth=np.tile(np.linspace(1, 4, 48), (32, 1)))
-    elif what == "highlights":
+    elif what is Highlights:
         scene = gs.chart("points", size=SIZE)
     else:
         camera = camera_with(
@@ -300,14 +304,14 @@ def test_plans_of_one_scene_alone(what):
         )
     simulator = gs.Simulator(camera, device="numpy", tolerance="1e-3")
     plan = simulator.plan(scene)
-    assert getattr(plan, what) is not None
+    assert plan.find(what) is not None
     own, frame = simulator(scene), simulator(scene, plan=plan)
     np.testing.assert_array_equal(frame.raw, own.raw)
     np.testing.assert_array_equal(simulator(replace(scene), plan=plan).raw, own.raw)
     assert frame.report.verdict == own.report.verdict
     other = (
         replace(leaves()[1], depth=scene.depth)
-        if what != "highlights"
+        if what is not Highlights
         else replace(scene, content=scene.content.with_planes(0.5 * scene.content.planes))
     )
     with pytest.raises(BadData, match="does not serve"):

@@ -9,7 +9,9 @@ import gpusim as gs
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.survey import survey
+from gpusim.optics.highlights import Highlights
 from gpusim.pipeline.imaging import store_content
+from gpusim.planner.choices import Planes
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -30,7 +32,7 @@ def test_a_cube_of_float16_is_that_of_its_values(device, tolerance, border):
     ]
     np.testing.assert_array_equal(streamed[0], found.raw)
     if tolerance is None:
-        assert simulator.program(half).plan.table is None  # every wavelength by itself
+        assert simulator.program(half).plan.find(Planes) is None  # every wavelength by itself
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -53,7 +55,7 @@ def test_highlights_of_float16_are_split_off_as_those_of_float32(device):
     values = np.full((7, *SHAPE), 0.01, np.float16)
     values[:, 20, 30] = 6e4
     simulator = gs.Simulator(CAMERA, device=device)
-    assert simulator.plan(scene(values)).highlights is not None
+    assert simulator.plan(scene(values)).find(Highlights) is not None
     same_bits(
         simulator.device,
         simulator.expose(scene(values)).mean,

@@ -17,7 +17,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.optics.field import Differences
+from gpusim.optics.field import Differences, FieldBlur
+from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
 
 MACHINE = gs.open_camera("machine-vision")
@@ -225,7 +226,7 @@ def test_an_area_on_black_is_no_highlight():
         plane[:, 40:] = 1.0
         simulator = gs.Simulator(camera(), device=DEVICES[0])
         exposure = simulator.expose(cube(plane))
-        assert exposure.plan.highlights is None
+        assert exposure.plan.find(Highlights) is None
         means.append(simulator.device.numpy(exposure.mean).astype(float))
     # the dark part, 24 pixels away, gives the corner less than 1e-2 of 1e-2
     np.testing.assert_allclose(means[0][-1, -1], means[1][-1, -1], rtol=1e-3)
@@ -242,7 +243,7 @@ def test_highlights_join_at_the_threshold(fill):
         plane[20, 31] = level
         simulator = gs.Simulator(pixel, device=DEVICES[0])
         exposure = simulator.expose(cube(plane))
-        assert (exposure.plan.highlights is not None) == (level > 1)
+        assert (exposure.plan.find(Highlights) is not None) == (level > 1)
         peaks.append(float(simulator.device.numpy(exposure.mean)[20, 31]) / level)
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-3)  # the point kernels' own bound
 
@@ -319,7 +320,7 @@ def test_measured_point_spreads_over_the_field(device):
         plane[y, x] = 1.0
     exposure = simulator.expose(cube(plane))
     mean = simulator.device.numpy(exposure.mean).astype(float)
-    assert exposure.plan.varying is not None
+    assert exposure.plan.find(FieldBlur) is not None
     for y, x in places:
         height = np.hypot(y - 31.5, x - 47.5) / (np.hypot(64, 96) / 2)
         around, offsets = mean[y - 11 : y + 12, x - 11 : x + 12], np.arange(-11, 12)

@@ -16,6 +16,8 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
+from gpusim.optics.drift import Watch
+from gpusim.optics.highlights import Highlights
 from gpusim.pipeline import imaging
 from gpusim.planner.facts import Facts
 
@@ -134,7 +136,7 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
         program = simulator.program(one, 0.01)
         own = program.frame()
         plan, found = program.plan, program.update(scene=other).frame()
-        assert program.plan is plan and plan.watch is not None
+        assert program.plan is plan and plan.find(Watch) is not None
         assert any("planned for picture" in note for note in found.report.notes)
         errors.append(
             (own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms)
@@ -171,9 +173,9 @@ def test_a_highlight_is_found_in_a_later_picture(device):
     program = simulator.program(gs.picture(frame(1)), 0.01)
     program.raw()
     program.update(scene=scene).raw()
-    assert program.plan.highlights is None
+    assert program.plan.find(Highlights) is None
     program.judge()
-    assert len(program.plan.highlights.places) == 1
+    assert len(program.plan.find(Highlights).places) == 1
     same_bits(
         simulator.device, program.raw(seed=4), simulator.program(decoded(scene), 0.01).raw(seed=4)
     )

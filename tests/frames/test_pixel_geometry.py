@@ -21,6 +21,7 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.geometry import vignetting_gain
+from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import PupilLens
 from gpusim.optics.psf import psf_tables
 from gpusim.optics.sampling import sampling_error
@@ -407,7 +408,7 @@ def test_highlights_stay_in_the_planes_where_their_kernels_are_not_square():
             highest=1e5,
         )
         plan = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
-        assert (plan.highlights is not None) == split
+        assert (plan.find(Highlights) is not None) == split
         assert ("local error next to highlights" in plan.beside) != split
 
 

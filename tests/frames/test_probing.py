@@ -16,7 +16,9 @@ from gpusim.domain.content import Basis
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import unit_light
 from gpusim.judge.truth import true_error
+from gpusim.optics.drift import Watch
 from gpusim.pipeline.probing import Probing, kind_of
+from gpusim.planner.choices import Blur
 from gpusim.planner.plan import Plan
 
 CAMERA, SIZE, SECONDS = gs.open_camera("phone"), (160, 120), 0.01
@@ -169,14 +171,14 @@ def test_a_plan_without_blur_is_not_kept_for_edges(device):
         program.raw()
         for number in range(more):
             program.update(scene=replace(flat, name=f"flat {number}")).raw()
-        assert program.plan.mix is None
+        assert program.plan.find(Blur) is None
         program.update(scene=local()).raw()
         if more:  # not due
-            assert program.plan.mix is None
+            assert program.plan.find(Blur) is None
             program.judge()
         assert errs(program).p999_sigma < TOLERANCE.p999_sigma
         program.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
-        assert program.update(scene=flat).plan.mix is not None
+        assert program.update(scene=flat).plan.find(Blur) is not None
 
 
 def forms():
@@ -201,7 +203,7 @@ def test_probes_tell_the_true_error_of_a_plans_own_planes(scene, tolerance):
     simulator = made("opencl", tolerance)
     program = simulator.program(scene, SECONDS)
     program.raw()
-    assert program.plan.watch is not None
+    assert program.plan.find(Watch) is not None
     turned = scene.content.with_samples(lambda array: np.ascontiguousarray(array[..., ::-1, ::-1]))
     report = program.update(scene=replace(scene, content=turned, name="turned")).frame().report
     assert any("from this scene" in note for note in report.notes)

@@ -21,7 +21,9 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
 from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.shade import shade
+from gpusim.optics.geometry import DistortionGrid
 from gpusim.pipeline.readout import Readout
+from gpusim.planner.choices import Falloff
 
 BAYER = np.array([[0, 1], [1, 2]], np.int32)
 QUAD = BAYER.repeat(2, axis=0).repeat(2, axis=1)
@@ -42,8 +44,9 @@ TURNS = [np.s_[:, ::-1], np.s_[::-1], np.s_[::-1, ::-1]]
 
 def flat_response(plan):
     """What a flat scene gives at every pixel over the response on the axis."""
-    nodes = None if plan.distortion is None else plan.distortion.nodes
-    return relative_response(plan.scene.shape, plan.slope, plan.falloff, nodes)
+    grid, falloff = plan.find(DistortionGrid), plan.find(Falloff)
+    nodes, gains = grid and grid.nodes, falloff and falloff.gains
+    return relative_response(plan.scene.shape, plan.slope, gains, nodes)
 
 
 def turned(array, turn):

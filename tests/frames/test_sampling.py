@@ -21,6 +21,7 @@ from gpusim.io.scene.scenes import open_scene
 from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
+from gpusim.optics.highlights import Highlights
 from gpusim.optics.sampling import AREA, NODES, frame_start, pixel_taps
 from gpusim.pipeline.simulator import Simulator
 
@@ -296,7 +297,7 @@ def test_highlights_of_a_finer_scene(device):
     )
     simulator = Simulator(camera, device=device, reach=30)
     plan = simulator.plan(scene)
-    assert plan.highlights is not None and len(plan.highlights.places) == 3
+    assert plan.find(Highlights) is not None and len(plan.find(Highlights).places) == 3
     brute = Brute(
         plan.q, scene.samples, period=(400, 400)
     )  # copies of a point add 5e-4 of the background

@@ -11,6 +11,7 @@ from devices import ALL_KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.optics.highlights import Highlights
 
 SIZE = (96, 64)
 CAMERA = gs.open_camera("phone")
@@ -178,9 +179,9 @@ def test_a_highlight_is_found(device):
     program = simulator.program(first, 0.01)
     program.raw()
     program.update(scene=second).raw()
-    assert program.plan.highlights is None
+    assert program.plan.find(Highlights) is None
     program.judge()
-    assert len(program.plan.highlights.places) == 1
+    assert len(program.plan.find(Highlights).places) == 1
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

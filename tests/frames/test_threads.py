@@ -14,6 +14,7 @@ from devices import ALL, ALL_KINDS, DEVICES, KINDS
 import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.domain.errors import DeviceError
+from gpusim.optics.field import FieldBlur
 
 THREADS, FRAMES = 8, 50
 SIZE = (40, 32)
@@ -150,10 +151,10 @@ def test_an_exposure_of_a_varying_blur_is_pickled():
     camera = gs.open_camera("phone")
     camera = replace(camera, optics=replace(camera.optics, lateral_color=1e-3))
     exposure = gs.Simulator(camera, device="numpy", tolerance=1e-2).expose(scene_of(0))
-    assert exposure.plan.varying is not None
+    assert exposure.plan.find(FieldBlur) is not None
     again = pickle.loads(pickle.dumps(exposure))
     np.testing.assert_array_equal(
-        again.plan.varying.coefficients, exposure.plan.varying.coefficients
+        again.plan.find(FieldBlur).coefficients, exposure.plan.find(FieldBlur).coefficients
     )
 
 

@@ -19,6 +19,7 @@ from gpusim.io.scene.npz import write_npz
 from gpusim.judge.truth import true_mean
 from gpusim.kernels.optics.distort import distort
 from gpusim.measure.ideal import ideal
+from gpusim.optics.geometry import DistortionGrid
 
 WAVELENGTHS = np.linspace(420.0, 680.0, 4)
 LIGHT = gs.chart("flat").illuminant
@@ -225,7 +226,7 @@ def test_a_lens_of_many_samples_a_pixel_magnifies_without_dimming(device):
     flat = scene_of(np.ones((4, 60, 60)), border="edge")
     simulator = gs.Simulator(camera, device=device)
     program = simulator.program(replace(flat, view=gs.View((0.5, 0.0))), exposure_time=0.01)
-    assert program.plan.distortion.method == "area"
+    assert program.plan.find(DistortionGrid).method == "area"
     means = []
     for zoom in (1.0, 2.0, 1.0, 3.0):
         program.update(scene=replace(flat, view=gs.View((0.5, 0.0), 0.0, zoom)))

@@ -16,8 +16,10 @@ from gpusim.domain.errors import NotMet
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.lengths import Tiling
 from gpusim.optics.windows import Windows
-from gpusim.planner.knobs.farfield import ring_errors
+from gpusim.planner.choices import Blur
+from gpusim.planner.knobs.farfield import FarField, ring_errors
 from gpusim.planner.knobs.noise import without_negligible
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE
@@ -145,17 +147,18 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
         plan = gs.Simulator(camera, device="numpy", tolerance=rms).plan(scene)
         cost = _cost(plan)
         suffices = HEADROOM * SAFETY * exact.account.total.ratio(Tolerance(rms=rms)) <= 1
-        if plan.far is None or suffices:
+        if plan.find(FarField) is None or suffices:
             assert cost <= most
         else:  # the exact frame breaks this tolerance at its border: the same with a world without end does not
-            assert cost <= min(_cost(replace(plan, mix=exact.mix)), WIDER * most)
+            many = replace(plan.find(Blur), mix=exact.find(Blur).mix)
+            assert cost <= min(_cost(plan.exchange(many)), WIDER * most)
         if plan.verdict.is_met:  # what is not met is as accurate as it can be
             assert cost <= before
             before = cost
 
 
 def _cost(plan):
-    if plan.mix is None:
+    if plan.find(Blur) is None:
         return 0.0
     asked = SimpleNamespace(
         on_gpu=False,
@@ -164,18 +167,20 @@ def _cost(plan):
         size=plan.content.shape,
         scene=plan.scene,
     )
-    around = SimpleNamespace(period=plan.period, far=plan.far, tiling=plan.tiling)
-    return cost_of(asked, plan.count, around, plan.folded)
+    around = SimpleNamespace(period=plan.period, far=plan.find(FarField), tiling=plan.find(Tiling))
+    return cost_of(asked, plan.count, around, plan.find(Blur).folded)
 
 
 def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():
     wavelengths = np.arange(400.0, 701.0, 10.0)
     flat = Scene(Cube(wavelengths, np.ones((31, 40, 50), np.float32)), unit_light(wavelengths))
     plan = gs.Simulator(PHONE, device="numpy", tolerance=1e-5).plan(flat)
-    assert plan.mix is None and any(line.startswith("blur: relative rms") for line in plan.left_out)
-    assert gs.Simulator(PHONE, device="numpy").plan(flat).mix is not None
+    assert plan.find(Blur) is None and any(
+        line.startswith("blur: relative rms") for line in plan.left_out
+    )
+    assert gs.Simulator(PHONE, device="numpy").plan(flat).find(Blur) is not None
     dark = replace(flat, border="zero")  # beside a dark world the blur is seen
-    assert gs.Simulator(PHONE, device="numpy", tolerance=1e-5).plan(dark).mix is not None
+    assert gs.Simulator(PHONE, device="numpy", tolerance=1e-5).plan(dark).find(Blur) is not None
 
 
 def test_strict_refuses_in_one_line_what_is_not_met(tmp_path, capsys):
@@ -253,10 +258,10 @@ def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_jud
     assert made.verdict.is_met and before <= 1 < len(judged)
     assert (good[0].planes, good[0].tiling, good[0].period) == (
         made.count,
-        made.tiling,
+        made.find(Tiling),
         made.period,
     )
-    assert (good[0].far is None) == (made.far is None)
+    assert (good[0].far is None) == (made.find(FarField) is None)
     assert all(
         one.error.ratio(tolerance) > other.error.ratio(tolerance)
         for one, other in zip(made.front, made.front[1:], strict=False)
@@ -282,7 +287,7 @@ def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
         gs.Simulator(PHONE, device="numpy", tolerance="video"),
     )
     short, long = (simulator.program(scene, seconds).plan for seconds in (1e-4, 0.1))
-    assert short.mix is None or short.mix.shape[1] <= long.mix.shape[1]
+    assert short.count <= long.count
     program = simulator.program(scene, 1e-4)
     assert program.plan is program.plan
     assert _cost(program.plan) < _cost(program.update(exposure_time=0.1).plan)

@@ -142,11 +142,10 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
 def test_looser_tolerances_take_fewer_planes():
     scene = natural((192, 128))
     planes = [
-        made_for(scene, tolerance=Tolerance(rms=rms)).mix.shape[1]
-        for rms in (1e-2, 1e-3, 1e-4, 1e-5)
+        made_for(scene, tolerance=Tolerance(rms=rms)).count for rms in (1e-2, 1e-3, 1e-4, 1e-5)
     ]
     assert planes == sorted(planes) and planes[0] == 3 and planes[-1] < 12
-    assert made_for(scene).mix.shape[1] == 31  # without a tolerance every wavelength is exact
+    assert made_for(scene).count == 31  # without a tolerance every wavelength is exact
 
 
 def test_spectra_outside_the_prior_raise_the_rank():
@@ -157,7 +156,7 @@ def test_spectra_outside_the_prior_raise_the_rank():
     scene = Scene(Cube(WAVELENGTHS, values), white_radiance(illuminant("D65"), 100.0))
     tame = made_for(natural((96, 64)), tolerance=Tolerance(rms=1e-3))
     wild = made_for(scene, tolerance=Tolerance(rms=1e-3))
-    assert wild.mix.shape[1] > tame.mix.shape[1]
+    assert wild.count > tame.count
     brute = Brute(wild.q, scene.shape)
     transformed = brute.transform(values.astype(float))
     cfa = CAMERA.sensor.cfa_indices

@@ -1,14 +1,17 @@
 """What a planner's caller keeps between plans is given again for what it was made for, and for nothing else."""
 
 from dataclasses import replace
+from typing import get_args, get_type_hints
 
 import numpy as np
 
 from gpusim.data.charts import chart
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
+from gpusim.optics.drift import Watch
 from gpusim.pipeline.cache import Cache
-from gpusim.planner.plan import plan
+from gpusim.planner.choices import Blur, Fusion, Planes
+from gpusim.planner.plan import Plan, plan
 
 PHONE = open_camera("phone")
 
@@ -23,7 +26,10 @@ def camera(pixels=None, **optics):
 
 def parts(made):
     """All that a plan says of its blur."""
-    return made.models, made.account, made.beside, made.flat, made.table, made.mix, made.transfers
+    choices = [
+        choice for choice in made.choices if isinstance(choice, Planes | Blur | Fusion | Watch)
+    ]
+    return made.models, made.account, made.beside, made.flat, [vars(one) for one in choices]
 
 
 # each other than the one before in one thing that what is kept depends on
@@ -63,3 +69,17 @@ def test_plans_are_those_of_a_planner_that_keeps_nothing():
                 np.testing.assert_equal(
                     parts(plan(scene, one, tolerance=tolerance, cache=kept)), wanted
                 )
+
+
+def test_no_field_of_a_plan_is_coded_by_none():
+    """A part that frames do without is not listed; every listed kind is listed once."""
+    hints = get_type_hints(Plan)
+    assert not [name for name, hint in hints.items() if type(None) in get_args(hint)]
+    for scene in SCENES:
+        for tolerance in (None, Tolerance(rms=1e-2)):
+            made = plan(scene, PHONE, tolerance=tolerance)
+            assert not [name for name in hints if getattr(made, name) is None]
+            kinds = list(map(type, made.choices))
+            assert len(kinds) == len(set(kinds)) and type(None) not in kinds
+            for kind in kinds:
+                assert type(made.find(kind)) is kind

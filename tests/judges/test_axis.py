@@ -91,6 +91,7 @@ def test_relative_illumination_follows_the_axis():
 
 def test_microlenses_follow_the_axis():
     """Chief rays come from the axis; the planner's own gains, as they need no light."""
+    from gpusim.planner.choices import Falloff
     from gpusim.planner.plan import plan
 
     def gains(cols, right):
@@ -106,7 +107,8 @@ def test_microlenses_follow_the_axis():
         )
         lens = Microlens(np.array([0.0, 0.5, 1.5]), np.array([1.0, 0.8, 0.1]))
         sensor = replace(camera.sensor, microlens=lens)
-        return plan(scene_of(cols), replace(camera, optics=optics, sensor=sensor)).falloff
+        made = plan(scene_of(cols), replace(camera, optics=optics, sensor=sensor))
+        return made.find(Falloff).gains
 
     wide, off, centred = gains(COLS + MORE, 0)[:, :COLS], gains(COLS, MORE / 2), gains(COLS, 0)
     assert np.abs(off - wide).max() < 1e-12 and np.abs(centred - wide).max() > 1e-3

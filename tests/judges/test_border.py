@@ -18,6 +18,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.judge.truth import true_mean
+from gpusim.optics.highlights import Highlights
+from gpusim.planner.choices import Blur
 from gpusim.planner.knobs import border as model
 
 BANDS = np.array([500.0, 600.0])
@@ -162,7 +164,7 @@ def test_highlights_go_on_as_the_border_says(device, border):
         f"{border}: {relative(mean - own, own):.2g}, predicted {plan.account.bounds['border'].rms:.2g}"
     )
     # of three, one is no part of an edge; or each with its images within 84 pixels along both axes
-    assert len(plan.highlights.places) == (1 if border == "edge" else 33)
+    assert len(plan.find(Highlights).places) == (1 if border == "edge" else 33)
     assert 1 / 2.5 < plan.account.bounds["border"].rms / relative(mean - own, own) < 2.5
     assert relative(mean - own, own) < (0.03 if border == "edge" else 1e-3)
 
@@ -240,6 +242,6 @@ def test_the_truth_does_not_know_the_plan():
     for tolerance in (None, 0.9):
         simulator = gs.Simulator(camera, device="numpy", tolerance=tolerance)
         exposure = simulator.expose(scene, 0.01)
-        assert (exposure.plan.mix is None) is (tolerance is not None)
+        assert (exposure.plan.find(Blur) is None) is (tolerance is not None)
         truths.append(true_mean(gs.Simulator, camera, scene, exposure.plan, 0.01))
     np.testing.assert_array_equal(*truths)

@@ -10,6 +10,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil
 from gpusim.kernels.optics.far import far
 from gpusim.planner.knobs import border as model
+from gpusim.planner.knobs.farfield import FarField
 
 MUST = 1e-5  # relative RMS of a frame whose border goes on to infinity
 BAND = 2.5  # times what is predicted that it may be
@@ -22,7 +23,7 @@ def seen(monkeypatch, scene, lens, reach, device="numpy"):
     simulator = gs.Simulator(lens, device=device, tolerance=1e-7 if device == "numpy" else 1e-6)
     exposure = simulator.expose(scene, 1.0)
     assert (
-        exposure.plan.far is not None
+        exposure.plan.find(FarField) is not None
         and f"more than {reach} pixels" in exposure.plan.models["optics.far"]
     )
     return simulator.device.numpy(exposure.mean), exposure.plan

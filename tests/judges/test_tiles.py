@@ -31,7 +31,7 @@ def seen(monkeypatch, scene, lens, overlap, device="numpy", tolerance=1e-6):
     )
     simulator = gs.Simulator(lens, device=device, tolerance=tolerance)
     exposure = simulator.expose(scene, 1.0)
-    assert exposure.plan.tiling.overlap >= overlap and "optics.tiles" in exposure.plan.models
+    assert exposure.plan.find(Tiling).overlap >= overlap and "optics.tiles" in exposure.plan.models
     return simulator.device.numpy(exposure.mean), exposure.plan
 
 

@@ -10,11 +10,11 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.spectrum import LINE
 from gpusim.optics.drift import Watch, wrong_moments
-from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.optics.sampling import pixel_response
 from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
+from gpusim.planner.choices import Fusion, Planes
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs.field import varying_planes
 from gpusim.planner.knobs.highlights import Picture
@@ -36,35 +36,39 @@ FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
 
 
 @dataclass(frozen=True, eq=False)
-class Planes:
-    """The planes that are blurred: see `gpusim.planner.plan.Plan` for each."""
+class Fused:
+    """The planes that are blurred.
+
+    Attributes:
+        flat: Response to a flat field of each wavelength, shape (L,): see `Plan`.
+        mix: Channels from blurred planes, shape (C, planes); the identity without blur.
+        choices: How they are made: Planes, Fusion, FieldBlur and Watch, as far as they are needed.
+    """
 
     flat: np.ndarray
-    table: np.ndarray | None
-    mix: np.ndarray | None
-    transfers: np.ndarray | None
-    watch: Watch | None = None
-    varying: FieldBlur | None = None
+    mix: np.ndarray
+    choices: tuple = ()
 
     def describe(self, question: Question, notes: Notes):
         """Note the sums over wavelength."""
         content = question.content
-        if self.table is not None:
-            notes.models[_stage(content)] = (
-                f"{content.form} of {len(content.entry_spectra)} entries to "
-                f"{len(self.table)} planes"
-            )
+        for choice in self.choices:
+            if isinstance(choice, Planes):
+                notes.models[_stage(content)] = (
+                    f"{content.form} of {len(content.entry_spectra)} entries to "
+                    f"{len(choice.table)} planes"
+                )
 
     def describe_tables(self, question: Question, notes: Notes):
         """Note the tables that are summed over wavelength."""
-        if self.transfers is not None:
+        if any(isinstance(choice, Fusion) for choice in self.choices):
             notes.models.setdefault(
                 "spectral.integrate",
                 f"tables of {len(question.scene.wavelengths)} wavelengths combined into the planes'",
             )
 
 
-def planes_without_blur(question: Question, notes: Notes) -> Planes:
+def planes_without_blur(question: Question, notes: Notes) -> Fused:
     """Channels straight from the content."""
     content, weights = question.content, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
@@ -73,7 +77,7 @@ def planes_without_blur(question: Question, notes: Notes) -> Planes:
         "(no blur to apply)"
     )
     notes.leave_out(question.lens.words, DECLARED)
-    return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
+    return Fused(np.ones(len(nodes)), np.eye(len(weights)), (Planes(weights @ spectra.T),))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +88,13 @@ class Way:
         count: Planes that are transformed.
         bound: Its error.
         words: The way in words.
-        make: Makes its planes.
+        make: Makes its planes; its argument is the relative RMS error up to which they serve other scenes.
     """
 
     count: int
     bound: Bound
     words: str
-    make: Callable[[], Planes]
+    make: Callable[[float], Fused]
 
 
 def ways(question: Question, probes: Probes | None) -> list[Way]:
@@ -116,10 +120,10 @@ def _varying_way(question, even, flat, probes):
     inputs, transfers, mix, varying, wrong, words = varying_planes(
         question, response_of(question, even, flat), prior_of(question), flat
     )
-    made = Planes(flat, inputs @ question.content.entry_spectra.T, mix, transfers, None, varying)
-    return Way(
-        len(inputs), Bound(wrong) if probes is None else probes.local(wrong), words, lambda: made
-    )
+    table = inputs @ question.content.entry_spectra.T
+    made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
+    bound = Bound(wrong) if probes is None else probes.local(wrong)
+    return Way(len(inputs), bound, words, lambda _: made)
 
 
 def describe_unseen(question: Question, notes: Notes):
@@ -179,21 +183,20 @@ def _exact(content, weights, flat):
     spectra = content.entry_spectra
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
-        table = np.eye(len(spectra)) if content.labels is not None else None
+        planes = () if content.labels is None else (Planes(np.eye(len(spectra))),)
+        fusion = Fusion(weights[:, None] * spectra)
         return Way(
             len(spectra),
             Bound(),
             f"exact per band, {len(spectra)} {content.form} planes transformed in place "
             f"of {len(weights[0])}",
-            lambda: Planes(
-                flat, table, np.ones((len(weights), len(spectra))), weights[:, None] * spectra
-            ),
+            lambda _: Fused(flat, np.ones((len(weights), len(spectra))), (*planes, fusion)),
         )
     return Way(
         len(weights[0]),
         Bound(),
         f"exact per band, {len(weights[0])} wavelengths",
-        lambda: Planes(flat, None if content.is_spectral else spectra.T, weights, None),
+        lambda _: Fused(flat, weights, () if content.is_spectral else (Planes(spectra.T),)),
     )
 
 
@@ -283,7 +286,7 @@ def _fused_ways(question, response, flat, planes, probes):
         if rank < question.least:
             continue
 
-        def make(rank=rank, bound=bound):
+        def make(limit, rank=rank, bound=bound):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
             watch = Watch.of(response, inputs, transfers, content).with_scale(question.facts.pairs)
             expected = operator.predict_error(rank, question.facts.spectra)
@@ -291,12 +294,15 @@ def _fused_ways(question, response, flat, planes, probes):
                 wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
                 for more in range(rank + 1, most + 1)
             )
-            return Planes(
+            factor = bound.rms / expected if expected else 1.0
+            return Fused(
                 flat,
-                inputs @ content.entry_spectra.T,
                 np.ones(transfers.shape[:2]),
-                transfers,
-                replace(watch, factor=bound.rms / expected if expected else 1.0, falls=falls),
+                (
+                    Planes(inputs @ content.entry_spectra.T),
+                    Fusion(transfers),
+                    replace(watch, factor=factor, falls=falls, limit=limit),
+                ),
             )
 
         words = f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} wavelengths"
@@ -329,12 +335,12 @@ def _guaranteed_ways(question, response, flat, planes, probes):
     for count in range(1, (planes - 1) // channels + 1):
         operator = question.cache(f"{count} planes a channel", channel_operator, response, count)
 
-        def make(operator=operator):
-            return Planes(
+        def make(_, operator=operator):
+            table = operator.table @ question.content.entry_spectra.T
+            return Fused(
                 flat,
-                operator.table @ question.content.entry_spectra.T,
                 np.ones(operator.transfers.shape[:2]),
-                operator.transfers,
+                (Planes(table), Fusion(operator.transfers)),
             )
 
         bound = probes.local(operator.bound)
