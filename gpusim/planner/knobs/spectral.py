@@ -104,26 +104,21 @@ def ways(question: Question, probes: Probes | None) -> list[Way]:
     """
     flat = _flat(question)
     even = question.weights / flat
-    exact = _exact(question.content, even, flat)
     if not question.lens.is_uniform:
-        return [_varying_way(question, even, flat, probes)]
+        response = response_of(question, even, flat)
+        inputs, transfers, mix, varying, wrong, words = varying_planes(
+            question, response, prior_of(question), flat
+        )
+        table = inputs @ question.content.entry_spectra.T
+        made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
+        bound = Bound(wrong) if probes is None else probes.local(wrong)
+        return [Way(len(inputs), bound, words, lambda _: made)]
+    exact = _exact(question.content, even, flat)
     if probes is None:
         return [exact]
     response = response_of(question, even, flat)
-    found = (_guaranteed_ways if question.guaranteed else _fused_ways)(
-        question, response, flat, exact.count, probes
-    )
-    return [*found, exact]
-
-
-def _varying_way(question, even, flat, probes):
-    inputs, transfers, mix, varying, wrong, words = varying_planes(
-        question, response_of(question, even, flat), prior_of(question), flat
-    )
-    table = inputs @ question.content.entry_spectra.T
-    made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
-    bound = Bound(wrong) if probes is None else probes.local(wrong)
-    return Way(len(inputs), bound, words, lambda _: made)
+    fewer = _guaranteed_ways if question.guaranteed else _fused_ways
+    return [*fewer(question, response, flat, exact.count, probes), exact]
 
 
 def describe_unseen(question: Question, notes: Notes):
@@ -212,10 +207,9 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
             question.q, question.cell, period, question.ratio, question.moved
         )
     else:
-        half = (
-            np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
-        ) / question.corner
-        tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
+        half = np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
+        places = half / question.corner * FIELD_POINTS
+        tables = field_tables(question.lens, scene.wavelengths, places, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
     if taps is not None:  # what the pixels average out is no error
@@ -323,10 +317,8 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
         question.scene.samples,
         question.facts.spectra,
     )
-    return replace(
-        watch.with_scale(question.facts.pairs),
-        factor=max(1.0, bound.rms / expected if expected else 1.0),
-    )
+    factor = max(1.0, bound.rms / expected if expected else 1.0)
+    return replace(watch.with_scale(question.facts.pairs), factor=factor)
 
 
 def _guaranteed_ways(question, response, flat, planes, probes):
