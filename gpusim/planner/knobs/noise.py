@@ -8,7 +8,7 @@ from gpusim.domain.account import Bound
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 
-FAR = 10.0  # times below the tolerance
+FAR = 10.0  # times below the tolerance: patterns that are left out
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
 QUANTILE = 3.3
 MAXIMUM = 5.0
