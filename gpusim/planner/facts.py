@@ -1,4 +1,4 @@
-"""Numbers that the planner reads from a scene's pixels, each once, and the exposure that follows."""
+"""Numbers that the planner reads from a scene's pixels, each once."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,7 +8,6 @@ import numpy as np
 import scipy
 
 from gpusim.domain.content import Content
-from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
 from gpusim.optics.depth import flatten
 from gpusim.optics.fusion import Spectra, row_pairs
@@ -35,23 +34,22 @@ class Samples(Protocol):
         """All samples, in host memory; of a picture they may be its codes."""
 
 
+@dataclass(frozen=True, eq=False)
 class OnHost:
     """Reads the samples of a content in host memory."""
 
-    def __init__(self, content: Content):
-        self._content = content
+    content: Content
 
     def rows(self, chosen) -> Content:
         """See `Samples`."""
-        return self._content.take(chosen)
+        return self.content.take(chosen)
 
     def windows(self, rows, cols) -> Content:
         """See `Samples`."""
 
         def taken(array):
-            found = np.empty(
-                (len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]), array.dtype
-            )
+            shape = len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]
+            found = np.empty(shape, array.dtype)
             for window, y, x in zip(found, rows, cols, strict=True):
                 if (np.diff(y) == 1).all() and (np.diff(x) == 1).all():
                     window[:] = array[..., y[0] : y[-1] + 1, x[0] : x[-1] + 1]
@@ -59,15 +57,15 @@ class OnHost:
                     window[:] = array[..., y[:, None], x]
             return np.moveaxis(found, 0, -3)
 
-        return self._content.on_host().with_samples(taken)
+        return self.content.on_host().with_samples(taken)
 
     def brightness(self, total) -> np.ndarray:
         """See `Samples`."""
-        return self._content.brightness(total)
+        return self.content.brightness(total)
 
     def whole(self) -> Content:
         """See `Samples`."""
-        return self._content
+        return self.content
 
 
 class Facts:
@@ -89,10 +87,7 @@ class Facts:
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
         """Return the facts of the picture that a scene shows."""
-        if not all(
-            content.is_seen
-            for content in (scene.content, *(layer.content for layer in scene.layers))
-        ):
+        if not (scene.content.is_seen and all(layer.content.is_seen for layer in scene.layers)):
             layers = tuple(
                 replace(layer, content=layer.content.on_host()) for layer in scene.layers
             )
@@ -114,10 +109,9 @@ class Facts:
 
         Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
         """
-        first = self._rows[0]
-        return self.samples.rows(
-            np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel()
-        )
+        upper = self._rows[0]
+        lower = np.minimum(upper + 1, self.content.shape[0] - 1)
+        return self.samples.rows(np.stack([upper, lower], axis=1).ravel())
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -135,11 +129,8 @@ class Facts:
         """Return the pairs in channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
         key, found = weights.tobytes(), self._channels
         if found is None or found[0] != key:
-            table = weights @ self.pairs.entry_spectra.T
-            found = self._channels = (
-                key,
-                self.pairs.mix(table.astype(np.float32)).astype(np.float64),
-            )
+            table = (weights @ self.pairs.entry_spectra.T).astype(np.float32)
+            found = self._channels = key, self.pairs.mix(table).astype(np.float64)
         return found[1]
 
     def moments(self, weights) -> Moments:
@@ -189,49 +180,3 @@ class Operation:
     def level(self) -> float:
         """Electrons of the frame's root mean square."""
         return max(self.seconds * self.size, 1e-30)
-
-    @classmethod
-    def of(
-        cls,
-        camera,
-        facts: Facts,
-        weights,
-        level: float,
-        highest: float,
-        exposure_time: float | None = None,
-    ) -> "Operation":
-        """Return the operation for the light of a scene.
-
-        Args:
-            camera: The camera.
-            facts: Of the scene.
-            weights: Electrons per second of the channels, shape (C, L).
-            level: Root mean square over the frame of the sums over the channels, as the lens
-                shows them.
-            highest: Maximum, likewise.
-            exposure_time: Exposure time [s]; None: the camera's own.
-        """
-        sensor, rates = camera.sensor, facts.channels(weights)
-        looked = rates.sum(axis=0)
-        if not sensor.stacked:
-            cfa = sensor.cfa_indices
-            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
-            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
-            rates = np.take_along_axis(rates, channel[None], 0)
-        light = float(np.sqrt(np.mean(looked**2)))
-        size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
-        seconds = sensor.exposure_time if exposure_time is None else exposure_time
-        if seconds is None:
-            dark = sensor.noise.operating_dark_current
-            try:
-                automatic, brightest = sensor.auto_exposure, float(looked.max())
-                if automatic.method == "highlights" and brightest > 0:
-                    # the frame's brightest need not be among these samples
-                    top = rates.max() * highest / brightest
-                    rates = np.append(np.minimum(rates, top), top)
-                seconds = automatic.choose(rates + dark, sensor.saturation)[0]
-                if automatic.method == "full" and highest > 0:
-                    seconds *= brightest / highest
-            except BadData:  # a dark scene: whoever exposes it says so
-                seconds = 1.0
-        return cls(float(seconds), size, float(sensor.read_sigma**2))

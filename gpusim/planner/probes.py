@@ -71,7 +71,20 @@ class Probes:
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
         """Return the probes of a scene. known: the other attributes."""
-        planes, entries = _planes(facts, windows, border)
+        y = border_indices(windows.rows, facts.content.shape[0], border)
+        x = border_indices(windows.cols, facts.content.shape[1], border)
+        taken, entries = facts.samples.windows(y, x), None
+        # as few planes as there are: of all wavelengths, or of entries that samples are mixed of
+        if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
+            planes, entries = taken.planes, taken.entry_spectra
+        elif taken.is_spectral:
+            planes = taken.planes
+        else:
+            planes = taken.mix(taken.entry_spectra.T.astype(np.float32))
+        planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
+        if border == "zero":
+            lit = (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+            planes *= lit[:, None]
         means = planes[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
         planes -= means[..., None, None]
         spectra = scipy.fft.rfft2(planes, workers=-1)
@@ -102,43 +115,45 @@ class Probes:
         return float(self.windows.weight @ _mean_squares(own)[:, 0])
 
     @cached_property
-    def _size(self):
-        """Root mean square of the mosaic [e- s-1], from the frame's sum of the channels."""
+    def _light(self):
+        """Root mean square of the mosaic [e- s-1], from the frame's sum of the channels; mean squares in the windows.
+
+        Two mean squares: of the channels, each by its share, and of the channels that the pixels
+        have, None if these are not known.
+        """
         weight = self.windows.weight
         together = weight @ _mean_squares(self.signal.sum(axis=1))
         mosaic = weight @ _mean_squares(self.signal) @ self.share
         if self.apart is not None and self.level**2 > together:
-            return float(np.sqrt(mosaic + self.apart * (self.level**2 - together)))
-        return self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
+            size = float(np.sqrt(mosaic + self.apart * (self.level**2 - together)))
+        else:
+            size = self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
+        return size, mosaic, None if self.channels is None else self._of_mosaic(self.signal)
 
     def bound(self, wrong) -> Bound:
         """The error of channels whose transforms are wrong by so much, complex (n, C, SIDE, SIDE // 2 + 1)."""
-        if not self._size > 0:
+        size, even, light = self._light
+        if not size > 0:
             return Bound()
         error = np.abs(self._inside(wrong))
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
-        rms = np.sqrt(squares) / self._size
+        rms = np.sqrt(squares) / size
         # few pixels hold the error, which then depends on their channels
-        if self.channels is not None:
-            own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
-            even = self.windows.weight @ _mean_squares(self.signal) @ self.share
-            if size > 0 and own * even > UNEVEN * squares * size:
-                rms *= np.sqrt(own / squares * (even / size if self.apart is None else 1.0))
-        sigma = error * (self.seconds / self._sigma)
+        if light is not None:
+            own = self._of_mosaic(error)
+            if light > 0 and own * even > UNEVEN * squares * light:
+                rms *= np.sqrt(own / squares * (even / light if self.apart is None else 1.0))
+        sigma = error * (self.seconds / self._noise[0])
         return Bound(
             float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest)
         )
 
     @cached_property
-    def _sigma(self):
-        """Noise of the pixels in the windows' inner parts [e-], (n, C, *inner)."""
-        return np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
-
-    @cached_property
-    def _least_sigma(self):
-        """Its hundredth and least."""
-        return float(np.quantile(self._sigma, 0.01)), float(self._sigma.min())
+    def _noise(self):
+        """Noise of the pixels in the windows' inner parts [e-], (n, C, *inner), its hundredth and its least."""
+        sigma = np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+        return sigma, float(np.quantile(sigma, 0.01)), float(sigma.min())
 
     @cached_property
     def sharp(self) -> "Probes":
@@ -238,30 +253,24 @@ class Probes:
     def local(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is located where blur is visible, at edges."""
         shape = self.without_blur
-        if not shape.rms > 0:
-            return Bound(rms, rms * self._sigmas, rms * self._sigmas)
-        return shape.times(rms / shape.rms)
-
-    @cached_property
-    def _sigmas(self):
-        """Noise sigmas in the root mean square of the frame."""
-        size = self._size * self.seconds
-        return float(size / np.sqrt(max(size + self.noise, 1)))
+        if shape.rms > 0:
+            return shape.times(rms / shape.rms)
+        size = self._light[0] * self.seconds
+        # noise sigmas in the root mean square of the frame
+        sigmas = float(size / np.sqrt(max(size + self.noise, 1)))
+        return Bound(rms, rms * sigmas, rms * sigmas)
 
     def even_error(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
-        size, (low, least) = self._size * self.seconds * rms, self._least_sigma
+        size, (_, low, least) = self._light[0] * self.seconds * rms, self._noise
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / low), float(5 * size / least))
 
     def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
-        sigma = share * self.signal * self.seconds / self._sigma
-        return Bound(
-            share,
-            quantile(sigma, self.windows.weight[:, None] * self.share, 0.999),
-            float(sigma.max()),
-        )
+        sigma = share * self.signal * self.seconds / self._noise[0]
+        weight = self.windows.weight[:, None] * self.share
+        return Bound(share, quantile(sigma, weight, 0.999), float(sigma.max()))
 
     def fused_bounds(self, table, transfers):
         """Yield bounds of the first n planes for each n from the number of channels on.
@@ -278,28 +287,6 @@ class Probes:
             left -= responses[:, k] * planes[:, k, None]
             if k + 1 >= len(self.weights):
                 yield k + 1, self.bound(left)
-
-
-def _planes(facts, windows, border):
-    """Planes of the windows' samples, (n, planes, SIDE, SIDE), and spectra of these (planes, L).
-
-    As few as there are: of all wavelengths, for which the spectra are None, or of entries that samples are mixed of.
-    """
-    rows, cols = facts.content.shape
-    y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    taken, spectra = facts.samples.windows(y, x), None
-    if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
-        planes, spectra = taken.planes, taken.entry_spectra
-    else:
-        planes = (
-            taken.planes
-            if taken.is_spectral
-            else taken.mix(taken.entry_spectra.T.astype(np.float32))
-        )
-    planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
-    if border == "zero":
-        planes *= ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
-    return planes, spectra
 
 
 def _mix(weights, spectra):

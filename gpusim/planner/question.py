@@ -53,6 +53,12 @@ class Question:
         light: Electrons per second in all channels together for content 1 at each wavelength, shape (L,).
         share: Part of the pixels that has each channel, shape (C,).
         q: Wavelength times working f-number over the distance of samples, shape (L,).
+        distortion: The lens's, for this frame; None: it shows what a pinhole does.
+        axis: Where the optical axis meets the sensor, from the frame's middle, (rows, cols) [pixel].
+        lens: The lens in front of the scene's samples.
+        is_blurred: Whether the lens blurs at all.
+        moved: Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do.
+        tables: Transfer tables of the lens.
     """
 
     scene: Scene
@@ -80,6 +86,12 @@ class Question:
     light: np.ndarray = field(init=False)
     share: np.ndarray = field(init=False)
     q: np.ndarray = field(init=False)
+    distortion: Model | None = field(init=False)
+    axis: tuple[float, float] = field(init=False)
+    lens: Lens = field(init=False)
+    is_blurred: bool = field(init=False)
+    moved: tuple[float, float] = field(init=False)
+    tables: Tables = field(init=False)
 
     def __post_init__(self):
         scene, optics, sensor = self.scene, self.camera.optics, self.camera.sensor
@@ -92,6 +104,21 @@ class Question:
         else:
             cfa = sensor.cfa_indices
             share = np.bincount(cfa.ravel(), minlength=channels) / cfa.size
+        cell = aperture if ratio == 1 else (1.0, 1.0)
+        distortion, axis = optics.distortion, (0.0, 0.0)
+        if distortion is not None:
+            distortion = fit_to_frame(distortion, scene.shape, sensor.pixel_pitch)
+        if isinstance(distortion, Framed):
+            x, y = (distortion.radius / sensor.pixel_pitch * at for at in distortion.middle)
+            axis = y, x
+        lens = open_lens(
+            optics,
+            pitch,
+            cell,
+            scene.samples,
+            sensor.displacement if ratio == 1 else (0.0, 0.0),
+            (ratio * axis[0], ratio * axis[1]),
+        )
         for name, value in {
             "optics": optics,
             "sensor": sensor,
@@ -101,11 +128,17 @@ class Question:
             "size": (rows + 2 * scene.margin, cols + 2 * scene.margin),
             "corner": float(np.hypot(rows, cols)) / 2,
             "aperture": aperture,
-            "cell": aperture if ratio == 1 else (1.0, 1.0),
+            "cell": cell,
             "more": ceil(ratio * max(map(abs, sensor.displacement))),
             "light": self.weights.sum(axis=0),
             "share": share,
             "q": scene.wavelengths * 1e-9 * optics.working_f_number / pitch,
+            "distortion": distortion,
+            "axis": axis,
+            "lens": lens,
+            "is_blurred": not lens.is_pointlike,
+            "moved": lens.displacement,
+            "tables": Tables(optics, sensor.pixel_pitch, self.cache),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -113,11 +146,37 @@ class Question:
     def of(
         cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked
     ) -> "Question":
-        """Return the question that `plan` is called with. Raises BadData, OutOfRange."""
+        """Return the question that `plan` is called with.
+
+        Raises:
+            BadData, OutOfRange: The light does not fit the camera, no stage honours the
+                displacement of the apertures, or the pixels are far too coarse for the lens.
+        """
         weights = electrons_per_content(scene, camera, asked["cache"])
         check_light(scene, facts.samples.whole, camera)
+        down, across = camera.sensor.displacement
+        shown = f"{down:.6g}, {across:.6g} pixels"
+        if abs(down) > max(1, scene.shape[0] / 4) or abs(across) > max(1, scene.shape[1] / 4):
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                shown,
+                "up to a quarter of the frame; or move the scene",
+            )
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
-        made._check()
+        off_grid = max(abs(down - round(down)), abs(across - round(across)))
+        if not made.is_blurred and made.ratio == 1 and off_grid > 1e-9:
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                f"{shown}, with one scene sample per pixel and no blur",
+                "whole pixels; or raise samples_per_pixel, or blur",
+            )
+        if made.is_blurred and made.q.min() < SMALLEST_Q:
+            step = "pixel pitch" if made.ratio == 1 else "distance of scene samples"
+            raise OutOfRange(
+                f"{camera.name}: wavelength x f-number / {step}",
+                f"{made.q.min():.2g}",
+                f'>= {SMALLEST_Q}; the blur is a fraction of a pixel: use optics model = "none"',
+            )
         return made
 
     def without_blur(self) -> "Question":
@@ -127,45 +186,8 @@ class Question:
     def with_limit(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
         assert self.tolerance is not None
-        # in the dark no error breaks it
-        return replace(
-            self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT)
-        )
-
-    @property
-    def distortion(self) -> Model | None:
-        """The lens's, for this frame; None: it shows what a pinhole does. Raises OutOfRange."""
-        distortion = self.optics.distortion
-        return (
-            None
-            if distortion is None
-            else fit_to_frame(distortion, self.scene.shape, self.sensor.pixel_pitch)
-        )
-
-    @property
-    def axis(self) -> tuple[float, float]:
-        """Where the optical axis meets the sensor, from the frame's middle, (rows, cols) [pixel]."""
-        distortion = self.distortion
-        if not isinstance(distortion, Framed):
-            return 0.0, 0.0
-        x, y = (distortion.radius / self.sensor.pixel_pitch * at for at in distortion.middle)
-        return y, x
-
-    @property
-    def from_axis(self) -> tuple[float, float]:
-        """Displacement of the grid of pixels from one that is centred on the optical axis, (rows, cols) [pixel]."""
-        (down, across), (y, x) = self.sensor.displacement, self.axis
-        return down - y, across - x
-
-    @property
-    def is_blurred(self) -> bool:
-        """Whether the lens blurs at all."""
-        return not self.lens.is_pointlike
-
-    @property
-    def moved(self) -> tuple[float, float]:
-        """Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do."""
-        return self.lens.displacement
+        ratio = SAFETY * probes.local(1.0).ratio(self.tolerance)
+        return replace(self, limit=1 / max(ratio, 1 / MOST_LIMIT))  # in the dark no error breaks it
 
     @cached_property
     def edges(self) -> np.ndarray:
@@ -178,7 +200,7 @@ class Question:
 
     @property
     def mean_q(self) -> float:
-        """The same, as the sensor sees the wavelengths."""
+        """Mean of q, as the sensor sees the wavelengths."""
         return float(np.average(self.q, weights=self.light))
 
     @property
@@ -198,62 +220,14 @@ class Question:
     @property
     def spread(self) -> float:
         """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
-        return self.cache("spread", _spread, self.optics, self.pitch, self.scene.wavelengths)
-
-    @property
-    def tables(self) -> Tables:
-        """Transfer tables of the lens."""
-        return Tables(self.optics, self.sensor.pixel_pitch, self.cache)
-
-    @cached_property
-    def lens(self) -> Lens:
-        """The lens in front of the scene's samples."""
-        down, across = self.axis
-        return open_lens(
-            self.optics,
-            self.pitch,
-            self.cell,
-            self.scene.samples,
-            self.sensor.displacement if self.ratio == 1 else (0.0, 0.0),
-            (self.ratio * down, self.ratio * across),
-        )
-
-    def _check(self):
-        """Refuse displacements of the apertures that no stage honours, and pixels far too coarse for the lens."""
-        scene, (down, across) = self.scene, self.sensor.displacement
-        shown = f"{down:.6g}, {across:.6g} pixels"
-        if abs(down) > max(1, scene.shape[0] / 4) or abs(across) > max(1, scene.shape[1] / 4):
-            raise OutOfRange(
-                "sensor.offset + sensor.centre",
-                shown,
-                "up to a quarter of the frame; or move the scene",
-            )
-        if (
-            not self.is_blurred
-            and scene.samples_per_pixel == 1
-            and max(abs(down - round(down)), abs(across - round(across))) > 1e-9
-        ):
-            raise OutOfRange(
-                "sensor.offset + sensor.centre",
-                f"{shown}, with one scene sample per pixel and no blur",
-                "whole pixels; or raise samples_per_pixel, or blur",
-            )
-        if self.is_blurred and self.q.min() < SMALLEST_Q:
-            step = "pixel pitch" if self.ratio == 1 else "distance of scene samples"
-            raise OutOfRange(
-                f"{self.camera.name}: wavelength x f-number / {step}",
-                f"{self.q.min():.2g}",
-                f'>= {SMALLEST_Q}; the blur is a fraction of a pixel: use optics model = "none"',
-            )
+        return self.cache("spread", type(self.lens).spread, self.lens, self.scene.wavelengths)
 
 
 def displacement_suffix(displacement) -> str:
     """Return a suffix such as ", displaced by 0.5, 0 pixels", or "" without a displacement."""
-    return (
-        f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"
-        if any(displacement)
-        else ""
-    )
+    if not any(displacement):
+        return ""
+    return f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels"
 
 
 @dataclass
@@ -285,18 +259,11 @@ class Notes:
             of_scene: The scene does not hold it. The account is of the scene as it is given, so
                 this error is reported next to the account.
         """
-        size = (
-            f"relative rms {bound.rms:.2g}, predicted"
-            if bound.is_known
-            else "its error is not known"
-        )
+        size = "its error is not known"
+        if bound.is_known:
+            size = f"relative rms {bound.rms:.2g}, predicted"
         self.left_out.append(words if bound == DECLARED else f"{words}: {size}")
         if of_scene:
             self.beside[name or words] = bound.rms
         elif bound != DECLARED:
             self.bounds[name or words] = bound
-
-
-def _spread(optics, pitch, wavelengths) -> float:
-    """Return the radius within which the rays of a point meet the image [sample]."""
-    return open_lens(optics, pitch).spread(wavelengths)

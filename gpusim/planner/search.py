@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import chain
 from math import log2, prod
+from operator import attrgetter
 
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
@@ -53,28 +54,15 @@ class Option:
     @cached_property
     def bounds(self) -> dict[str, Bound]:
         """Its errors."""
-        brighter = self.around.brighter  # ends that go on are transformed, too
-        return {
-            **{
-                name: bound.times(brighter) if name == "transforms" else bound
-                for name, bound in self.fixed.items()
-            },
-            "planes": self.way.bound,
-            "border": self.around.bound,
-        }
+        found = dict(self.fixed)
+        if "transforms" in found:  # ends that go on are transformed, too
+            found["transforms"] = found["transforms"].times(self.around.brighter)
+        return found | {"planes": self.way.bound, "border": self.around.bound}
 
     @cached_property
     def total(self) -> Bound:
         """All of its errors together."""
         return total(self.bounds.values())
-
-    def meets(self, tolerance: Tolerance) -> bool:
-        """Return whether it may be chosen for a tolerance: it is predicted to meet it, with headroom.
-
-        Its border is not computed if the planes already break the tolerance.
-        """
-        most = 1 / (HEADROOM * SAFETY)
-        return self.way.bound.ratio(tolerance) <= most and self.total.ratio(tolerance) <= most
 
 
 def cost_of(question: Question, count: int, around: Surroundings, folded: bool) -> float:
@@ -89,8 +77,8 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
     if around.tiling is None:
         transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
     else:
-        transform = tile * 2.5 * around.tiling.samples(question.scene.samples) * log2(area)
-        area = float(around.tiling.samples(question.scene.samples))
+        tiled = around.tiling.samples(question.scene.samples)
+        transform, area = tile * 2.5 * tiled * log2(area), float(tiled)
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
     # of complex numbers, and their sums, at the frequencies of a half spectrum
@@ -120,23 +108,19 @@ def options(
     for together in arounds:
         affordable = []
         for around in together:
-            costs = [cost_of(question, way.count, around, folds(around)) for way in ways]
-            first = first or around
+            folded, first = folds(around), first or around
             if around is first or (
                 around.far is not None and prod(around.period) <= WIDER * prod(first.period)
-            ):
-                most = max(most, costs[-1])  # the exact way, and with a world without end
-            affordable += [
-                Option(way, around, fixed, cost)
-                for way, cost in zip(ways, costs, strict=True)
-                if cost <= most
-            ]
-        if not affordable:
-            break
-        affordable.sort(key=lambda option: option.cost)
+            ):  # the exact way, and with a world without end
+                most = max(most, cost_of(question, ways[-1].count, around, folded))
+            for way in ways:
+                cost = cost_of(question, way.count, around, folded)
+                if cost <= most:
+                    affordable.append(Option(way, around, fixed, cost))
+        affordable.sort(key=attrgetter("cost"))
         found += affordable
         tolerance = question.tolerance
-        if tolerance is None or any(option.meets(tolerance) for option in affordable):
+        if not affordable or tolerance is None or _first_good(affordable, tolerance):
             break  # more surroundings cost more
     return found
 
@@ -152,7 +136,7 @@ def remedy(
     arounds: more surroundings than these options have.
     """
     tolerance = question.tolerance
-    if tolerance is None or any(option.meets(tolerance) for option in found):
+    if tolerance is None or _first_good(found, tolerance):
         return ""
     best = min(found, key=lambda option: option.total.ratio(tolerance))
     rest = [bound for name, bound in best.bounds.items() if name != "border"]
@@ -164,9 +148,20 @@ def remedy(
                 times = cost_of(question, best.way.count, around, False) / best.cost
                 return f"reach = {around.reach} pixels would meet it, at about {times:.3g} times the cost"
         return "no reach that transforms take meets it"
-    return REMEDIES.get(
-        by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met"
-    )
+    others = REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met"
+    return REMEDIES.get(by, others)
+
+
+def _first_good(found, tolerance):
+    """The first option that is predicted to meet a tolerance, with headroom; or None.
+
+    A border is not computed if the planes already break the tolerance.
+    """
+    most = 1 / (HEADROOM * SAFETY)
+    for option in found:
+        if option.way.bound.ratio(tolerance) <= most and option.total.ratio(tolerance) <= most:
+            return option
+    return None
 
 
 def choose_option(found: list[Option], tolerance: Tolerance | None) -> Option:
@@ -176,14 +171,12 @@ def choose_option(found: list[Option], tolerance: Tolerance | None) -> Option:
     """
     if tolerance is None:
         return found[-1]
-    good = next((option for option in found if option.meets(tolerance)), None)
+    good = _first_good(found, tolerance)
     if good is not None:
         return good
-    least = min(option.total.ratio(tolerance) for option in found)
-    return min(
-        (option for option in found if option.total.ratio(tolerance) <= NEAR * least),
-        key=lambda option: option.cost,
-    )
+    least = NEAR * min(option.total.ratio(tolerance) for option in found)
+    near = [option for option in found if option.total.ratio(tolerance) <= least]
+    return min(near, key=attrgetter("cost"))
 
 
 @dataclass(frozen=True)
@@ -211,12 +204,9 @@ class Candidate:
     @property
     def surroundings(self) -> str:
         """Surroundings that take part, in words."""
-        of = (
-            "surroundings"
-            if self.tiling is None
-            else f"surroundings of tiles of {self.tiling.side}"
-        )
-        return f"{self.reach} pixels of {of}{', and the world beyond' if self.far else ''}"
+        tiles = f" of tiles of {self.tiling.side}" if self.tiling else ""
+        beyond = ", and the world beyond" if self.far else ""
+        return f"{self.reach} pixels of surroundings{tiles}{beyond}"
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
@@ -234,7 +224,7 @@ class Candidate:
 def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
     """Return the options that no cheaper one nearly equals in accuracy, from the cheapest on."""
     best: list[Option] = []
-    for option in sorted(found, key=lambda option: option.cost):
+    for option in sorted(found, key=attrgetter("cost")):
         if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
             best.append(option)
     return tuple(

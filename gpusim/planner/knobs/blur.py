@@ -37,24 +37,24 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
 
 def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
     """Note the blur's stages. words: the planes."""
-    over = (
-        f"the pixel{displacement_suffix(question.moved)}"
-        if question.ratio == 1
-        else "each scene sample"
-    )
+    over = "each scene sample"
+    if question.ratio == 1:
+        over = f"the pixel{displacement_suffix(question.moved)}"
     stage, pupil = question.lens.describe(has_depth)
     notes.models[stage] = f"{pupil}, integrated over {over}"
     notes.models[form] = words + ENDINGS[form]
 
 
-def _must_stay(question, picture):
-    """Whether a blur is kept whatever its error.
+def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
+    """Return the question without the blur if the error is small enough; else the same.
 
-    It is kept if its form, or exactness for every spectrum, is prescribed; if it follows distance
-    or field, which one window does not show; if point lights are added to it; if it displaces the
-    pixels by parts of samples; or if scenes of its kind were found to need it.
+    The blur is kept whatever its error if its form, or exactness for every spectrum, is prescribed;
+    if it follows distance or field, which one window does not show; if point lights are added to
+    it; if it displaces the pixels by parts of samples; or if scenes of its kind were found to need
+    it.
     """
-    return (
+    assert question.tolerance is not None
+    if (
         question.least
         or question.period
         or question.reach
@@ -63,13 +63,7 @@ def _must_stay(question, picture):
         or not question.lens.is_uniform
         or picture.highlights is not None
         or (question.more and question.ratio == 1)
-    )
-
-
-def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
-    """Return the question without the blur if the error is small enough; else the same."""
-    assert question.tolerance is not None
-    if _must_stay(question, picture):
+    ):
         return question
     bound = probes.without_blur
     if SAFETY * bound.ratio(question.tolerance) <= 1:

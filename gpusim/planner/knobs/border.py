@@ -75,25 +75,17 @@ class Surroundings:
     @cached_property
     def bound(self) -> Bound:
         """Error of light that is not seen, or seen on the wrong side."""
-        if self.tiling is not None and self.far is not None:
-            rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
-            return total(
-                [
-                    Bound(
-                        rings.rms,
-                        rings.p999_sigma * sqrt(self.level),
-                        rings.max_sigma * sqrt(self.level),
-                    ),
-                    self.splines,
-                ]
-            )
-        if self.far is not None:
-            rms = seam_error(self.outside, self.question, self.period)
-            return self._even(rms)
-        rms, most, largest = self.outside.error(self.period, min(self.reaches))
-        return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
+        if self.far is None:
+            figures = self.outside.error(self.period, min(self.reaches))
+        elif self.tiling is None:
+            return self._even(seam_error(self.outside, self.question, self.period))
+        else:
+            figures = ring_errors(self.outside, self.question, self.tiling, self.far)
+        rms, p999, most = figures
+        bound = Bound(rms, p999 * sqrt(self.level), most * sqrt(self.level))
+        return bound if self.far is None else total([bound, self.splines])
 
-    @property
+    @cached_property
     def splines(self) -> Bound:
         """Error of the splines that carry far light to tiles."""
         assert self.far is not None
@@ -102,18 +94,16 @@ class Surroundings:
     def _even(self, rms):
         """An error that is the same everywhere."""
         p999, most = self.outside.darkest
-        return Bound(
-            rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most
-        )
+        root = sqrt(self.level)
+        return Bound(rms, EVEN[0] * root * rms * p999, EVEN[1] * root * rms * most)
 
     @property
     def spare(self) -> int:
         """Samples around the scene's own that can be blurred, too."""
         if self.tiling is not None and self.far is not None:
             return int(self.far.sigmas[0] / self.far.spacings)
-        return min(
-            (length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True)
-        )
+        (height, width), (rows, cols) = self.period, self.question.size
+        return min((height - rows) // 2, (width - cols) // 2)
 
     @cached_property
     def brighter(self) -> float:
@@ -122,9 +112,8 @@ class Surroundings:
 
     def describe(self, question: Question, notes: Notes):
         """Note the light that is not seen."""
-        reach = min(self.reaches)
+        notes.bounds["border"] = self.bound
         if self.far is not None:
-            notes.bounds["border"] = self.bound
             outside = f"more than {self.reach} pixels outside the frame"
             if self.tiling is not None:
                 side, overlap = self.tiling.side, self.tiling.overlap
@@ -133,7 +122,7 @@ class Surroundings:
             notes.models["optics.far"] = f"light from {outside}: {count} Gaussians"
             notes.models["optics.near"] = "transfer functions minus the Gaussians'"
             return
-        notes.bounds["border"] = self.bound
+        reach = min(self.reaches)
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.leave_out(
                 f"light from more than {reach / question.ratio:.4g} pixels outside the frame: the periodic "
@@ -141,10 +130,9 @@ class Surroundings:
                 self.bound,
                 "border",
             )
-        if question.lens.is_airy:
-            notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(
-                reach, question.q.max()
-            )
+        if question.lens.is_airy:  # J0(v)^2 + J1(v)^2, v = pi r / q (Rayleigh 1881)
+            v = np.pi * reach / question.q.max()
+            notes.beside["kernel energy beyond the surroundings"] = float(j0(v) ** 2 + j1(v) ** 2)
 
 
 def surroundings(
@@ -162,19 +150,18 @@ def surroundings(
     outside, ratio = _outside(question, picture, depth, level), question.ratio
     # samples that take part in addition to the reach
     beside = (ceil(depth.reach) if depth else 0) + question.more
-    shape, reach = outside.image.shape, question.reach
+    (rows, cols), cfa, reach = question.size, np.shape(question.sensor.cfa_indices), question.reach
 
     def around(reach, far=None):
         more = ceil(reach * ratio) + beside
-        reaches = [
-            max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape
-        ]
+        reaches = [more, more]
+        if outside.border == "zero" and far is None:
+            reaches = [max(more, ceil(rows / 2)), max(more, ceil(cols / 2))]
         period, folds = question.period, False
         if not period:
-            least = [n + 2 * more for n, more in zip(shape, reaches, strict=True)]
-            period, folds = transform_lengths(least, np.shape(question.sensor.cfa_indices))
+            least = [rows + 2 * reaches[0], cols + 2 * reaches[1]]
+            period, folds = transform_lengths(least, cfa)
         if None in period:
-            rows, cols = question.size
             raise OutOfRange(
                 "scene size with surroundings",
                 f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
@@ -182,55 +169,51 @@ def surroundings(
             )
         return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
 
-    def in_tiles(overlap):
-        found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
-        reach, period, made = found.overlap, (found.side, found.side), None
+    def in_tiles(overlap, tails):
+        tiles, folds = tiling(overlap, cfa)
+        reach, side, made = tiles.overlap, tiles.side, None
+        of = ceil(reach / ratio), [reach, reach], (side, side), folds, outside, level
         for spacings in TILES_SPACINGS:  # the fewest that are no matter
-            field = far_field(question, tails, reach, found.side, spacings)
-            made = field and Surroundings(
-                ceil(reach / ratio),
-                [reach, reach],
-                period,
-                folds,
-                outside,
-                level,
-                field,
-                found,
-                question,
-            )
-            if made is None or made.splines.ratio(question.tolerance) <= SMALL:
+            field = far_field(question, tails, reach, side, spacings)
+            if field is None:
+                return None
+            made = Surroundings(*of, field, tiles, question)
+            if made.splines.ratio(question.tolerance) <= SMALL:
                 break
         return made
 
     if reach is not None:
         yield [around(reach)]
         return
-    fits = (
-        question.lens.tail is None
-        and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
-    )
-    reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
-    first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
+    reach = BORDER_REACH
+    room = min(question.size) + 2 * BORDER_REACH * ratio
+    if question.lens.tail is None and 2 * outside.spread <= room:
+        reach = max(BORDER_REACH, ceil(outside.spread / ratio))
+    first = around(reach)
     if question.tolerance is None:
-        yield first
+        yield [first]
         return
-    if has_far_field(question, depth is not None):
-        tails = question.lens.tails(question.scene.wavelengths)
-        reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
-        fields = [far_field(question, tails, reach * ratio) for reach in reaches]
-        found = [
-            around(reach, field)
-            for reach, field in zip(reaches, fields, strict=True)
-            if field is not None
-        ]
-        tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
-        yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
-        yield from ([one] for one in found if one.reach > BORDER_REACH)
+    most = int((most_reach(question.size, LENGTHS[-1]) - beside) / ratio)
+    if not has_far_field(question, depth is not None):
+        yield [first]
+        while reach < most:
+            reach = min(2 * reach, most)
+            yield [around(reach)]
         return
-    yield first
-    while reach < most:
-        reach = min(2 * reach, most)
-        yield [around(reach)]
+    tails = question.lens.tails(question.scene.wavelengths)
+    near, wider = [first], []
+    for overlap in OVERLAPS:
+        tiles = in_tiles(overlap, tails)
+        if tiles is not None:
+            near.append(tiles)
+    for reach in FAR_REACHES:
+        field = far_field(question, tails, reach * ratio)
+        if field is not None and reach <= max(most, BORDER_REACH):
+            together = near if reach <= BORDER_REACH else wider
+            together.append(around(reach, field))
+    yield near
+    for one in wider:
+        yield [one]
 
 
 def surroundings_of(
@@ -245,22 +228,12 @@ def surroundings_of(
 
     level: see `surroundings`. made: its tiling.
     """
-    reaches = (
-        [made.overlap] * 2
-        if made is not None
-        else [(length - n) // 2 for length, n in zip(period, question.size, strict=True)]
-    )
-    return Surroundings(
-        ceil(min(reaches) / question.ratio),
-        reaches,
-        period,
-        False,
-        _outside(question, picture, None, level),
-        level,
-        far,
-        made,
-        question,
-    )
+    (height, width), (rows, cols) = period, question.size
+    reaches = [(height - rows) // 2, (width - cols) // 2]
+    if made is not None:
+        reaches = [made.overlap, made.overlap]
+    reach, outside = ceil(min(reaches) / question.ratio), _outside(question, picture, None, level)
+    return Surroundings(reach, reaches, period, False, outside, level, far, made, question)
 
 
 def _outside(question, picture, depth, level):
@@ -288,9 +261,3 @@ def _outside(question, picture, depth, level):
         question.deviation,
         not scene.view.is_plain,
     )
-
-
-def _energy_beyond(radius, q):
-    """Share of an Airy pattern's energy beyond `radius` [pixel]: J0(v)^2 + J1(v)^2, v = pi r / q (Rayleigh 1881)."""
-    v = np.pi * radius / q
-    return float(j0(v) ** 2 + j1(v) ** 2)

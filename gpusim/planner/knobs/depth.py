@@ -32,14 +32,8 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
             "depth left out",
         )
         return None
-    made = plan_depth(
-        optics,
-        question.pitch,
-        facts.depth,
-        facts.brightness(question.light),
-        question.limit,
-        scene=scene,
-    )
+    light = facts.brightness(question.light)
+    made = plan_depth(optics, question.pitch, facts.depth, light, question.limit, scene=scene)
     for distance in made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
@@ -65,13 +59,9 @@ def _behind_edges(question, depth):
     # of the cosines of a mirrored world
     fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)
     s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
-    seen = (
-        2
-        / np.pi
-        * (np.arccos(s) - s * np.sqrt(1 - s * s))
-        * np.sinc(fy * question.cell[0])
-        * np.sinc(fx.T * question.cell[1])
-    )
+    seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    seen *= np.sinc(fy * question.cell[0])
+    seen *= np.sinc(fx.T * question.cell[1])
     light, own, wrong = None, 0.0, 0.0
     for content, alpha, confusion in reversed(depth.sheets):
         front = content.on_host().brightness(question.light).astype(np.float64)
@@ -95,14 +85,12 @@ def _one_distance(question, probes):
     than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
     of a sample cannot be shown without composition.
     """
-    optics = question.optics
-    scene = question.scene
+    optics, scene = question.optics, question.scene
     depth = np.asarray(question.facts.depth, np.float64)
-    if any(
-        np.any((np.asarray(layer.alpha) > 0) & (np.asarray(layer.alpha) < 1))
-        for layer in scene.layers
-    ):
-        return UNKNOWN
+    for layer in scene.layers:
+        alpha = np.asarray(layer.alpha)
+        if np.any((alpha > 0) & (alpha < 1)):
+            return UNKNOWN
     if not question.is_blurred:
         return DECLARED
     if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
@@ -117,8 +105,9 @@ def _one_distance(question, probes):
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
     """Return the named errors of the blur by distance, located at edges."""
-    own = {} if depth is None else depth.predicted
-    local = Bound if probes is None else probes.local
+    if depth is None:
+        return {}
+    local, own = Bound if probes is None else probes.local, depth.predicted
     return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
 
 

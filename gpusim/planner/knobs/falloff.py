@@ -20,81 +20,55 @@ def falloff_of(
     The first is None if the law is enough, the second 0 if the law is not used. probes: of the
     scene, with a tolerance. Raises BadData, OutOfRange.
     """
-    sensor, shape, displacement = (
-        question.sensor,
-        question.scene.shape,
-        question.sensor.displacement,
-    )
-    parts, slope = _lens(question, notes)
-    if sensor.microlens is not None:
-        parts["microlenses"] = microlens_gain(
-            sensor.microlens,
+    optics, sensor, scene = question.optics, question.sensor, question.scene
+    shape, displacement = scene.shape, sensor.displacement
+    (down, across), (y, x) = displacement, question.axis
+    from_axis = down - y, across - x  # of the grid of pixels
+    parts, slope = {}, 0.0
+    if optics.relative_illumination == "none":
+        notes.leave_out('relative illumination: set to "none"', DECLARED)
+    elif optics.relative_illumination != "cos4":
+        parts["relative illumination as given"] = relative_illumination(
+            optics.relative_illumination,
             shape,
             sensor.pixel_pitch,
-            question.optics.image_distance,
-            question.from_axis,
+            optics.image_distance,
+            displacement=from_axis,
+        )
+    else:
+        if scene.fov:
+            slope = 2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1]
+        else:
+            slope = sensor.pixel_pitch / optics.image_distance
+        # the exposure applies the law by the places of a grid in the middle
+        if optics.distortion is not None:
+            tangent = _tangent(question, slope)
+            parts["cos^4 of the undistorted field"], slope = (1 + tangent**2) ** -2, 0.0
+        elif any(displacement):
+            law = relative_illumination("cos4", shape, slope, 1.0, displacement=displacement)
+            parts["cos^4"], slope = law, 0.0
+    if sensor.microlens is not None:
+        parts["microlenses"] = microlens_gain(
+            sensor.microlens, shape, sensor.pixel_pitch, optics.image_distance, from_axis
         )
     if sensor.vignetting is not None:
         parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
     gains = np.prod(list(parts.values()), axis=0) if parts else None
-    if (
-        gains is not None
-        and probes is not None
-        and (most := float(np.abs(gains - 1).max())) < NEGLIGIBLE
-    ):
+    most = 0.0 if gains is None else float(np.abs(gains - 1).max())
+    if gains is not None and probes is not None and most < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.even_error(most)
         if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
-            notes.leave_out(
-                f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out"
-            )
+            words = f"{' and '.join(parts)} of up to {most:.2g}"
+            notes.leave_out(words, bound, "fall-off left out")
             gains = None
     if gains is not None:
         notes.models["optics.falloff"] = " and ".join(parts)
-    layout = (
-        f"stacked {', '.join(sensor.channels)}"
-        if sensor.stacked
-        else f"mosaic of {'/'.join(sensor.cfa)}"
-    )
+    layout = f"mosaic of {'/'.join(sensor.cfa)}"
+    if sensor.stacked:
+        layout = f"stacked {', '.join(sensor.channels)}"
     notes.models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
     return gains, float(slope)
-
-
-def _lens(question, notes):
-    """The lens's fall-off by name, unless the exposure's cos^4 law is enough, and that law's slope."""
-    optics, sensor, scene = question.optics, question.sensor, question.scene
-    displacement = sensor.displacement
-    if optics.relative_illumination == "cos4":
-        slope = (
-            2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1]
-            if scene.fov
-            else sensor.pixel_pitch / optics.image_distance
-        )
-        # the law is for the angle at which light comes, not for the place
-        if optics.distortion is not None:
-            return {
-                "cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2
-            }, 0.0
-        if not any(displacement):  # without distortion the axis is in the middle
-            return {}, slope
-        # the law in the exposure is for a grid in the middle
-        return {
-            "cos^4": relative_illumination(
-                "cos4", scene.shape, slope, 1.0, displacement=displacement
-            )
-        }, 0.0
-    if optics.relative_illumination == "none":
-        notes.leave_out('relative illumination: set to "none"', DECLARED)
-        return {}, 0.0
-    return {
-        "relative illumination as given": relative_illumination(
-            optics.relative_illumination,
-            scene.shape,
-            sensor.pixel_pitch,
-            optics.image_distance,
-            displacement=question.from_axis,
-        )
-    }, 0.0
 
 
 def _tangent(question, slope):

@@ -92,25 +92,20 @@ class FarField:
     border: str
     spacings: float
 
-    def energies(self, transfers) -> np.ndarray:
+    def energies(self, transfers, border: str | None = None) -> np.ndarray:
         """Return their part of a plan's transfer tables, shape (groups, planes, G).
 
-        transfers: see `Plan`.
+        transfers: see `Plan`. border: see `gpusim.optics.ladder.energies`.
         """
-        return _of_planes(energies(self.sigmas, self.tails), transfers)
+        each = energies(self.sigmas, self.tails, border)
+        return each[None] if transfers is None else np.tensordot(transfers, each, 1)
 
     def weights(self, mix, transfers) -> np.ndarray:
         """Return their part of a plan's channels, by planes, shape (C, planes, G).
 
         mix: see `Plan`.
         """
-        return np.asarray(mix)[..., None] * _of_planes(
-            energies(self.sigmas, self.tails, self.border), transfers
-        )
-
-
-def _of_planes(each, transfers):
-    return each[None] if transfers is None else np.tensordot(transfers, each, 1)
+        return np.asarray(mix)[..., None] * self.energies(transfers, self.border)
 
 
 def has_far_field(question: Question, by_depth: bool) -> bool:
@@ -149,9 +144,8 @@ def far_field(
     least = max(rings, LEAST_REACH) if side is None else LEAST_OVERLAP * float(question.q.max())
     if reach < max(RADII * question.spread, least):
         return None
-    sigmas = gaussians(
-        reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO
-    )
+    widest = max(*question.size, side or 0) + 2 * reach
+    sigmas = gaussians(reach, widest, RATIO if side is None else TILES_RATIO)
     return FarField(sigmas, tails, rule_of(question.scene.border), spacings)
 
 
@@ -164,9 +158,8 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     # what lies between its rims rings at frequencies lower by half that
     hole = question.optics.pupil.obscuration
     finer = 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
-    left = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(
-        question, away, (1 - hole) / 2
-    )
+    left = finer * _coherence(question, away, 1)
+    left += HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
     seam = SEAM * q**2.5 / away**2 * _step(outside, period) * left / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     images = _image_error(outside, question, reach)
@@ -182,9 +175,8 @@ def _image_error(outside, question, reach):
     """
     depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
     random = np.random.default_rng(depth)  # the same places in every scene
-    r = np.arange(
-        2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII)
-    )
+    step = max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII)
+    r = np.arange(2 * reach, FARTHEST * reach, step)
     radial = question.cache("waves along a line", waves, Point.of(question), r, 0.0, 1.0)
     kernels = question.edges @ radial
     for lines in (image, image[::-1], image.T, image.T[::-1]):
@@ -209,10 +201,8 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
     of = question.size, far.sigmas, each, far.spacings
     wrong = (misses(*of, FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
     wrong += slow * misses(*of, SLOW, (0.0,)).max(axis=(1, 2))
-    return (
-        sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2)
-        + outside.missing / outside.level
-    )
+    rms = sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2)
+    return rms + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):
@@ -225,14 +215,11 @@ def _coherence(question, reach, part):
         return 1.0
     light = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
     away = np.linspace(reach, reach + max(question.size) / 2, DISTANCES)
-    left = float(
-        np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away * part / question.q[:, None])) ** 2))
-    )
-    return (
-        left
-        if question.optics.pupil.obscuration
-        else left * max(question.mean_q / question.ratio / WIDE, 1)
-    )
+    waves = np.exp(2j * pi * away * part / question.q[:, None])
+    left = float(np.sqrt(np.mean(np.abs(light @ waves) ** 2)))
+    if question.optics.pupil.obscuration:
+        return left
+    return left * max(question.mean_q / question.ratio / WIDE, 1)
 
 
 def _step(outside, period):
@@ -300,25 +287,14 @@ def waves(point: Point, r, down, across) -> np.ndarray:
     found = np.zeros((len(point.q), *np.shape(r)))
     for own, q, wave in zip(found, point.q, optics.waves(point.wavelengths), strict=True):
         for rho, a in rims:
-            own -= (
-                a
-                * a
-                / 2
-                * np.sin(2 * pi * rho * r / q)
-                * _pixel_response(point, rho / q, down, across)
-            )
+            seen = _pixel_response(point, rho / q, down, across)
+            own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * seen
         for (one, a), (other, b) in combinations(rims, 2):
             path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
             less, more = (one - other) / (2 * q), (one + other) / (2 * q)
-            own += (
-                a
-                * b
-                * np.cos(2 * pi * path)
-                * (
-                    np.cos(2 * pi * less * r) * _pixel_response(point, less, down, across)
-                    - np.sin(2 * pi * more * r) * _pixel_response(point, more, down, across)
-                )
-            )
+            slow = np.cos(2 * pi * less * r) * _pixel_response(point, less, down, across)
+            fast = np.sin(2 * pi * more * r) * _pixel_response(point, more, down, across)
+            own += a * b * np.cos(2 * pi * path) * (slow - fast)
         own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
     return found
 
@@ -351,13 +327,13 @@ def ring_errors(
     part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
     light = light[:, part, part]
     within = slice(side // 2, side // 2 + side)
-    error = np.abs(
-        _middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid)
-    )
+    tiled = _middle(light[:, within, within], table[:, ::2, ::2], valid)
+    error = np.abs(_middle(light, table, valid) - tiled)
     # of a narrow frame all
-    rows, cols = (min(n - 2 * outside.margin, valid) for n in outside.image.shape)
+    rows, cols = np.minimum(np.array(outside.image.shape) - 2 * outside.margin, valid)
     error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
-    local = scipy.ndimage.uniform_filter(light, (0, 2 * outside.around + 1, 2 * outside.around + 1))
+    across = 2 * outside.around + 1
+    local = scipy.ndimage.uniform_filter(light, (0, across, across))
     local = local[:, rim : rim + rows, rim : rim + cols]
     sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
     weight = windows.weight[:, None] * question.share
@@ -390,9 +366,8 @@ def _repeated_response(question, tiling, far):
         far.sigmas,
         far.tails,
     )
-    quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(
-        -1, side, side
-    )
+    quarter = question.edges.astype(np.float32) @ held.reshape(len(held), -1)
+    quarter = quarter.reshape(-1, side, side)
     at = np.abs(np.arange(-side, side))
     # up to the windows' end, a side away
     whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]
@@ -406,12 +381,10 @@ def _tile_response(point, side, overlap, sigmas, tails):
     rings = waves(point, r, y / r, x / r)
     widths, outer = sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= overlap
     held = np.zeros(rings.shape, np.float32)
+    smooth = np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2)
     held[:, outer] = (
         rings[:, outer]
         + tails @ r[outer] ** -np.array(POWERS)[:, None]
-        - (
-            energies(sigmas, tails)[:, :-1]
-            @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
-        )
+        - energies(sigmas, tails)[:, :-1] @ smooth
     )
     return held

@@ -31,24 +31,15 @@ def doubt_of(question: Question) -> str:
     """Return why predicted errors are not certain (the lens varies within its kernels, a very wide blur), or ""."""
     if not question.is_blurred:
         return ""
-    if _pixels_end_between_samples(question):
-        return BETWEEN_DOUBT
+    ratio = question.ratio
+    if ratio != 1:  # of a pixel's aperture, among the cells of the samples
+        width, side = np.array(question.aperture), np.array([[-0.5], [0.5]])
+        edges = ratio * (0.5 + np.array(question.sensor.displacement) + side * width)
+        if not ratio.is_integer() or (np.abs(edges - np.rint(edges)) > 1e-6).any():
+            return BETWEEN_DOUBT
     if not question.lens.is_uniform and min(question.size) < SMALL:
         return DOUBT
     return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
-
-
-def _pixels_end_between_samples(question):
-    """Whether the edges of a pixel's aperture are not all edges of the cells of a finer scene's samples."""
-    ratio, sensor = question.ratio, question.sensor
-    if ratio == 1:
-        return False
-    edges = [
-        ratio * (0.5 + move + side * width / 2)
-        for move, width in zip(sensor.displacement, question.aperture, strict=True)
-        for side in (-1, 1)
-    ]
-    return not ratio.is_integer() or any(abs(edge - round(edge)) > 1e-6 for edge in edges)
 
 
 def varying_planes(question: Question, response: Response, prior, flat):
@@ -76,86 +67,75 @@ def varying_planes(question: Question, response: Response, prior, flat):
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
-    strength = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, differences, table), 0))
-    whole = np.sqrt(
-        np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0)
-    )
-    strength = _round_down(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
+    whole = _sizes(response.flat, differences)
+    strength = _sizes(table, differences) / np.maximum(mix.T @ whole, 1e-300)
+    strength = _round_down(np.maximum(strength, 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
-    contrast = (
-        max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
-    )
+    contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9)
+    contrast /= natural_difference()
     # of planes in a flat field of the frame's power
-    levels = np.sqrt(
-        np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300)
-    )
-    varying = _rest(
-        question, transfers * flat, _round_down(limit / contrast), count, levels, _round_down(limit)
+    levels = _sizes(table, spectra.values, max(power, 1e-300))
+    varying = question.cache(
+        "field plan",
+        _rest,
+        question.lens,
+        question.content.wavelengths,
+        transfers * flat,
+        question.size,
+        question.corner,
+        _round_down(limit / contrast),
+        count,
+        _round_down(np.maximum(levels, 1e-12)),
+        _round_down(limit),
     )
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
     error = float(np.hypot(error, _border_error(question, varying)))
-    return (
-        table,
-        transfers[None],
-        mix,
-        varying,
-        error,
-        (
-            f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
-            f"{len(question.content.wavelengths)} wavelengths"
-        ),
+    words = (
+        f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
+        f"{len(question.content.wavelengths)} wavelengths"
     )
+    return table, transfers[None], mix, varying, error, words
+
+
+def _sizes(table, moments, power=1.0):
+    """Root mean squares of planes (planes, L) of spectra of these second moments, over the root of a power."""
+    squares = np.einsum("kl,lm,km->k", table, moments, table)
+    return np.sqrt(np.maximum(squares, 0) / power)
 
 
 def _planes(question, response, prior, limit):
     """Number of planes a channel, planes from spectra, transfers (C, planes, L) and error."""
-    own, channels = question.facts.spectra, len(response.weights)
-    operators = (
-        []
-        if question.guaranteed
-        else [joint_operator(response.channel(c), prior) for c in range(channels)]
-    )
+    own, channels = question.facts.spectra, np.arange(len(response.weights))
+    operators = []
+    if not question.guaranteed:
+        operators = [joint_operator(response.channel(c), prior) for c in channels]
     for count in range(1, MOST_PLANES + 1):
         if question.guaranteed:
             operator = channel_operator(response, count)
             table, each, error, room = operator.table, operator.transfers, operator.bound, 1.0
         else:
             parts = [one.transfers(count)[0] for one in operators]
-            table, each = np.vstack([one.w_in[:, :count].T for one in operators]), _blocks(parts)
+            table = np.vstack([one.w_in[:, :count].T for one in operators])
+            owner = np.repeat(channels, [len(part) for part in parts])
+            each = np.zeros((len(parts), *table.shape))
+            for c, part in enumerate(parts):
+                each[c, owner == c] = part
             error, room = response.error(table, each, own), ROOM
         if room * error < limit / 2:
             break
     return count, table, each, error
 
 
-def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
-    """Difference of the blur from the blur on the axis.
+def _rest(
+    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit
+) -> FieldBlur:
+    """Difference of the blur from the blur on the axis, the cheapest one.
 
     transfers: of the planes, (planes, L), for lights of 1. limit: of the error of natural scenes.
     levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
     """
-    lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
-    return question.cache(
-        "field plan",
-        _choose_rest,
-        lens,
-        wavelengths,
-        transfers,
-        shape,
-        question.corner,
-        limit,
-        count,
-        _round_down(np.maximum(levels, 1e-12)),
-        flat_limit,
-    )
-
-
-def _choose_rest(
-    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit
-) -> FieldBlur:
-    """Return the cheapest difference of the blur from the axis: see `_rest`."""
     room = min(limit, WIDEST_ROOM * flat_limit)
     differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
     flat = FlatField(differences, shape, levels, flat_limit / 2)
@@ -177,37 +157,18 @@ def _border_error(question, varying):
     share out evenly, is lost there. It grows with the square of the height h, whose root mean
     square over a frame, 1 at the corner, is 0.42 .. 0.45.
     """
-    wavelengths, size, (rows, cols) = (
-        question.content.wavelengths,
-        varying.kernels.shape[-1],
-        question.size,
-    )
-    middle = (np.array(question.size) - 1) / 2 + question.lens.axis
-    corner = farthest_corner(question.size, middle)
-    height = max(float(np.hypot(*corner)), 1.0)
-    outer, axis = (
-        question.lens.kernels([float(np.median(wavelengths))], tuple(place), size)[0]
-        for place in (corner / question.corner, (0.0, 0.0))
-    )
+    wavelengths, size = question.content.wavelengths, varying.kernels.shape[-1]
+    lens, (rows, cols) = question.lens, question.size
+    corner = farthest_corner(question.size, (np.array(question.size) - 1) / 2 + lens.axis)
+    height, middle = max(float(np.hypot(*corner)), 1.0), [float(np.median(wavelengths))]
+    outer = lens.kernels(middle, tuple(corner / question.corner), size)[0]
+    axis = lens.kernels(middle, (0.0, 0.0), size)[0]
     if question.scene.border == "zero":
         return float(0.43 * abs(axis.sum() - outer.sum()))
     at = np.arange(size) - size // 2
-    inward = (
-        -(outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1])
-        / height
-        / outer.sum()
-    )
-    inward = max(
-        float(inward), float(-question.optics.lateral_color_at(wavelengths).min() * height), 0.0
-    )
+    moved = outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1]
+    inward = float(-moved / height / outer.sum())
+    lateral = question.optics.lateral_color_at(wavelengths).min() * height
+    inward = max(inward, float(-lateral), 0.0)
     strip = max(inward - question.scene.margin, 0.0)
     return inward / height * float(np.sqrt(min(2 * strip * (rows + cols) / (rows * cols), 1.0)))
-
-
-def _blocks(parts):
-    """Rows of the parts (n, L) placed one after another: shape (parts, sum of n, L), 0 elsewhere."""
-    ends = np.cumsum([len(part) for part in parts])
-    out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
-    for own, part, end in zip(out, parts, ends, strict=True):
-        own[end - len(part) : end] = part
-    return out

@@ -40,7 +40,14 @@ def plan_distortion(
         return None
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
-    notes.bounds["distortion grid"] = _between_nodes(made, told())
+    (move, flux), (most, largest) = made.typical, made.error
+    usual, worst = told().shift_error(move), told().shift_error(most)
+    bright, brightest = told().brightness_error(flux), told().brightness_error(largest)
+    notes.bounds["distortion grid"] = Bound(
+        hypot(usual.rms, bright.rms),
+        hypot(worst.p999_sigma, brightest.p999_sigma),
+        hypot(worst.max_sigma, brightest.max_sigma),
+    )
     # else it is an error of the view, whose places are anywhere
     if question.scene.view.is_whole(question.ratio):
         width = sum(made.ratio) / 2 if made.method == "area" else None
@@ -59,28 +66,8 @@ def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Boun
     bound = error(probes)
     if question.scene.border == "zero" or not question.deviation:
         return bound
-    return total(
-        [
-            bound,
-            error(probes.sharp).times(
-                min(1.0, 2 * question.deviation / min(question.scene.samples))
-            ),
-        ]
-    )
-
-
-def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
-    """The error of places and fluxes between the nodes of a grid."""
-    (move, flux), (most, largest) = made.typical, made.error
-    usual, worst = probes.shift_error(move), probes.shift_error(most)
-    bright, brightest = probes.brightness_error(flux), probes.brightness_error(largest)
-    return Bound(
-        hypot(usual.rms, bright.rms),
-        *(
-            hypot(getattr(worst, name), getattr(brightest, name))
-            for name in ("p999_sigma", "max_sigma")
-        ),
-    )
+    share = min(1.0, 2 * question.deviation / min(question.scene.samples))
+    return total([bound, error(probes.sharp).times(share)])
 
 
 def choose_distortion(
@@ -96,17 +83,13 @@ def choose_distortion(
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.shift_error(move)
-        others = [
-            one
-            for name, one in notes.bounds.items()
-            if name not in ("distortion", "distortion grid")
-        ]
-        if SAFETY * total([*others, bound]).ratio(question.tolerance) <= 1:
-            notes.bounds.pop("distortion", None)
-            notes.bounds.pop("distortion grid")
-            notes.leave_out(
-                f"distortion by up to {move:.2g} of a sample", bound, "distortion left out"
-            )
+        others = {**notes.bounds}
+        others.pop("distortion", None)
+        others.pop("distortion grid")
+        if SAFETY * total([*others.values(), bound]).ratio(question.tolerance) <= 1:
+            notes.bounds = others
+            words = f"distortion by up to {move:.2g} of a sample"
+            notes.leave_out(words, bound, "distortion left out")
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gpusim.domain.errors import BadData
 from gpusim.optics.highlights import (
     THRESHOLD,
     Highlights,
@@ -26,12 +27,15 @@ class Picture:
         level: Root mean square of the frame as the lens shows it, highlights included.
         highest: Maximum, likewise.
         highlights: The highlights that were split off, or None.
+        apart: Mean square of their mosaic over the mean square of their channels together; None
+            without highlights.
     """
 
     brightness: np.ndarray
     level: float
     highest: float
-    highlights: Highlights | None
+    highlights: Highlights | None = None
+    apart: float | None = None
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -54,27 +58,30 @@ class Picture:
 
     def operation(self, question: Question, exposure_time: float | None) -> Operation:
         """Return the camera's operation for it. exposure_time: [s]; None: the camera's own."""
-        return Operation.of(
-            question.camera,
-            question.facts,
-            question.weights,
-            self.level,
-            self.highest,
-            exposure_time,
-        )
-
-    def mosaic(self, weights, share) -> float | None:
-        """Return the mean square of the highlights' mosaic over their channels' together; None without highlights.
-
-        Args:
-            weights: Electrons per content, (C, L).
-            share: Part of the pixels that has each channel, (C,).
-        """
-        split = self.highlights
-        if split is None:
-            return None
-        each = (split.spectra @ weights.T)[split.light] * split.strength[:, None]
-        return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
+        sensor, rates = question.sensor, question.facts.channels(question.weights)
+        looked = rates.sum(axis=0)
+        if not sensor.stacked:
+            cfa = sensor.cfa_indices
+            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
+            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
+            rates = np.take_along_axis(rates, channel[None], 0)
+        light = float(np.sqrt(np.mean(looked**2)))
+        size = float(np.sqrt(np.mean(rates**2))) * (self.level / light if light > 0 else 1.0)
+        seconds = sensor.exposure_time if exposure_time is None else exposure_time
+        if seconds is None:
+            dark = sensor.noise.operating_dark_current
+            try:
+                automatic, brightest = sensor.auto_exposure, float(looked.max())
+                if automatic.method == "highlights" and brightest > 0:
+                    # the frame's brightest need not be among these samples
+                    top = rates.max() * self.highest / brightest
+                    rates = np.append(np.minimum(rates, top), top)
+                seconds = automatic.choose(rates + dark, sensor.saturation)[0]
+                if automatic.method == "full" and self.highest > 0:
+                    seconds *= brightest / self.highest
+            except BadData:  # a dark scene: whoever exposes it says so
+                seconds = 1.0
+        return Operation(float(seconds), size, float(sensor.read_sigma**2))
 
     def describe(self, notes: Notes):
         """Note the highlights that were split off."""
@@ -97,26 +104,31 @@ def whole(question: Question) -> Picture:
     """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
     return Picture(
-        brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None
+        brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border)
     )
 
 
 def split(question: Question) -> tuple[Question, Picture]:
     """Return the question without highlights, and the picture."""
-    scene, facts, picture = question.scene, question.facts, whole(question)
+    scene, picture = question.scene, whole(question)
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
-    brightness, level, highest = picture.brightness.copy(), picture.level, picture.highest
+    brightness = picture.brightness.copy()
     content, highlights = split_highlights(
-        facts.samples.whole().on_host(),
+        question.facts.samples.whole().on_host(),
         brightness,
         question.q.max(),
         scene.margin,
         rule_of(scene.border),
     )
+    apart = None
     if highlights is not None:
         question = replace(question, facts=Facts(content))
-    return question, Picture(brightness, level, highest, highlights)
+        lights = (highlights.spectra @ question.weights.T)[highlights.light]
+        lights *= highlights.strength[:, None]
+        together = (lights.sum(axis=1) ** 2).sum()
+        apart = float((lights**2 @ question.share).sum() / max(together, 1e-300))
+    return question, replace(picture, brightness=brightness, highlights=highlights, apart=apart)
 
 
 def can_be_split(question: Question) -> bool:

@@ -8,7 +8,7 @@ from gpusim.domain.account import Bound
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 
-FAR = 10.0  # times below the tolerance
+FAR = 10.0  # times below the tolerance: patterns that are left out
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
 QUANTILE = 3.3
 MAXIMUM = 5.0
@@ -26,27 +26,21 @@ def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sen
     """
     if tolerance is None:
         return sensor, []
-    found = {
-        name: Bound(
-            value, *(value * sqrt(sensor.saturation) * times for times in (QUANTILE, MAXIMUM))
-        )
-        for name in RESPONSES
-        if (value := getattr(sensor.noise, name))
-    }
-    if tolerance.rms is None:
-        dark = max(sensor.read_sigma, 1.0)
-        found |= {
-            name: Bound(0.0, *(value / dark * times for times in (QUANTILE, MAXIMUM)))
-            for name in OFFSETS
-            if (value := getattr(sensor.noise, name))
-        }
-    left = {name: bound for name, bound in found.items() if FAR * bound.ratio(tolerance) <= 1}
-    if not left:
-        return sensor, []
-    named = RESPONSES | OFFSETS
-    words = [
-        f"{named[name]}: at most {bound.nearest(tolerance)[2]:.2g}{bound.nearest(tolerance)[4]}"
-        for name, bound in left.items()
-    ]
-    none: dict[str, Any] = dict.fromkeys(left, 0.0)
-    return replace(sensor, noise=replace(sensor.noise, **none)), words
+    none: dict[str, Any] = {}
+    left = []
+    for name, words in (RESPONSES | OFFSETS).items():
+        value = getattr(sensor.noise, name)
+        if not value or (name in OFFSETS and tolerance.rms is not None):
+            continue
+        if name in RESPONSES:
+            rms, sigma = value, value * sqrt(sensor.saturation)
+        else:
+            rms, sigma = 0.0, value / max(sensor.read_sigma, 1.0)
+        bound = Bound(rms, sigma * QUANTILE, sigma * MAXIMUM)
+        if FAR * bound.ratio(tolerance) <= 1:
+            none[name] = 0.0
+            _, _, size, _, unit, *_ = bound.nearest(tolerance)
+            left.append(f"{words}: at most {size:.2g}{unit}")
+    if none:
+        sensor = replace(sensor, noise=replace(sensor.noise, **none))
+    return sensor, left

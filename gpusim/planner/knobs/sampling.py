@@ -25,14 +25,27 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
 
     most: spare samples on each side that the blur can give.
     """
-    ratio, is_blurred = question.ratio, question.is_blurred
+    scene, ratio, is_blurred = question.scene, question.ratio, question.is_blurred
     if ratio == 1 and (is_blurred or not question.more):
         return None, 0
-    spare = 0
-    if is_blurred:
-        spare = int(min(SPARE + question.more, most))
-    rows, cols = _blurred_axes(question, spare) if is_blurred else _plain_axes(question)
-    return (rows, cols), spare
+    spare = int(min(SPARE + question.more, most)) if is_blurred else 0
+    axes = []
+    for n, pixels, width, move in zip(
+        scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True
+    ):
+        more = spare if is_blurred else ceil(ratio * abs(move))
+        start, nodes = more + frame_start(n, pixels, ratio), NODES if is_blurred else AREA
+        taps = pixel_taps(n + 2 * more, pixels, ratio, width, start, nodes, move)
+        first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
+        is_inside = more - 1e-6 <= first and last <= n + more + 1e-6
+        if not is_blurred and scene.border == "scene" and not is_inside:
+            raise OutOfRange(
+                "sensor.offset + sensor.centre",
+                f"{move:.6g} pixels, beyond the frame",
+                'within it, as optics model "none" sees no surroundings; or border = "edge"',
+            )
+        axes.append(taps if is_blurred or not more else apply_border(taps, n, more, scene.border))
+    return (axes[0], axes[1]), spare
 
 
 def describe(question: Question, taps, notes: Notes):
@@ -61,41 +74,3 @@ def describe(question: Question, taps, notes: Notes):
         "scene sampling",
         of_scene=True,
     )
-
-
-def _axes(question):
-    """Samples, pixels, width of the aperture [pixel] and displacement [pixel] of rows and of columns."""
-    scene = question.scene
-    return zip(
-        scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True
-    )
-
-
-def _blurred_axes(question, spare):
-    """Taps of the rows and the columns of pixels among the scene's samples and `spare` more on each side."""
-    ratio = question.ratio
-    return [
-        pixel_taps(
-            n + 2 * spare, pixels, ratio, width, spare + frame_start(n, pixels, ratio), NODES, move
-        )
-        for n, pixels, width, move in _axes(question)
-    ]
-
-
-def _plain_axes(question):
-    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border rule."""
-    axes, ratio, border = [], question.ratio, question.scene.border
-    for n, pixels, width, move in _axes(question):
-        more = ceil(ratio * abs(move))
-        taps = pixel_taps(
-            n + 2 * more, pixels, ratio, width, more + frame_start(n, pixels, ratio), AREA, move
-        )
-        first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
-        if border == "scene" and not (more - 1e-6 <= first and last <= n + more + 1e-6):
-            raise OutOfRange(
-                "sensor.offset + sensor.centre",
-                f"{move:.6g} pixels, beyond the frame",
-                'within it, as optics model "none" sees no surroundings; or border = "edge"',
-            )
-        axes.append(apply_border(taps, n, more, border) if more else taps)
-    return axes

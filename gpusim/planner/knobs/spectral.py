@@ -104,26 +104,21 @@ def ways(question: Question, probes: Probes | None) -> list[Way]:
     """
     flat = _flat(question)
     even = question.weights / flat
-    exact = _exact(question.content, even, flat)
     if not question.lens.is_uniform:
-        return [_varying_way(question, even, flat, probes)]
+        response = response_of(question, even, flat)
+        inputs, transfers, mix, varying, wrong, words = varying_planes(
+            question, response, prior_of(question), flat
+        )
+        table = inputs @ question.content.entry_spectra.T
+        made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
+        bound = Bound(wrong) if probes is None else probes.local(wrong)
+        return [Way(len(inputs), bound, words, lambda _: made)]
+    exact = _exact(question.content, even, flat)
     if probes is None:
         return [exact]
     response = response_of(question, even, flat)
-    found = (_guaranteed_ways if question.guaranteed else _fused_ways)(
-        question, response, flat, exact.count, probes
-    )
-    return [*found, exact]
-
-
-def _varying_way(question, even, flat, probes):
-    inputs, transfers, mix, varying, wrong, words = varying_planes(
-        question, response_of(question, even, flat), prior_of(question), flat
-    )
-    table = inputs @ question.content.entry_spectra.T
-    made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
-    bound = Bound(wrong) if probes is None else probes.local(wrong)
-    return Way(len(inputs), bound, words, lambda _: made)
+    fewer = _guaranteed_ways if question.guaranteed else _fused_ways
+    return [*fewer(question, response, flat, exact.count, probes), exact]
 
 
 def describe_unseen(question: Question, notes: Notes):
@@ -212,10 +207,9 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
             question.q, question.cell, period, question.ratio, question.moved
         )
     else:
-        half = (
-            np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
-        ) / question.corner
-        tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
+        half = np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
+        places = half / question.corner * FIELD_POINTS
+        tables = field_tables(question.lens, scene.wavelengths, places, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
     if taps is not None:  # what the pixels average out is no error
@@ -228,44 +222,37 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
     """Return windows of the scene in which errors are computed."""
     scene = question.scene
-    flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
-    tables = np.ones((1, SIDE, SIDE // 2 + 1))
+    flat, tables = np.ones(len(question.q)), np.ones((1, SIDE, SIDE // 2 + 1))
     if question.is_blurred:
+        flat = _flat(question)
         tables = transfers_at(question, flat, SIDE)
         tables = tables[:, 0] if tables.ndim == 4 else tables  # on the axis
         if tables.shape[1] < SIDE:
             tables = tables[:, np.minimum(np.arange(SIDE), SIDE - np.arange(SIDE))]
     count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
     windows = Windows.of(picture.brightness, scene.margin, scene.border, count, SIDE, RIM)
-    tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
+    inner = min(scene.samples[0], INNER), min(scene.samples[1], INNER)
+    channels = None
+    if not question.sensor.stacked and question.ratio == 1:
+        cfa = question.sensor.cfa_indices
+        y = windows.rows[:, RIM : RIM + inner[0]] - scene.margin
+        x = windows.cols[:, RIM : RIM + inner[1]] - scene.margin
+        channels = cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]
     return Probes.of(
         question.facts,
         windows,
         scene.border,
-        tables=tables,
+        tables=np.broadcast_to(tables, (len(flat), *tables.shape[1:])),
         weights=question.weights,
         even=question.weights / flat,
         share=question.share,
         level=picture.level,
         seconds=operation.seconds,
         noise=operation.noise,
-        apart=picture.mosaic(question.weights, question.share),
-        **_inner_part(question, windows),
+        apart=picture.apart,
+        inner=inner,
+        channels=channels,
     )
-
-
-def _inner_part(question, windows):
-    """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
-    scene, sensor = question.scene, question.sensor
-    inner = tuple(min(n, INNER) for n in scene.samples)
-    if sensor.stacked or question.ratio != 1:
-        return {"inner": inner}
-    y, x = (
-        at[:, RIM : RIM + n] - scene.margin
-        for at, n in zip((windows.rows, windows.cols), inner, strict=True)
-    )
-    cfa = sensor.cfa_indices
-    return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
 
 def response_of(question: Question, even, flat) -> Response:
@@ -330,10 +317,8 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
         question.scene.samples,
         question.facts.spectra,
     )
-    return replace(
-        watch.with_scale(question.facts.pairs),
-        factor=max(1.0, bound.rms / expected if expected else 1.0),
-    )
+    factor = max(1.0, bound.rms / expected if expected else 1.0)
+    return replace(watch.with_scale(question.facts.pairs), factor=factor)
 
 
 def _guaranteed_ways(question, response, flat, planes, probes):
