@@ -70,7 +70,7 @@ class Batch:
         exposure_time: float | Iterable[float] | None = None,
         gain: float | Iterable[float] = 1.0,
         seed: int | Iterable[int] = 0,
-        frame: int | Iterable[int] = 0,
+        first: int | Iterable[int] = 0,
     ) -> Any:
         """Return frames of the scenes. The next call overwrites the array.
 
@@ -83,7 +83,7 @@ class Batch:
             exposure_time: Exposure times [s]; None uses the camera's, see `Simulator.expose`.
             gain: Analog gains, next to the sensor's [1].
             seed: Seeds of the noise.
-            frame: Numbers of the frames. One number is for the first item; the others count up from it.
+            first: Numbers of the frames. One number is for the first item; the others count up from it.
 
         Returns:
             A device array (count, ...) of the type of one frame.
@@ -99,11 +99,11 @@ class Batch:
             "exposure_time": exposure_time,
             "gain": gain,
             "seed": seed,
-            "frame": frame,
+            "first": first,
         }
         values = {name: one_each(name, value, self.count) for name, value in given.items()}
-        if isinstance(frame, int | np.integer):
-            values["frame"] = [frame + item for item in range(self.count)]
+        if isinstance(first, int | np.integer):
+            values["first"] = [first + item for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
         if len(sizes) > 1:
             raise BadData(
@@ -129,7 +129,7 @@ class Batch:
             if not item:
                 self._require_memory(program.plan)
             programs.append(program)
-            frames.append(program.output(self.output, seed=its_seed, frame=number))
+            frames.append(program.output(self.output, seed=its_seed, first=number))
             plans.append(program.plan)
         if self._planned_for is not None:
             for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
@@ -142,7 +142,7 @@ class Batch:
                     programs[item] = Program(
                         self._simulator.apart(by, Cache()), own, its_time, its_gain
                     )
-                    frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
+                    frames[item] = programs[item].output(self.output, seed=its_seed, first=number)
                     plans[item] = programs[item].plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:

@@ -423,13 +423,13 @@ class Program:
         """Frames of the exposure."""
         return Shots(self.simulator, self._expose(), self.values)
 
-    def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
+    def output(self, name: str, *, seed: int = 0, first: int = 0) -> Any:
         """Return one of OUTPUTS by its name. Only this output and the exposure are computed.
 
         Args:
             name: A key of `gpusim.pipeline.outputs.OUTPUTS`.
             seed: Seed of the noise, for "raw" and later outputs.
-            frame: Number of the frame, for "raw" and later outputs.
+            first: Number of the frame, for "raw" and later outputs.
 
         Returns:
             A device array, shape and unit as in OUTPUTS.
@@ -445,42 +445,42 @@ class Program:
             self._use("irradiance", self.simulator.imaging.irradiance_steps, shots.exposure.plan)
         if name in ("irradiance", "electrons", "mean", "chip_mean"):
             return values[name]
-        raw = shots.raw(seed, frame)
+        raw = shots.raw(seed, first)
         if name == "raw":
             return raw
         return shots.codes(raw) if name == "codes" else values[name]
 
-    def raw(self, *, seed: int = 0, frame: int = 0) -> Any:
+    def raw(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the raw values of one frame.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             A device array (rows, cols) [DN].
         """
-        return self.shots.raw(seed, frame)
+        return self.shots.raw(seed, first)
 
-    def codes(self, *, seed: int = 0, frame: int = 0) -> Any:
+    def codes(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the display codes of one frame.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             A device array (rows, cols, 3), uint8.
         """
         shots = self.shots
-        return shots.codes(shots.raw(seed, frame))
+        return shots.codes(shots.raw(seed, first))
 
-    def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
+    def frame(self, *, seed: int = 0, first: int = 0) -> Frame:
         """Return one picture with its report, made with a plan that fits the scene.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             The picture.
@@ -489,7 +489,7 @@ class Program:
         if not self._plan_still_valid():
             exposure = self.exposure
         exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
-        return Shots(self.simulator, exposure, self.values).frame(seed=seed, frame=frame)
+        return Shots(self.simulator, exposure, self.values).frame(seed=seed, first=first)
 
     @property
     def account(self) -> Account:

@@ -383,7 +383,7 @@ class Readout:
         exposure_time: float,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         frames: int | None = None,
         tape: Tape | None = None,
     ) -> Any:
@@ -394,8 +394,8 @@ class Readout:
             exposure_time: Exposure time [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Names the noise.
-            frame: Number of the frame.
-            frames: Number of frames from `frame` on; None: this one only.
+            first: Number of the frame, or of the first one.
+            frames: Number of frames; None draws one without the first axis.
             tape: Where the kernels are recorded, or None.
 
         Returns:
@@ -415,7 +415,7 @@ class Readout:
         values, read = self._values(steps), steps[-1 - self._digital]
         values.give(chip_mean=chip_mean)
         planes = [values[name] if name else None for name in read.inputs]
-        numbers = self.numbers(exposure_time, gain) | {"seed": seed, "frame": frame}
+        numbers = self.numbers(exposure_time, gain) | {"seed": seed, "frame": first}
         with recording(tape):
             raw = noise(*planes, **read.constants, **numbers, frames=frames)
         if not self._digital:
@@ -435,7 +435,7 @@ class Readout:
         return not self._digital and self.device.kind != "numpy"
 
     def draw_again(
-        self, tape: Tape, shape: tuple[int, int], last: Any, *, seed: int = 0, frame: int = 0
+        self, tape: Tape, shape: tuple[int, int], last: Any, *, seed: int = 0, first: int = 0
     ) -> Any:
         """Draw another frame with the kernels that `draw` recorded on a tape, see `draws_at_once`.
 
@@ -444,7 +444,7 @@ class Readout:
             shape: Shape of the frame (rows, cols).
             last: Device array that the kernels wrote before (1, rows, cols).
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             A new device array (1, rows, cols).
@@ -454,7 +454,7 @@ class Readout:
         """
         raw = self.device.empty((1, *shape), last.dtype)
         if not (
-            tape.renumber({"seed": seed, "frame": frame}) and tape.replace_arrays([(last, raw)])
+            tape.renumber({"seed": seed, "frame": first}) and tape.replace_arrays([(last, raw)])
         ):
             raise RuntimeError("the recorded frame cannot be drawn again")
         tape.replay()
@@ -467,7 +467,7 @@ class Readout:
         *,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         frames: int | None = None,
     ) -> np.ndarray:
         """Add noise to given mean electrons.
@@ -479,7 +479,7 @@ class Readout:
             exposure_time: Exposure time [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Seed of the noise.
-            frame: Number of the first frame.
+            first: Number of the first frame.
             frames: Number of frames; None draws one without the first axis.
 
         Returns:
@@ -493,7 +493,7 @@ class Readout:
         raw = np.array(
             self.device.numpy(
                 self.draw(
-                    chip_mean, exposure_time, gain=gain, seed=seed, frame=frame, frames=frames
+                    chip_mean, exposure_time, gain=gain, seed=seed, first=first, frames=frames
                 )
             )
         )
@@ -549,7 +549,7 @@ class Readout:
                 exposure_time,
                 gain=gain,
                 seed=seed,
-                frame=first + start,
+                first=first + start,
                 frames=min(batch, count - start),
             )
             total = total + self.device.numpy(raw).sum(axis=0, dtype=kind)
@@ -563,7 +563,7 @@ class Readout:
         *,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
     ) -> np.ndarray:
         """Return raw values of non-destructive reads, which leave the charge in the pixels.
 
@@ -576,7 +576,7 @@ class Readout:
             times: Times of the reads since the reset, rising [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             Raw values (reads, rows, cols) [DN].
@@ -588,7 +588,7 @@ class Readout:
         steps = self.noise_steps(shape)
         values, read = self._values(steps), steps[-1]
         offset, amplitude = (values[name] if name else None for name in read.inputs[1:])
-        numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": frame}
+        numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": first}
         # the kernel takes no negative electrons, so the reset noise is part of the offset
         numbers["read_noise"] = float(
             np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
@@ -598,7 +598,7 @@ class Readout:
             "full_well": MOST,
             "electrons": True,
             "seed": seed,
-            "frame": frame,
+            "frame": first,
             "device": device,
         }
         reads, previous = [], 0.0

@@ -171,10 +171,10 @@ class Shots:
             values.set_numbers(**numbers)
         self.values = values
 
-    def raw(self, seed: int = 0, frame: int = 0) -> Any:
+    def raw(self, seed: int = 0, first: int = 0) -> Any:
         """Return the digital numbers (rows, cols) of one frame."""
         self.values.withdraw("raw")
-        self.values.set_numbers(seed=seed, frame=frame)
+        self.values.set_numbers(seed=seed, frame=first)
         return self.values["raw"]
 
     def _value_of(self, raw, name):
@@ -214,25 +214,25 @@ class Shots:
         return self._value_of(raw, "codes at once" if "codes at once" in self.values else "codes")
 
     def frame(
-        self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True
+        self, *, seed: int = 0, first: int = 0, error: Error | None = None, is_timed: bool = True
     ) -> Frame:
         """Return one picture with its report. Its parts are computed lazily unless a program rewrites the arrays.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
             error: True error of the mean electrons, if known.
-            first: Count the exposure's times in this picture.
+            is_timed: Count the exposure's times in this picture.
 
         Raises:
             OutOfRange: The seed or the number is not allowed. Other errors are raised when a part is computed.
         """
-        check_drawn(seed, frame, None, 0)  # now, not when raw values are computed
-        exposure, shot = self.exposure, _Shot(self, seed, frame, first)
+        check_drawn(seed, first, None, 0)  # now, not when raw values are computed
+        exposure, shot = self.exposure, _Shot(self, seed, first, is_timed)
 
         def report():
             wanted.rendering, wanted.mean, wanted.raw, wanted.linear, wanted.rgb  # noqa: B018  for their times
-            return self._build_report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
+            return self._build_report(wanted.rendering, shot.ms, shot.wall_ms, seed, first, error)
 
         shading = None if exposure.shading is None else np.array(exposure.shading)
         wanted = Frame(
@@ -352,12 +352,12 @@ class Shots:
 class _Shot:
     """One picture while it is computed. ms: milliseconds per stage so far. wall_ms: in all.
 
-    first: count the exposure's times in this picture.
+    is_timed: count the exposure's times in this picture.
     """
 
-    def __init__(self, shots: Shots, seed: int, frame: int, first: bool):
+    def __init__(self, shots: Shots, seed: int, frame: int, is_timed: bool):
         self._shots, self._seed, self._frame, exposure = shots, seed, frame, shots.exposure
-        self.ms, self.wall_ms = (dict(exposure.ms), exposure.wall_ms) if first else ({}, 0.0)
+        self.ms, self.wall_ms = (dict(exposure.ms), exposure.wall_ms) if is_timed else ({}, 0.0)
 
     @cached_property
     def raw(self):

@@ -233,7 +233,7 @@ class Simulator:
         scene: Scene,
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Frame: ...
@@ -244,7 +244,7 @@ class Simulator:
         scene: Iterable[Scene],
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Iterator[Frame]: ...
@@ -254,7 +254,7 @@ class Simulator:
         scene: Scene | Iterable[Scene],
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Frame | Iterator[Frame]:
@@ -266,7 +266,7 @@ class Simulator:
         Args:
             scene: A scene, or several.
             seed: Seed of the noise.
-            frame: Number of the frame, or of the first one.
+            first: Number of the frame, or of the first one.
             verify: Also compute the float64 reference and report the true error.
             plan: Plan for all frames.
 
@@ -281,11 +281,11 @@ class Simulator:
             for one in scene if isinstance(scene, list | tuple | set | dict) else ():
                 checked_scene(one)
             return (
-                self(one, seed=seed, frame=number, verify=verify, plan=plan)
-                for number, one in enumerate(scene, frame)
+                self(one, seed=seed, first=number, verify=verify, plan=plan)
+                for number, one in enumerate(scene, first)
             )
         return next(
-            self.frames(checked_scene(scene), 1, seed=seed, first=frame, verify=verify, plan=plan)
+            self.frames(checked_scene(scene), 1, seed=seed, first=first, verify=verify, plan=plan)
         )
 
     def frames(
@@ -347,7 +347,7 @@ class Simulator:
         checked_count("count of frames", count)
         shots = Shots(self, exposure)
         for number in range(first, first + count):
-            yield shots.frame(seed=seed, frame=number, error=error, first=number == first)
+            yield shots.frame(seed=seed, first=number, error=error, is_timed=number == first)
 
     def plan(
         self,
@@ -398,14 +398,14 @@ class Simulator:
         return replace(exposure, plan=program.scene_plan, is_rewritten=False)
 
     def draw(
-        self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None
+        self, exposure: Exposure, *, seed: int = 0, first: int = 0, frames: int | None = None
     ) -> Any:
         """Add noise to `exposure.chip_mean`. For equal means the result is identical on all devices.
 
         Args:
             exposure: The exposure.
             seed: Seed of the noise.
-            frame: Number of the first frame.
+            first: Number of the first frame.
             frames: Number of frames; None draws one without the first axis.
 
         Returns:
@@ -416,11 +416,11 @@ class Simulator:
         of = (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout)
         shape = tuple(exposure.chip_mean.shape)
         if frames is None and drawing.of and all(map(is_, drawing.of, of)):
-            raw = self.readout.draw_again(drawing.tape, shape, drawing.raw, seed=seed, frame=frame)
+            raw = self.readout.draw_again(drawing.tape, shape, drawing.raw, seed=seed, first=first)
             drawing.raw = raw
             return self.device.reshape(raw, shape)
         drawing.of = ()
-        raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames, tape=drawing.tape)
+        raw = self.readout.draw(*of[:-1], seed=seed, first=first, frames=frames, tape=drawing.tape)
         if frames is None and self.readout.draws_at_once:
             drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
         return raw

@@ -73,7 +73,7 @@ class Stream(Iterator):
                     if program is None
                     else program.update(scene=scene)
                 )
-                frame = program.output(output, seed=seed, frame=number)
+                frame = program.output(output, seed=seed, first=number)
                 self.plan = program.plan
                 yield frame
             if program is not None:

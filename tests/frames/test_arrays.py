@@ -74,7 +74,7 @@ def test_what_the_api_gives_is_an_array_to_others(device):
             with pytest.raises(IndexError):
                 found[wrong]
         assert sum(1 for _ in found) == shape[0]
-    one = simulator.draw(exposure, frame=1)
+    one = simulator.draw(exposure, first=1)
     same_bits(device, draws[1], one)
     same_bits(device, simulator.codes(draws[1], exposure), simulator.codes(one, exposure))
 
@@ -472,7 +472,7 @@ def test_streams_of_foreign_samples_to_memory_apart(apart):
         )
     ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5)):
-        wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, frame=number)
+        wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, first=number)
         np.testing.assert_array_equal(np.asarray(raw), wanted.raw)
     assert number == len(scenes) - 1
 

@@ -89,7 +89,7 @@ def test_snr_of_photons(light):
     sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(prnu=0.05), full_well=10000.0)
     simulate = Simulator(replace(camera, sensor=sensor))
     first, second = (
-        simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(
+        simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, first=number).astype(
             np.float64
         )
         for number in (0, 1)

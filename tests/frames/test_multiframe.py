@@ -283,7 +283,7 @@ def test_single_full_pixels_are_left_out():
         dataclasses.replace(
             frame,
             raw=simulate.readout.draw_electrons(
-                electrons * frame.exposure_time / 0.01, frame.exposure_time, frame=k
+                electrons * frame.exposure_time / 0.01, frame.exposure_time, first=k
             ),
         )
         for k, frame in enumerate((short, long))

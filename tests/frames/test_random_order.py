@@ -115,7 +115,7 @@ class Loop:
         if key not in self.fresh:
             simulator = gs.Simulator(camera, device=self.device)
             self.fresh[key] = self.host(
-                simulator.program(scene, seconds, gain).output(output, seed=seed, frame=frame)
+                simulator.program(scene, seconds, gain).output(output, seed=seed, first=frame)
             )
         return self.fresh[key]
 
@@ -148,11 +148,11 @@ class Loop:
                 changed.get(name, old) for name, old in zip(names, self.setting, strict=True)
             )
         if self.random.random() < 0.3:
-            self.keep(self.program.frame(seed=seed, frame=frame), self.setting, seed, frame)
+            self.keep(self.program.frame(seed=seed, first=frame), self.setting, seed, frame)
         else:
             output = self.one(OUTPUTS)
             self.require(
-                self.host(self.program.output(output, seed=seed, frame=frame)),
+                self.host(self.program.output(output, seed=seed, first=frame)),
                 output,
                 self.setting,
                 seed,
@@ -173,7 +173,7 @@ class Loop:
                 strict=True,
             )
         )
-        found = self.host(self.batches[output](**lists, seed=seeds, frame=first))
+        found = self.host(self.batches[output](**lists, seed=seeds, first=first))
         for item, setting in enumerate(settings):
             self.require(found[item], output, setting, seeds[item], first + item)
 
@@ -189,7 +189,7 @@ class Loop:
         for _ in range(3 if self.exposures else 0):
             simulator, exposure, setting = self.one(self.exposures)
             seed, frame = int(self.random.integers(3)), int(self.random.integers(3))
-            raw = simulator.draw(exposure, seed=seed, frame=frame)
+            raw = simulator.draw(exposure, seed=seed, first=frame)
             self.require(self.host(raw), "raw", setting, seed, frame)
             self.require(self.host(simulator.codes(raw, exposure)), "codes", setting, seed, frame)
 
@@ -211,7 +211,7 @@ class Loop:
                 lambda: self.batches["codes"]([self.scenes[0], 3]),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
-                lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), frame=-1),
+                lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), first=-1),
             ]
         )
         with pytest.raises(GpusimError):

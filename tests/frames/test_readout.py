@@ -187,7 +187,7 @@ def test_raw_of_any_mosaic_is_the_same_on_every_device(device, name):
     for changes in ({}, {"binning": (2, 2)}, {"binning": (2, 1), "binning_mode": "digital"}):
         raws = [
             Simulator(camera(MOSAICS[name], noise, **changes), device=one).readout.draw_electrons(
-                mean, 0.02, seed=5, frame=3, frames=2
+                mean, 0.02, seed=5, first=3, frames=2
             )
             for one in ("numpy", device)
         ]
@@ -475,7 +475,7 @@ def test_average_is_the_mean_of_the_frames(changes):
     simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
     exposure = simulate.expose(chart("ramp", size=(40, 24)))
     frames = np.asarray(
-        simulate.device.numpy(simulate.draw(exposure, seed=2, frame=4, frames=9)), np.float64
+        simulate.device.numpy(simulate.draw(exposure, seed=2, first=4, frames=9)), np.float64
     )
     mean = gs.average(simulate, exposure, 9, seed=2, first=4)
     np.testing.assert_allclose(mean, frames.mean(axis=0), rtol=1e-14)  # float64, nine additions
@@ -952,19 +952,19 @@ def test_whole_numbers_of_any_kind_name_the_noise(device):
     mean = np.full((5, 7), 100.0)
     for kind, value in ((np.int32, 3), (np.uint32, 2**32 - 2), (np.uint64, 2**32 - 1)):
         plain, same = (
-            simulate.readout.draw_electrons(mean, 0.01, seed=number, frame=number)
+            simulate.readout.draw_electrons(mean, 0.01, seed=number, first=number)
             for number in (value, kind(value))
         )
         np.testing.assert_array_equal(same, plain)
     for wrong in (
         {"seed": -1},
         {"seed": 1.5},
-        {"frame": 2**32},
+        {"first": 2**32},
         {"frames": 0},
         {"frames": -1},
         {"frames": 70000},
     ):
-        with pytest.raises(OutOfRange, match=f"{next(iter(wrong))} = "):
+        with pytest.raises(OutOfRange, match=f"{next(iter(wrong)).replace('first', 'frame')} = "):
             simulate.readout.draw_electrons(mean, 0.01, **wrong)
 
 

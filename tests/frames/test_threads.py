@@ -35,7 +35,7 @@ def simulators(device):
 
 def drawn(simulator, exposure, frame):
     """Digital numbers and display codes of an exposure."""
-    raw = simulator.draw(exposure, seed=7, frame=frame)
+    raw = simulator.draw(exposure, seed=7, first=frame)
     return [
         np.array(simulator.device.numpy(part)) for part in (raw, simulator.codes(raw, exposure))
     ]

@@ -81,7 +81,7 @@ def test_what_is_given_to_the_program_itself(device, scene):
         (3, 0, None, 1.0, scene),
     ):
         found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(
-            seed=seed, frame=frame
+            seed=seed, first=frame
         )
         exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
         fresh = next(simulator.shoot(exposure, seed=seed, first=frame))
@@ -227,13 +227,13 @@ def test_pictures_are_the_callers_own(scene):
     program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(
         scene
     )
-    first, second = program.frame(), program.frame(frame=1)
+    first, second = program.frame(), program.frame(first=1)
     before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
     first.shading[...] = 0
     for array, kept in zip((second.mean, second.shading), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-    np.testing.assert_array_equal(program.frame(frame=2).shading, before[1])
+    np.testing.assert_array_equal(program.frame(first=2).shading, before[1])
 
 
 def test_a_negative_gain_is_refused_at_once(scene):
@@ -318,7 +318,7 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
                 np.testing.assert_array_equal(getattr(frame, part), getattr(whole, part))
         return {*ms}
 
-    for wrong in ({"seed": -1}, {"seed": 2**64}, {"frame": 2**32}):
+    for wrong in ({"seed": -1}, {"seed": 2**64}, {"first": 2**32}):
         with pytest.raises(OutOfRange):
             simulator(scene, **wrong)
     assert stages() == set()

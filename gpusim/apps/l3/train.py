@@ -178,7 +178,7 @@ def simulate_pairs(
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
             raw = simulator.readout.draw_electrons(
-                electrons[part] * brighter, time, seed=seed, frame=number * steps + step
+                electrons[part] * brighter, time, seed=seed, first=number * steps + step
             )
             white = (
                 brighter

@@ -89,13 +89,13 @@ class Pairs:
         gain = gain_of(simulator.camera, values.get("iso"))
         program = simulator.program(scene, values.get("exposure"), gain, plan=self._plan)
         exposure, account = program.exposure, program.account
-        raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, frame=number)))
+        raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, first=number)))
         sensor = exposure.camera.sensor
         light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
             pair["rgb"] = np.array(
-                simulator.device.numpy(program.codes(seed=self._seed, frame=number))
+                simulator.device.numpy(program.codes(seed=self._seed, first=number))
             )
         record = {
             "photograph": self._photographs[number // self._each].name,

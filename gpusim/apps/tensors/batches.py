@@ -144,7 +144,7 @@ class Batch:
         }
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
-            frames = batch(scenes, seed=seed, frame=first, **settings)
+            frames = batch(scenes, seed=seed, first=first, **settings)
             self.plans = batch.plans
             return self._return_frames(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
@@ -153,7 +153,7 @@ class Batch:
             one = batch(
                 scene,
                 seed=seed,
-                frame=first + item,
+                first=first + item,
                 **{name: given[item] for name, given in each.items()},
             )
             frames.append(np.array(self.simulator.device.numpy(one)))

@@ -172,7 +172,7 @@ def blurred_frames(
             if output is None:
                 values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
             else:
-                values = simulator.draw(exposure, seed=seed, frame=number)
+                values = simulator.draw(exposure, seed=seed, first=number)
                 if output == "codes":
                     values = simulator.codes(values, exposure)
                 elif output != "raw":
@@ -186,9 +186,9 @@ def _make_frame(program, number, seed, output):
     """Return a frame of a program."""
     account, exposure = program.account, program.shots.exposure
     if output is None:
-        values = program.frame(seed=seed, frame=number).complete()
+        values = program.frame(seed=seed, first=number).complete()
     else:
-        values = program.output(output, seed=seed, frame=number)
+        values = program.output(output, seed=seed, first=number)
         values = _on_host(program.simulator, values, output)
     return Made.of(number, values, account, exposure)
 

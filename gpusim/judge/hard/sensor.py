@@ -194,7 +194,7 @@ def many_frames(device):
         expected = device.array(np.array([[6e4, 59999.0, 1.0]], f32))
         frames = np.array(
             [
-                device.numpy(readout.draw(expected, 1.0, seed=2, frame=5 + number))[0]
+                device.numpy(readout.draw(expected, 1.0, seed=2, first=5 + number))[0]
                 for number in range(700)
             ]
         )
