@@ -226,9 +226,7 @@ def _transfers(loops, simulator, scenes, only):
 def _changes(loops, simulator, base, scenes, only):
     exposure = simulator.expose(scenes.materials[0], SECONDS)
     if only in "draw of a kept exposure":
-        loops.measure(
-            "draw of a kept exposure", lambda k: simulator.draw(exposure, seed=1, first=k)
-        )
+        loops.measure("draw of a kept exposure", lambda k: exposure.raw(seed=1, first=k))
     for name, change in changes(base).items():
         if only not in f"{name} -> codes":
             continue

@@ -9,8 +9,8 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from gpusim import pipeline
 from gpusim.domain import labels
-from gpusim.pipeline import truths
 
 __version__ = "0.1.0"
 
@@ -166,7 +166,7 @@ if TYPE_CHECKING:
 
 # Lower packages get access to higher ones here. They are loaded when they are needed.
 labels.load = partial(import_module, "gpusim.plot.notebook")
-truths.load = partial(import_module, "gpusim.judge.truth")
+pipeline.load_truth = partial(import_module, "gpusim.judge.truth")
 
 
 def __getattr__(name):

@@ -6,7 +6,8 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.scene import Scene
-from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.exposure import Exposure
+from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -52,7 +53,7 @@ def burst(
     return [
         frame
         for number, exposure in enumerate(exposures)
-        for frame in simulator.shoot(exposure, count, seed=seed, first=first + number * count)
+        for frame in exposure.frames(count, seed=seed, first=first + number * count)
     ]
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
-from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import plan_inputs
-from gpusim.pipeline.program import Program, SharedOptics
+from gpusim.pipeline.program import OUTPUTS, Program, SharedOptics
 from gpusim.planner.plan import Plan
+
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
 
 MOST = 2**16  # items; each has a program
 
@@ -30,7 +32,7 @@ class Batch:
     Args:
         simulator: The Simulator.
         count: Number of items.
-        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        output: A key of `gpusim.pipeline.program.OUTPUTS`.
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
             scenes get their own plans. None reuses plans of earlier scenes.
         plan: Plan for all frames, see `Program`.
@@ -45,7 +47,7 @@ class Batch:
 
     def __init__(
         self,
-        simulator: Any,
+        simulator: "Simulator",
         count: int,
         output: str = "codes",
         planned_for: Scene | None = None,
@@ -221,7 +223,7 @@ def bytes_of_item(plan: Plan, output: str) -> int:
 
     Args:
         plan: Plan of the item.
-        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        output: A key of `gpusim.pipeline.program.OUTPUTS`.
 
     Returns:
         The memory [byte].

@@ -110,11 +110,23 @@ class Values:
 
     def __init__(self, caches: Mapping[Rate, Cache]):
         self._caches, self._token = caches, object()
+        self._taped = [cache for cache in caches.values() if cache.is_taped]
         self._steps: dict[str, Step] = {}
         self._given: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
         self._known: dict[str, Any] = {}  # values that are up to date
         self._users: dict[str, set[str]] = {}  # outputs that depend directly on a value or number
+
+    @classmethod
+    def of(cls, steps: Iterable[Step], tables: Cache | None = None) -> "Values":
+        """Return values of these steps that are not kept. tables: where the camera's values are kept."""
+        values = cls({rate: Cache() for rate in Rate} | ({Rate.CAMERA: tables} if tables else {}))
+        values.use(steps)
+        return values
+
+    def words(self) -> dict[str, str]:
+        """Return the report's line of each stage."""
+        return {step.stage: step.words for step in self._steps.values() if step.words}
 
     def use(self, steps: Iterable[Step]) -> None:
         """Replace all steps by these."""
@@ -157,9 +169,8 @@ class Values:
                 self.forget(user)
 
     def __getitem__(self, name: str) -> Any:
-        for cache in self._caches.values():
-            # other values may have rewritten the cache's arrays
-            if cache.is_taped and cache.user is not self._token:
+        for cache in self._taped:
+            if cache.user is not self._token:  # other values may have rewritten the cache's arrays
                 self._known.clear()
                 cache.user = self._token
         return self._value(name)
@@ -186,7 +197,7 @@ class Values:
         value = self._caches[step.rate].run(
             name,
             step.run,
-            tuple([self._value(one) for one in step.inputs]),
+            tuple(map(self._value, step.inputs)),
             step.constants,
             {number: self._numbers[number] for number in step.numbers},
         )

@@ -80,7 +80,7 @@ def paths(simulator, scenes, plan):
             for n, scene in numbered
         ],
         "draw": [
-            host(simulator.draw(simulator.expose(scene, plan=plan), seed=SEED, first=n))
+            host(simulator.expose(scene, plan=plan).raw(seed=SEED, first=n))
             for n, scene in numbered
         ],
         "program": [
@@ -330,7 +330,7 @@ def test_exposures_noise_and_tolerances_may_be_others():
         for seconds in (0.002, 0.05):
             exposure = simulator.expose(scenes[1], seconds, 1.0, plan)
             assert exposure.plan.name == plan.name
-            raw = simulator.draw(exposure, seed=SEED)
+            raw = exposure.raw(seed=SEED)
             batch = simulator.batch(2, "raw", plan=plan)(
                 [scenes[1]] * 2, exposure_time=[seconds, 0.03], seed=SEED, first=[0, 1]
             )

@@ -9,7 +9,7 @@ from devices import ALL_KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.pipeline.outputs import OUTPUTS
+from gpusim.pipeline.program import OUTPUTS
 
 SIZE = (72, 56)
 CAMERA = gs.open_camera("phone")

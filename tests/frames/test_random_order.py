@@ -181,17 +181,17 @@ class Loop:
         setting, seed = self.any_setting(), int(self.random.integers(2))
         simulator = self.simulator.update(setting[0])
         exposure = simulator.expose(*setting[1:])
-        self.exposures = [*self.exposures[-2:], (simulator, exposure, setting)]
-        self.keep(next(simulator.shoot(exposure, seed=seed)), setting, seed, 0)
+        self.exposures = [*self.exposures[-2:], (exposure, setting)]
+        self.keep(exposure.frame(seed=seed), setting, seed, 0)
 
     def draw(self):
         """Frames of exposures that were made before, in turns."""
         for _ in range(3 if self.exposures else 0):
-            simulator, exposure, setting = self.one(self.exposures)
+            exposure, setting = self.one(self.exposures)
             seed, frame = int(self.random.integers(3)), int(self.random.integers(3))
-            raw = simulator.draw(exposure, seed=seed, first=frame)
+            raw = exposure.raw(seed=seed, first=frame)
             self.require(self.host(raw), "raw", setting, seed, frame)
-            self.require(self.host(simulator.codes(raw, exposure)), "codes", setting, seed, frame)
+            self.require(self.host(exposure.codes(raw)), "codes", setting, seed, frame)
 
     def stream(self):
         camera, _, seconds, gain = self.any_setting()
@@ -211,7 +211,7 @@ class Loop:
                 lambda: self.batches["codes"]([self.scenes[0], 3]),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
-                lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), first=-1),
+                lambda: self.simulator.expose(self.scenes[0]).raw(first=-1),
             ]
         )
         with pytest.raises(GpusimError):

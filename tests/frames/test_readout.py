@@ -126,7 +126,7 @@ def test_each_pixel_sees_its_own_channel(name):
     simulate = simulator(cfa)
     exposure = simulate.expose(scene)
     mean, raw = (
-        np.array(simulate.device.numpy(array)) for array in (exposure.mean, simulate.draw(exposure))
+        np.array(simulate.device.numpy(array)) for array in (exposure.mean, exposure.raw())
     )
     nm = np.linspace(400, 700, 3001)
     light = 0.18 * scene.illuminant.at(nm) * OPTICS.irradiance_factor * 3e-6**2 * 0.01
@@ -437,8 +437,8 @@ def test_bracket_has_times_numbers_and_frames_of_its_own():
     assert [frame.report.frame for frame in frames] == [7, 8, 9]
     once = simulate.expose(scene)
     for number, frame in enumerate(frames):
-        (again,) = simulate.shoot(
-            gs.change_exposure_time(simulate, once, frame.exposure_time), seed=3, first=7 + number
+        again = gs.change_exposure_time(simulate, once, frame.exposure_time).frame(
+            seed=3, first=7 + number
         )
         np.testing.assert_array_equal(frame.raw, again.raw)
     # all are rendered alike: brighter by the exposure, so in equal display values but for noise and saturation
@@ -457,8 +457,8 @@ def test_burst_has_the_exposure_of_its_first_frame():
         for number, (frame, scene) in enumerate(
             zip(frames, (bright, bright, dim, dim), strict=True), 5
         ):
-            (again,) = simulate.shoot(
-                simulate.expose(scene, once.exposure_time, once.gain), seed=2, first=number
+            again = simulate.expose(scene, once.exposure_time, once.gain).frame(
+                seed=2, first=number
             )
             np.testing.assert_array_equal(frame.raw, again.raw)
         assert (frames[0].raw != frames[1].raw).mean() > 0.3
@@ -474,9 +474,7 @@ def test_burst_has_the_exposure_of_its_first_frame():
 def test_average_is_the_mean_of_the_frames(changes):
     simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
     exposure = simulate.expose(chart("ramp", size=(40, 24)))
-    frames = np.asarray(
-        simulate.device.numpy(simulate.draw(exposure, seed=2, first=4, frames=9)), np.float64
-    )
+    frames = np.asarray(simulate.device.numpy(exposure.raw(seed=2, first=4, frames=9)), np.float64)
     mean = gs.average(simulate, exposure, 9, seed=2, first=4)
     np.testing.assert_allclose(mean, frames.mean(axis=0), rtol=1e-14)  # float64, nine additions
     for count in (0, -1, 2.5):
@@ -687,7 +685,7 @@ def test_a_moving_edge_leans_by_its_speed_times_the_row_time():
     np.testing.assert_allclose(
         place, 5 + speed * (np.arange(20) * row_time + exposure / 2), rtol=0, atol=60 * 28 * ULP
     )
-    (frame,) = simulate.shoot(moving)
+    frame = moving.frame()
     assert "sensor.shutter" in {stage.stage for stage in frame.report.stages}
 
 
@@ -976,12 +974,12 @@ def test_what_was_metered_can_be_kept():
     assert first.gain > 1
     again = simulate.expose(scene, first.exposure_time, first.gain)
     np.testing.assert_array_equal(
-        *(np.array(simulate.device.numpy(simulate.draw(one))) for one in (first, again))
+        *(np.array(simulate.device.numpy(one.raw())) for one in (first, again))
     )
     mean = np.array(simulate.device.numpy(first.mean))
     np.testing.assert_array_equal(
         simulate.readout.draw_electrons(mean, first.exposure_time, gain=first.gain),
-        np.array(simulate.device.numpy(simulate.draw(first))),
+        np.array(simulate.device.numpy(first.raw())),
     )
     for gain in (0.0, -1.0, np.nan):
         with pytest.raises(OutOfRange, match="gain"):

@@ -774,16 +774,15 @@ def test_draws_follow_each_other_each_in_an_array_of_its_own(device, noise):
     simulator, scene = Simulator(camera, device=device), chart("ramp", size=(70, 40))
     exposures = [simulator.expose(scene, 0.01), simulator.expose(scene, 0.02, 2.0)]
     asked = [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 2**63, 2), (0, 1, 1), (0, 7, 2**32 - 1)]
-    drawn = [simulator.draw(exposures[k], seed=seed, first=frame) for k, seed, frame in asked]
+    drawn = [exposures[k].raw(seed=seed, first=frame) for k, seed, frame in asked]
     for raw, (k, seed, frame) in zip(drawn, asked, strict=True):
-        fresh = Simulator(camera, device=simulator.device).draw(
-            exposures[k], seed=seed, first=frame
-        )
+        other = replace(exposures[k], simulator=Simulator(camera, device=simulator.device))
+        fresh = other.raw(seed=seed, first=frame)
         np.testing.assert_array_equal(simulator.device.numpy(raw), simulator.device.numpy(fresh))
     with pytest.raises(OutOfRange, match="frame"):
-        simulator.draw(exposures[0], first=-1)
+        exposures[0].raw(first=-1)
     np.testing.assert_array_equal(
-        simulator.device.numpy(simulator.draw(exposures[0], seed=7, first=2**32 - 1)),
+        simulator.device.numpy(exposures[0].raw(seed=7, first=2**32 - 1)),
         simulator.device.numpy(drawn[-1]),
     )
 

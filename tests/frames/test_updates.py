@@ -84,7 +84,7 @@ def test_what_is_given_to_the_program_itself(device, scene):
             seed=seed, first=frame
         )
         exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
-        fresh = next(simulator.shoot(exposure, seed=seed, first=frame))
+        fresh = exposure.frame(seed=seed, first=frame)
         for key in ("mean", "raw", "linear", "rgb"):
             np.testing.assert_array_equal(getattr(found, key), getattr(fresh, key))
     np.testing.assert_array_equal(found.rgb, first.rgb)
@@ -152,7 +152,7 @@ def test_every_kind_of_exposure_says_how_long_it_took(scene):
     moving = gs.expose_moving(simulator, [scene, scene], [0.0, 0.02], 0.01)
     frames = [
         *gs.bracket(simulator, scene, (0, 1)),
-        next(simulator.shoot(moving)),
+        moving.frame(),
         simulator(scene),
     ]
     for frame in frames:
@@ -327,7 +327,7 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     assert {"processor.color", "display.encode"} <= stages("rgb")
     program = simulator.program(scene, 0.01)
     first = program.frame(seed=1)
-    shot = next(simulator.shoot(program.exposure, seed=1))
+    shot = program.exposure.frame(seed=1)
     values = first.raw.copy(), first.rgb.copy()
     program.update(scene=gs.chart("flat", size=(48, 36)), exposure_time=0.02).frame(seed=2)
     for frame in (first, shot):
@@ -343,8 +343,8 @@ def test_mistakes_are_said_in_one_line():
     exposure = simulator.expose(scene, 0.01)
     codes = np.zeros((18, 24, 3), np.uint8)
     for ask in (
-        lambda: next(simulator.shoot(exposure, "2")),
-        lambda: next(simulator.shoot(exposure, 1.5)),
+        lambda: next(exposure.frames("2")),
+        lambda: next(exposure.frames(1.5)),
         lambda: next(simulator.stream([scene], first="a")),
         lambda: gs.average(simulator, exposure, "2"),
         lambda: gs.change_exposure_time(simulator, exposure, None),

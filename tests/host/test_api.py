@@ -18,7 +18,7 @@ from gpusim import measure
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.pupil import Pupil
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.report import Report
 
 ROOT = Path(gs.__file__).resolve().parents[1]

@@ -15,7 +15,7 @@ import pytest
 
 import gpusim as gs
 from gpusim.kernels.stage import public_function, stage_names
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 
 NUMBERS = ("frame", "frame_number", "first_frame", "frames_from", "start", "number")
 RAISES = re.compile(r"^\s*raise (?!NotImplementedError|AssertionError|StopIteration)[A-Z]", re.M)

@@ -91,7 +91,7 @@ class Pairs:
         exposure, account = program.exposure, program.account
         raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, first=number)))
         sensor = exposure.camera.sensor
-        light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
+        light = program.values["mean of pixels"] * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
             pair["rgb"] = np.array(

@@ -152,8 +152,7 @@ class Producer:
         checker = self._checker[1]
         if part is None and checker is None:
             return found
-        shots = program.shots
-        linear, rendering = shots.linear(shots.raw(state.seed, number))
+        linear, rendering = program.linear(seed=state.seed, first=number)
         linear = np.moveaxis(self._on_host(linear), 0, -1)
         if part is not None:
             found["edge"] = edge(linear, part)

@@ -41,7 +41,7 @@ class Batch:
     Args:
         camera: Camera.
         device: Name of the device, or a Device.
-        output: Name of `gpusim.pipeline.outputs.OUTPUTS`, for example "raw", "linear" or "codes".
+        output: Name of `gpusim.pipeline.program.OUTPUTS`, for example "raw", "linear" or "codes".
         wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or
             grey (1).
         light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral

@@ -25,7 +25,7 @@ from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS = Ramps()
@@ -170,13 +170,13 @@ def blurred_frames(
             )
             values: Any
             if output is None:
-                values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
+                values = exposure.frame(seed=seed, first=number).complete()
             else:
-                values = simulator.draw(exposure, seed=seed, first=number)
+                values = exposure.raw(seed=seed, first=number)
                 if output == "codes":
-                    values = simulator.codes(values, exposure)
+                    values = exposure.codes(values)
                 elif output != "raw":
-                    values = simulator.develop(values, exposure)[0]
+                    values = exposure.develop(values)[0]
                 values = _on_host(simulator, values, output)
             account = exposure.plan.account.at(exposure.exposure_time)
             yield Made.of(number, values, account, exposure)
@@ -184,7 +184,7 @@ def blurred_frames(
 
 def _make_frame(program, number, seed, output):
     """Return a frame of a program."""
-    account, exposure = program.account, program.shots.exposure
+    account, exposure = program.account, program.expose()
     if output is None:
         values = program.frame(seed=seed, first=number).complete()
     else:
