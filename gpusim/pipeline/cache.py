@@ -121,7 +121,7 @@ class Cache:
     def with_versions(self, value):
         """Return a value for a key: device arrays get the version of their contents."""
         if type(value) is tuple or type(value) is list:
-            return tuple([self.with_versions(part) for part in value])
+            return tuple(map(self.with_versions, value))
         if isinstance(value, self._array_type):
             return One(value, _OWNERS.get(value, NOBODY)[1])
         return value

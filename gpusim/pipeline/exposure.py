@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,7 +87,7 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
             run=read_mean,
         ),
     ]
-    known = {step.output for step in steps}
+    known = {*map(attrgetter("output"), steps)}
     response = "response" if "response" in known and sensor.noise.dead_pixels else ""
     dark = "dark" if "dark" in known else ""
     if processor.defects != "known" or not (response or dark):
@@ -456,7 +457,7 @@ class _Shot(Parts):
         if name == "report":
             frame.rendering, frame.mean, frame.raw, frame.linear, frame.rgb  # noqa: B018  for their times
             return self._report(frame.rendering)
-        start, device = time.perf_counter(), self.exposure.device
+        start, device = time.perf_counter(), self.exposure.simulator.device
         with device.timed() as ms:
             if name == "mean":
                 value = np.array(self.values["mean of pixels"])
@@ -478,7 +479,8 @@ class _Shot(Parts):
         exposure, times, error = self.exposure, self.ms, self.error
         simulator, camera = exposure.simulator, exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
-        models = plan.models | self.values.words() | {"processor.color": rendering.model}
+        words = {step.stage: step.words for step in self.values.steps.values() if step.words}
+        models = plan.models | words | {"processor.color": rendering.model}
         if "sensor.meter" in times:
             models["sensor.meter"] = (
                 "light statistics"

@@ -1,5 +1,6 @@
 """Automatic exposure: the device computes statistics of the light, the host chooses exposure time and gain."""
 
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -24,13 +25,17 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
     device = readout.device
     automatic, content = sensor.auto_exposure, plan.content
     layers = len(sensor.channels) if sensor.stacked else 1
-    look = {"automatic": automatic, "device": device}
-    work = float(prod(plan.scene.shape) * layers)
+    look = partial(
+        Step,
+        stage="sensor.meter",
+        constants={"automatic": automatic, "device": device},
+        rate=Rate.EXPOSURE,
+        work=float(prod(plan.scene.shape) * layers),
+        run=meter_light,
+    )
     steps = [
-        Step(name, "sensor.meter", (of,), look, rate=Rate.EXPOSURE, work=work, run=meter_light)
-        for name, of in (("light per second", "per second"), ("light", "mean"))
-    ]
-    steps += [
+        look("light per second", inputs=("per second",)),
+        look("light", inputs=("mean",)),
         Step(
             "metered",
             "",

@@ -110,8 +110,7 @@ class Values:
 
     def __init__(self, caches: Mapping[Rate, Cache]):
         self._caches, self._token = caches, object()
-        self._taped = [cache for cache in caches.values() if cache.is_taped]
-        self._steps: dict[str, Step] = {}
+        self.steps: dict[str, Step] = {}  # by the value that each makes
         self._given: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
         self._known: dict[str, Any] = {}  # values that are up to date
@@ -120,26 +119,20 @@ class Values:
     @classmethod
     def of(cls, steps: Iterable[Step], tables: Cache | None = None) -> "Values":
         """Return values of these steps that are not kept. tables: where the camera's values are kept."""
-        values = cls({rate: Cache() for rate in Rate} | ({Rate.CAMERA: tables} if tables else {}))
+        own = Cache()
+        values = cls(dict.fromkeys(Rate, own) | {Rate.CAMERA: tables or own})
         values.use(steps)
         return values
 
-    def words(self) -> dict[str, str]:
-        """Return the report's line of each stage."""
-        return {step.stage: step.words for step in self._steps.values() if step.words}
-
     def use(self, steps: Iterable[Step]) -> None:
         """Replace all steps by these."""
-        new = {step.output: step for step in steps}
-        before, self._steps = self._steps, new
-        for name in before.keys() - new.keys():
-            self.forget(name)
-        self._users = {}
-        for step in new.values():
+        before, self.steps, self._users = self.steps, {}, {}
+        for step in steps:
+            self.steps[step.output] = step
             for name in (*step.inputs, *step.numbers):
                 self._users.setdefault(name, set()).add(step.output)
-        for name, step in new.items():
-            if before.get(name) is not step:
+        for name in before.keys() | self.steps.keys():
+            if before.get(name) is not self.steps.get(name):
                 self.forget(name)
 
     def give(self, **values) -> None:
@@ -169,8 +162,9 @@ class Values:
                 self.forget(user)
 
     def __getitem__(self, name: str) -> Any:
-        for cache in self._taped:
-            if cache.user is not self._token:  # other values may have rewritten the cache's arrays
+        for cache in self._caches.values():
+            # other values may have rewritten the cache's arrays
+            if cache.is_taped and cache.user is not self._token:
                 self._known.clear()
                 cache.user = self._token
         return self._value(name)
@@ -180,20 +174,20 @@ class Values:
         found = []
         for cache in {id(cache): cache for cache in self._caches.values()}.values():
             for name, reads, work in cache.host_accesses():
-                step = self._steps.get(name)
+                step = self.steps.get(name)
                 if step is not None and not step.host:
                     found += [(name, stage) for stage in sorted({*reads, *work})]
         return found
 
     def __contains__(self, name: str) -> bool:
-        return name in self._given or name in self._steps
+        return name in self._given or name in self.steps
 
     def _value(self, name):
         if name in self._known:
             return self._known[name]
         if name in self._given or not name:
             return self._given[name] if name else None
-        step = self._steps[name]
+        step = self.steps[name]
         value = self._caches[step.rate].run(
             name,
             step.run,

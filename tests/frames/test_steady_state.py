@@ -246,7 +246,7 @@ PLANNING = {"facts", "probes", "plan"}
 
 def may_read(program):
     """Names of the values in whose making the host may read the device."""
-    return PLANNING | {name for name, step in program.values._steps.items() if step.host}
+    return PLANNING | {name for name, step in program.values.steps.items() if step.host}
 
 
 class Reads:
