@@ -250,7 +250,7 @@ def test_noise_model_is_that_of_the_raw_values(noise, sensor):
     raws = simulator.device.numpy(exposure.raw(seed=5, frames=24)).astype(float)[
         :, ::2, ::2
     ]  # one colour
-    developer = Developer(exposure.camera, simulator.device)
+    developer = Developer(exposure.camera, simulator.device, simulator.readout.averaged)
     gain, read = developer.noise
     measured = raws.var(axis=0, ddof=1).mean()
     predicted = gain * (raws.mean() - exposure.camera.sensor.dark_level) + read**2
@@ -349,7 +349,7 @@ def test_layers_of_stacked_pixels_do_not_meet():
     raw = np.array(simulator.device.numpy(exposure.raw(seed=1)))
     changed = raw.copy()
     changed[40:] = 1000 - changed[40:] // 2  # all but the first layer
-    developer = Developer(exposure.camera, simulator.device)
+    developer = Developer(exposure.camera, simulator.device, simulator.readout.averaged)
     known = exposure.values()["defects"]
     planes = [
         np.array(
