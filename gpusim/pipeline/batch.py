@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
+from gpusim.domain.errors import BadData, DoesNotFit, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.planning import plan_inputs
-from gpusim.pipeline.program import OUTPUTS, Program, SharedOptics
+from gpusim.pipeline.program import Program, SharedOptics, checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -53,9 +53,8 @@ class Batch:
         planned_for: Scene | None = None,
         plan: Plan | None = None,
     ):
-        if output not in [*OUTPUTS]:
-            raise UnknownName("output", str(output), OUTPUTS)
-        self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
+        self.output = checked_output(output)
+        self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
         self._items: list[Program | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
@@ -114,38 +113,36 @@ class Batch:
                 + " pixels; wanted one size"
             )
         try:
-            return self._frames(values)
+            return self._frames([*zip(*values.values(), strict=True)])
         except BaseException:
             # unfinished checks must not reach the next call
             self._items = [None] * self.count
             raise
 
-    def _frames(self, values):
-        programs, frames, plans = [], [], []
-        for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
-            zip(*values.values(), strict=True)
-        ):
-            program = self._program(item, own, by).update(
-                scene=own, exposure_time=its_time, gain=its_gain
-            )
-            if not item:
-                self._require_memory(program.plan)
-            programs.append(program)
-            frames.append(program.output(self.output, seed=its_seed, first=number))
+    def _frames(self, rows):
+        """Return a frame of each scene with its camera, exposure time, gain, seed and number."""
+        device, frames, plans = self._simulator.device, [], []
+        for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
+            program = self._program(item, scene, camera)
+            program.update(scene=scene, exposure_time=seconds, gain=gain)
+            if not item:  # the items' arrays and the memory of one frame
+                plan = program.plan
+                needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
+                if needed > device.memory:
+                    size = "x".join(map(str, scene.shape[::-1]))
+                    what = f"a batch of {self.count} frames of {size}"
+                    raise DoesNotFit(what, needed, device.memory, device.name)
+            frames.append(program.output(self.output, seed=seed, first=number))
             plans.append(program.plan)
-        if self._planned_for is not None:
-            for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
-                zip(*values.values(), strict=True)
-            ):
-                programs[item].judge()
+        checked = rows if self._planned_for is not None else ()
+        for item, (scene, camera, seconds, gain, seed, number) in enumerate(checked):
+            self._items[item].judge()
+            if self._items[item].before.plan is None:
                 # the plan does not fit: make the frame with a new program, for this call only
-                if programs[item].before.plan is None:
-                    self._items[item] = None
-                    programs[item] = Program(
-                        self._simulator.apart(by, Cache()), own, its_time, its_gain
-                    )
-                    frames[item] = programs[item].output(self.output, seed=its_seed, first=number)
-                    plans[item] = programs[item].plan
+                self._items[item] = None
+                program = Program(self._simulator.apart(camera, Cache()), scene, seconds, gain)
+                frames[item] = program.output(self.output, seed=seed, first=number)
+                plans[item] = program.plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(
@@ -153,7 +150,7 @@ class Batch:
                 "frames have one shape"
             )
         self.plans = plans
-        return self._cache("frames", stack_frames, *frames, device=self._simulator.device)
+        return self._cache("frames", stack_frames, *frames, device=device)
 
     def judge(self) -> None:
         """Wait for the device's measurements of the scenes, see `Program.judge`.
@@ -180,37 +177,20 @@ class Batch:
                 return program.update(camera=camera)
             program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
-        other_program = next(filter(has_same_plan, in_use), None)
-        tables = (
-            other_program.simulator.tables
-            if other_program
-            else Cache()
-            if in_use
-            else self._simulator.tables
-        )
+        twin = next(filter(has_same_plan, in_use), None)
+        tables = twin.simulator.tables if twin else Cache() if in_use else self._simulator.tables
         simulator = self._simulator.apart(camera, tables)
-        shared = other_program is not None and self._planned_for is None
         program = self._items[item] = Program(
             simulator,
             self._planned_for or scene,
-            before=other_program.before if shared else SharedOptics(simulator.device),
+            before=twin.before
+            if twin and self._planned_for is None
+            else SharedOptics(simulator.device),
             plan=self._plan,
         )
         if self._planned_for is not None:
             program.plan  # noqa: B018  makes the plan for all later scenes
         return program
-
-    def _require_memory(self, plan):
-        """Raise DoesNotFit if the items' arrays and the memory of one frame do not fit together."""
-        (rows, cols), device = plan.scene.shape, self._simulator.device
-        needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
-        if needed > device.memory:
-            raise DoesNotFit(
-                f"a batch of {self.count} frames of {cols}x{rows}",
-                needed,
-                device.memory,
-                device.name,
-            )
 
 
 def stack_frames(*frames, device) -> Any:

@@ -65,6 +65,13 @@ BEFORE_NOISE = ("irradiance", "electrons", "mean", "chip_mean")
 SAME: Any = object()  # an argument of `Program.update` that was not given
 
 
+def checked_output(name: str) -> str:
+    """Return the name of an output. Raises UnknownName."""
+    if name not in [*OUTPUTS]:  # of any type
+        raise UnknownName("output", str(name), OUTPUTS)
+    return name
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Check:
     """Statistics of a scene, on their way from the device to the host.
@@ -437,8 +444,7 @@ class Program:
             UnknownName: There is no such output.
             BadData: Irradiance of a blur that varies over the field.
         """
-        if name not in [*OUTPUTS]:
-            raise UnknownName("output", str(name), OUTPUTS)
+        checked_output(name)
         exposure, values = self.expose(), self.values
         if name == "irradiance":
             self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.errors import BadData, UnknownName, checked_count
+from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.pipeline.program import OUTPUTS
+from gpusim.pipeline.program import checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -50,8 +50,7 @@ class Stream(Iterator):
         plan: Plan | None = None,
         **settings: Any,
     ):
-        if output not in [*OUTPUTS]:
-            raise UnknownName("output", str(output), OUTPUTS)
+        checked_output(output)
         checked_count("first", first, 0)
         if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
             raise BadData(
