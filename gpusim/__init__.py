@@ -56,6 +56,7 @@ _PUBLIC = {
     "merge_burst": "gpusim.captures.merge",
     "merge_flash": "gpusim.captures.merge",
     "Simulator": "gpusim.pipeline.simulator",
+    "Exposure": "gpusim.pipeline.exposure",
     "Frame": "gpusim.pipeline.frame",
     "Program": "gpusim.pipeline.program",
     "open_device": "gpusim.backends",
@@ -150,6 +151,7 @@ if TYPE_CHECKING:
     from gpusim.domain.spectrum import Spectrum as Spectrum
     from gpusim.domain.tolerance import Tolerance as Tolerance
     from gpusim.domain.view import View as View
+    from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events

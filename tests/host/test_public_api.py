@@ -15,7 +15,6 @@ import pytest
 
 import gpusim as gs
 from gpusim.kernels.stage import public_function, stage_names
-from gpusim.pipeline.exposure import Exposure
 
 NUMBERS = ("frame", "frame_number", "first_frame", "frames_from", "start", "number")
 RAISES = re.compile(r"^\s*raise (?!NotImplementedError|AssertionError|StopIteration)[A-Z]", re.M)
@@ -179,8 +178,7 @@ def test_the_check_finds_faults(fault, monkeypatch):
 def test_frames_are_numbered_by_first():
     """A frame's number, or the number of the first of several, is `first` everywhere but in stages, which draw."""
     other, by_first = [], set()
-    named = [*public_names(), ("Exposure", Exposure)]
-    for path, value in named:
+    for path, value in public_names():
         if path.startswith("stage "):
             continue
         for key, member in members(value) if inspect.isclass(value) else [("", value)]:
@@ -193,6 +191,6 @@ def test_frames_are_numbered_by_first():
                 elif parameter.name in NUMBERS and "int" in str(parameter.annotation):
                     other.append(f"{name}({parameter})")
     assert not other
-    assert {"Simulator.__call__", "Simulator.frames", "Simulator.stream"} <= by_first
+    assert {"Simulator.__call__", "Simulator.frames", "Exposure.raw", "Exposure.frames"} <= by_first
     assert {"Program.raw", "Program.codes", "Program.frame", "Program.output"} <= by_first
     assert {"Readout.draw", "Batch.__call__", "burst", "bracket", "average"} <= by_first
