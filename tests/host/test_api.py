@@ -429,7 +429,8 @@ def run(folder: Path) -> None:
     hdr = gs.merge_bracket(simulate, frames)
     print("of a bracket", cpsnr(frames[0].linear, hdr.linear))
     hdr.save(folder / "hdr.exr")
-    print(night(simulate, checker).exposure_time, gs.Batch(camera, device="numpy")(np.ones((1, 3, 16, 16))).shape)
+    batch = gs.Batch(camera, device="numpy")
+    print(night(simulate, checker).exposure_time, batch(np.ones((1, 3, 16, 16))).shape)
     try:
         gs.open_scene("colorchekcer")
     except gs.GpusimError as error:
