@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from itertools import chain
 from math import prod
 from operator import is_
 from typing import TYPE_CHECKING, Any
@@ -39,7 +40,7 @@ from gpusim.pipeline.planning import (
 )
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
-from gpusim.pipeline.step import Rate, Values
+from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.planner.after import holds
 from gpusim.planner.draft import draft_plan
 from gpusim.planner.facts import Facts
@@ -154,7 +155,8 @@ class Program:
                 Rate.FRAME: self.cache,
             }
         )
-        self._steps: dict[str, tuple] = {}  # lists of steps by name, each with its arguments
+        self._steps: dict[str, list[Step]] = {}  # lists of steps by name
+        self._made_of: dict[str, tuple] = {}  # the arguments from which they were made
         self._pending: _Check | None = None
         self._last_metered: tuple[float, float] | None = None
         # exposure time [s] and gain of this frame if metered late; kept until the next update
@@ -232,7 +234,7 @@ class Program:
                 self._predict_given()
             before.plan = self._fixed_plan, camera
             return self._fixed_plan
-        if (draft := self._draft()) is not None:
+        if self._drafts and (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
             by is camera or same(plan_inputs(by, tolerance), plan_inputs(camera, tolerance))
@@ -250,14 +252,13 @@ class Program:
             plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
             probing.set_plan(plan)
         before.plan = plan, camera
-        return self._draft() or plan
+        return (self._drafts and self._draft()) or plan
 
     def _draft(self):
-        """Return a draft made from the existing plan; None if it is unwanted, unsuitable or saves no work."""
+        """Return a draft made from the existing plan; None if it is unsuitable or saves no work."""
         camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
         if (
-            not self._drafts
-            or plan is None
+            plan is None
             or plan.scene is not self.scene
             or not same(draft_key(by), draft_key(camera))
         ):
@@ -317,10 +318,9 @@ class Program:
 
     def _use(self, name, make, *args):
         """Replace the list of steps of this name by `make(*args)` if an argument is another object."""
-        found = self._steps.get(name)
-        if found is None or not all(map(is_, found[1], args)):
-            self._steps[name] = make(*args), args
-            self.values.use([step for steps, _ in self._steps.values() for step in steps])
+        if name not in self._steps or not all(map(is_, self._made_of[name], args)):
+            self._steps[name], self._made_of[name] = make(*args), args
+            self.values.use(chain(*self._steps.values()))
 
     def expose(self) -> Exposure:
         """Return the exposure without its computing times. It does not wait for the device.

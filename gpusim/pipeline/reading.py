@@ -80,7 +80,7 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
         ), None
     if isinstance(content, Illuminated):
         return illuminate(cut("maps"), cut("coefficients"), device=device), None
-    *labels, entries = [cut(name) for name in content.samples]
+    *labels, entries = map(cut, content.samples)
     return entries, labels[0] if labels else None
 
 
