@@ -349,8 +349,8 @@ def test_hot_pixels_grow_with_time_and_temperature_and_are_the_same_in_every_fra
     cold, warm = (
         simulator(noise=dataclasses.replace(noise, temperature=t), bits=32) for t in (25.0, 33.0)
     )
-    first = electrons(cold, 0.0, time=0.1, frame=0)
-    np.testing.assert_array_equal(electrons(cold, 0.0, time=0.1, frame=9, seed=5), first)
+    first = electrons(cold, 0.0, time=0.1, first=0)
+    np.testing.assert_array_equal(electrons(cold, 0.0, time=0.1, first=9, seed=5), first)
     np.testing.assert_allclose(electrons(warm, 0.0, time=0.1), 2 * first, rtol=ULP)
     np.testing.assert_allclose(electrons(cold, 0.0, time=0.3), 3 * first, rtol=2 * ULP)
     is_sample_of((first > 0).ravel(), 0.1, 0.09, fourth=(1 - 3 * 0.09) / 0.09)  # Bernoulli
