@@ -454,7 +454,7 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
         if plan.name == frames[number]:  # else the segment planned anew
             with np.load(tmp_path / f"a_{number:04}.npz") as file:
                 np.testing.assert_array_equal(
-                    file["dn"], fixed(scenes[number], seed=4, frame=number, plan=plan).raw
+                    file["dn"], fixed(scenes[number], seed=4, first=number, plan=plan).raw
                 )
     assert frames[0] == fixed.plan(scenes[0]).name and frames[2] == fixed.plan(scenes[2]).name
 
